@@ -1,0 +1,1 @@
+"""The node that grabs frames and publishes them with their exposure records."""

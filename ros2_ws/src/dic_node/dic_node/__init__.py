@@ -1,0 +1,1 @@
+"""The node that turns textures into in-plane displacement."""

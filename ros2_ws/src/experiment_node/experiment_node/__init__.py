@@ -1,0 +1,1 @@
+"""The nodes that run load steps, record them and replay recordings."""

@@ -1,0 +1,1 @@
+"""The node that shows patterns on the projector."""

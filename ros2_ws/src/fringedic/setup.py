@@ -1,0 +1,31 @@
+from setuptools import find_packages, setup
+
+package_name = "fringedic"
+
+setup(
+    name=package_name,
+    version="0.1.0",
+    description="3D shape and 3D displacement of a surface from one camera and one projector: the library, without ROS",
+    license="Apache-2.0",
+    python_requires=">=3.11",
+    packages=find_packages(exclude=["test"]),
+    package_data={package_name: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
+        (f"share/{package_name}", ["package.xml"]),
+    ],
+    install_requires=[
+        "h5netcdf",
+        "matplotlib",
+        "mcap",
+        "numba",
+        "numpy>=1.26",
+        "opencv-python-headless",
+        "pydantic>=2",
+        "pyyaml",
+        "rosbags",
+        "scipy",
+        "xarray",
+        "zstandard",
+    ],
+)

@@ -1,0 +1,1 @@
+"""The graph of a rig and the `fringedic` command."""

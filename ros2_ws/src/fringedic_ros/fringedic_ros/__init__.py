@@ -1,0 +1,1 @@
+"""What every fringedic node shares: QoS profiles, conversions, typed parameters, diagnostics."""

@@ -1,0 +1,1 @@
+"""The node that talks to a testing machine."""

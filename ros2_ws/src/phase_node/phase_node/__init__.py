@@ -1,0 +1,1 @@
+"""The node that turns fringe frames into phase, modulation and texture."""
