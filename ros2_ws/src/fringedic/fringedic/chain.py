@@ -1,0 +1,549 @@
+"""The three processing steps: frames to phase, texture to in-plane displacement, both to shape and 3D displacement.
+
+The nodes and ``fringedic process`` call exactly these functions with the same arrays, so that live, replayed and desk
+results are bit-identical. Every parameter is declared here once: type, default, bounds and meaning.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, TypeVar
+
+import numpy as np
+import xarray as xr
+from pydantic import BaseModel, ConfigDict, Field
+
+from fringedic.correlation import Reference, measure_displacement
+from fringedic.errors import CalibrationMissingError, FrameMismatchError, ReferenceMissingError, TooFewValidError
+from fringedic.phase import CameraNoise, absolute_phase
+from fringedic.rig import RigModel
+from fringedic.sequence import PatternKind, Stack
+from fringedic.surface import couple, surface_strain, to_local_frame
+
+Kept = TypeVar("Kept")
+
+
+class Parameters(BaseModel):
+    """Base of all node parameters: unknown names, other types, NaN and infinity are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class PhaseParameters(Parameters):
+    """Parameters of the phase node."""
+
+    read_noise_grey_level: float = Field(
+        1.0, gt=0, le=1e4, description="Standard deviation of the camera's noise in the dark [grey level]."
+    )
+    shot_noise_grey_level: float = Field(
+        0.0, ge=0, le=1e4, description="Variance of the noise per grey level of brightness [grey level]."
+    )
+    saturation_grey_level: float = Field(
+        0.0,
+        ge=0,
+        le=65535,
+        description="Grey level from which a pixel counts as saturated [grey level]; 0 is the full scale of the pixels.",
+    )
+    minimum_valid_fraction: float = Field(
+        0.05, ge=0, le=1, description="The step fails when a smaller part of the image has a phase [0 to 1]."
+    )
+
+
+class DicParameters(Parameters):
+    """Parameters of the dic node."""
+
+    window: int = Field(
+        32, ge=8, le=256, description="Width [px] of the bi-triangular window with the same noise as the one in use."
+    )
+    spacing: int = Field(1, ge=1, le=256, description="Distance of the measured points in both directions [px].")
+    method: Literal["dense", "zoi"] = Field(
+        "dense",
+        description="dense: window-weighted gradient least squares at every point; zoi: the phase fit of the paper.",
+    )
+    minimum_valid_fraction: float = Field(
+        0.05, ge=0, le=1, description="The step fails when a smaller part of the points has a displacement [0 to 1]."
+    )
+    kept_steps: int = Field(
+        16, ge=1, le=1000, description="Latest steps whose texture is kept, so that each can become the reference."
+    )
+
+
+class CouplingParameters(Parameters):
+    """Parameters of the coupling node."""
+
+    z_filter_px: float = Field(
+        2.0,
+        ge=0,
+        le=50,
+        description="Standard deviation of the Gaussian that smooths the surfaces before they are subtracted [px]; "
+        "the published shape is not smoothed.",
+    )
+    local_frame: bool = Field(True, description="Also compute the displacement along the surface and its normal.")
+    strain_window_px: int = Field(
+        85, ge=0, le=1001, description="Width of the window of the surface strain [px]; 0 leaves the strain out."
+    )
+    minimum_valid_fraction: float = Field(
+        0.05, ge=0, le=1, description="The step fails when a smaller part of the cloud is measured [0 to 1]."
+    )
+    kept_steps: int = Field(
+        16, ge=1, le=1000, description="Latest steps whose phase is kept, so that each can become the reference."
+    )
+
+
+@dataclass
+class PhaseResult:
+    """What the phase node publishes of a step.
+
+    Attributes
+    ----------
+    stamp
+        Stamp of the last exposure [ns].
+    phase, sigma
+        Absolute phase at the finest pitch and its standard deviation [rad], float32 (row, column), NaN where not
+        measured.
+    modulation, texture
+        Fringe amplitude and mean of the whole stack [grey level], float32 (row, column).
+    valid_fraction
+        Pixels with a phase over all pixels.
+    pitch
+        The finest pitch [projector pixel], to which the phase belongs.
+    rms
+        Median of ``sigma`` [rad].
+    """
+
+    experiment: str
+    step: int
+    stamp: int
+    phase: np.ndarray
+    sigma: np.ndarray
+    modulation: np.ndarray
+    texture: np.ndarray
+    valid_fraction: float
+    pitch: float
+    rms: float
+
+
+@dataclass
+class DicResult:
+    """What the dic node publishes of a step.
+
+    Attributes
+    ----------
+    reference_step
+        The step this displacement is measured against.
+    displacement, sigma
+        (d_x, d_y) at the points of the grid and its standard deviation [px], float32 (row, column, 2), d_y > 0
+        downwards, NaN where not measured.
+    origin
+        (row, column) of the first point [px].
+    spacing
+        Distance of the points [px].
+    valid_fraction
+        Measured points over all points.
+    rms
+        Root mean square of the displacement's two components together [px].
+    """
+
+    experiment: str
+    step: int
+    stamp: int
+    reference_step: int
+    displacement: np.ndarray
+    sigma: np.ndarray
+    origin: tuple[int, int]
+    spacing: int
+    valid_fraction: float
+    rms: float
+
+
+@dataclass
+class CouplingResult:
+    """What the coupling node publishes of a step.
+
+    Attributes
+    ----------
+    reference_step
+        The step this displacement is measured against.
+    shape
+        x, y, z, sigma_z of this step's surface at every camera pixel [m], float32 (row, column).
+    displacement
+        At the points of the displacement grid, float32 (row, column): x, y, z of the reference surface, u, v, w with
+        sigma_u, sigma_v, sigma_w [m], and when asked for u_t, v_t, w_n [m] and e_11, e_22, e_12 [-].
+    valid_fraction
+        Measured points over all points of the displacement.
+    rms
+        Root mean square length of (u, v, w) [m].
+    """
+
+    experiment: str
+    step: int
+    stamp: int
+    reference_step: int
+    shape: dict[str, np.ndarray]
+    displacement: dict[str, np.ndarray]
+    valid_fraction: float
+    rms: float
+
+
+def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
+    """Demodulate and unwrap the fringes of one step (eq. 11).
+
+    Raises
+    ------
+    FrameMismatchError
+        The stack holds no fringes.
+    TooFewValidError
+        Less of the image has a phase than ``parameters.minimum_valid_fraction``.
+    """
+    if stack.kind != PatternKind.FRINGES:
+        raise FrameMismatchError(
+            f"experiment '{stack.experiment}', step {stack.step}: shows {stack.kind.name}, a phase needs fringes",
+            experiment=stack.experiment,
+            step=stack.step,
+        )
+    measured = absolute_phase(
+        stack.frames,
+        stack.projections,
+        noise=CameraNoise(parameters.read_noise_grey_level, parameters.shot_noise_grey_level),
+        saturation=parameters.saturation_grey_level or None,
+    )
+    fraction = float(measured.valid.mean())
+    _check_fraction("a phase", fraction, parameters.minimum_valid_fraction, stack.experiment, stack.step)
+    sigma = measured.sigma.values
+    return PhaseResult(
+        experiment=stack.experiment,
+        step=stack.step,
+        stamp=stack.stamp,
+        phase=measured.phase.values,
+        sigma=sigma,
+        modulation=measured.modulation.values,
+        texture=measured.texture.values,
+        valid_fraction=fraction,
+        pitch=min(projection.pitch for projection in stack.projections),
+        rms=float(np.nanmedian(sigma)),
+    )
+
+
+def white_texture(image: np.ndarray) -> np.ndarray:
+    """Return the texture of a white exposure: the image itself as float32 [grey level]."""
+    return image.astype(np.float32)
+
+
+class _References:
+    """Which step is the reference of each experiment: the one that was set, otherwise the first that succeeded."""
+
+    def __init__(self) -> None:
+        self._chosen: dict[str, int] = {}
+
+    def set(self, experiment: str, step: int) -> None:
+        self._chosen[experiment] = step
+
+    def of(self, experiment: str, step: int) -> int:
+        return self._chosen.get(experiment, step)
+
+    def succeeded(self, experiment: str, step: int) -> None:
+        self._chosen.setdefault(experiment, step)
+
+
+class _LatestSteps(OrderedDict[tuple[str, int], Kept]):
+    """What is kept of the latest steps; the reference step is never given up."""
+
+    def keep(self, key: tuple[str, int], value: Kept, number: int, reference: tuple[str, int]) -> None:
+        self[key] = value
+        self.move_to_end(key)
+        for oldest in list(self)[: max(len(self) - number, 0)]:
+            if oldest != reference:
+                del self[oldest]
+
+
+class DisplacementTracker:
+    """Measures the in-plane displacement of each step against the reference step's texture.
+
+    The displacement of the previous two steps, extrapolated, is the start of the next one; the measurement itself is
+    always against the reference image, so that errors do not add up. Kept in memory: the reference texture, the
+    textures of the latest ``kept_steps`` steps (any of them can become the reference), two displacement fields.
+
+    Parameters
+    ----------
+    parameters
+        May be replaced between steps by assigning to `parameters`.
+    """
+
+    def __init__(self, parameters: DicParameters) -> None:
+        self._parameters = parameters
+        self._references = _References()
+        self._textures: _LatestSteps[np.ndarray] = _LatestSteps()
+        self._prepared: tuple[tuple[str, int], Reference] | None = None
+        self._measured_against: tuple[str, int] | None = None
+        self._history: list[np.ndarray] = []
+
+    @property
+    def parameters(self) -> DicParameters:
+        """Parameters of the steps to come."""
+        return self._parameters
+
+    @parameters.setter
+    def parameters(self, parameters: DicParameters) -> None:
+        if parameters.spacing != self._parameters.spacing:
+            self._history = []
+        if parameters != self._parameters:
+            self._parameters = parameters
+            self._prepared = None
+
+    def set_reference(self, experiment: str, step: int) -> None:
+        """Make a step the reference of the following ones; it may be one that is still to come."""
+        self._references.set(experiment, step)
+
+    def step(self, experiment: str, step: int, stamp: int, texture: np.ndarray) -> DicResult:
+        """Measure one step; the reference step itself has no displacement where it can be measured.
+
+        Parameters
+        ----------
+        texture
+            The surface without fringes [grey level], float32 (row, column).
+
+        Raises
+        ------
+        ReferenceMissingError
+            The reference step was not measured or is no longer kept.
+        FrameMismatchError
+            The texture has another size than the reference.
+        TooFewValidError
+            Fewer points are measured than ``parameters.minimum_valid_fraction``.
+        """
+        parameters = self._parameters
+        key = (experiment, step)
+        reference_key = (experiment, self._references.of(experiment, step))
+        reference = self._reference(reference_key, key, texture)
+        if reference_key != self._measured_against:
+            self._history = []
+            self._measured_against = reference_key
+        measured = measure_displacement(
+            reference,
+            texture,
+            window=parameters.window,
+            spacing=parameters.spacing,
+            initial=None if key == reference_key else self._predicted(),
+            method=parameters.method,
+        )
+        displacement = np.stack([measured.displacement_x.values, measured.displacement_y.values], axis=-1)
+        sigma = np.stack([measured.sigma_x.values, measured.sigma_y.values], axis=-1)
+        valid = measured.valid.values
+        if key == reference_key:
+            displacement = np.where(valid[..., np.newaxis], np.float32(0), np.float32(np.nan))
+            displacement = np.repeat(displacement, 2, axis=-1)
+        fraction = float(valid.mean())
+        _check_fraction("a displacement", fraction, parameters.minimum_valid_fraction, experiment, step)
+
+        self._references.succeeded(experiment, step)
+        self._prepared = (reference_key, reference)
+        self._textures.keep(key, texture, parameters.kept_steps, reference_key)
+        self._history = [*self._history[-1:], displacement]
+        return DicResult(
+            experiment=experiment,
+            step=step,
+            stamp=stamp,
+            reference_step=reference_key[1],
+            displacement=displacement,
+            sigma=sigma,
+            origin=(int(measured.row[0]), int(measured.column[0])),
+            spacing=parameters.spacing,
+            valid_fraction=fraction,
+            rms=_rms(displacement, axis=-1),
+        )
+
+    def _reference(self, reference_key: tuple[str, int], key: tuple[str, int], texture: np.ndarray) -> Reference:
+        if self._prepared is not None and self._prepared[0] == reference_key and key != reference_key:
+            reference = self._prepared[1]
+        else:
+            image = texture if key == reference_key else self._textures.get(reference_key)
+            if image is None:
+                raise _no_reference(key, reference_key)
+            reference = Reference(image, window=self._parameters.window, spacing=self._parameters.spacing)
+        size = self._textures.get(reference_key, texture).shape
+        if size != texture.shape:
+            raise FrameMismatchError(
+                f"experiment '{key[0]}', step {key[1]}: the texture is {texture.shape[1]}x{texture.shape[0]} px, "
+                f"its reference step {reference_key[1]} has {size[1]}x{size[0]} px",
+                experiment=key[0],
+                step=key[1],
+            )
+        return reference
+
+    def _predicted(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Continue the motion of the previous two steps; None, for a global search, before they are known."""
+        if len(self._history) < 2:
+            return None
+        earlier, last = self._history
+        predicted = 2 * last - earlier
+        predicted = np.where(np.isnan(predicted), last, predicted)
+        return predicted[..., 0], predicted[..., 1]
+
+
+class ShapeTracker:
+    """Computes the surface of each step and its 3D displacement against the reference step (eq. 10 and 12).
+
+    Kept in memory: phase and sigma of the latest ``kept_steps`` steps (any of them can become the reference) and of
+    the reference step.
+
+    Parameters
+    ----------
+    parameters
+        May be replaced between steps by assigning to ``parameters``.
+    """
+
+    def __init__(self, parameters: CouplingParameters) -> None:
+        self.parameters = parameters
+        self._calibration: RigModel | None = None
+        self._references = _References()
+        self._phases: _LatestSteps[tuple[np.ndarray, np.ndarray, float]] = _LatestSteps()
+
+    def set_calibration(self, calibration: RigModel) -> None:
+        """Give the rig's model; steps that follow, and their reference, are reconstructed with it."""
+        self._calibration = calibration
+
+    def set_reference(self, experiment: str, step: int) -> None:
+        """Make a step the reference of the following ones; it may be one that is still to come."""
+        self._references.set(experiment, step)
+
+    def step(
+        self,
+        experiment: str,
+        step: int,
+        stamp: int,
+        phase: np.ndarray,
+        sigma: np.ndarray,
+        displacement: np.ndarray,
+        displacement_sigma: np.ndarray,
+        *,
+        pitch: float,
+        spacing: int = 1,
+        origin: tuple[int, int] = (0, 0),
+    ) -> CouplingResult:
+        """Couple the phase and the in-plane displacement of one step.
+
+        Parameters
+        ----------
+        phase, sigma
+            As published by the phase node [rad], float32 (row, column).
+        displacement, displacement_sigma
+            As published by the dic node [px], float32 (row, column, 2).
+        pitch
+            The finest pitch of the step's sequence [projector pixel].
+        spacing, origin
+            Grid of the displacement [px].
+
+        Raises
+        ------
+        CalibrationMissingError
+            No calibration has been given.
+        ReferenceMissingError
+            The reference step was not measured or is no longer kept.
+        FrameMismatchError
+            The phase has another size than the reference's.
+        TooFewValidError
+            Less of the cloud is measured than ``parameters.minimum_valid_fraction``.
+        """
+        parameters, calibration = self.parameters, self._calibration
+        if calibration is None:
+            raise CalibrationMissingError(
+                f"experiment '{experiment}', step {step}: no calibration yet; publish one on 'calibration'",
+                experiment=experiment,
+                step=step,
+            )
+        key = (experiment, step)
+        reference_key = (experiment, self._references.of(experiment, step))
+        current = (phase, sigma, pitch)
+        first = current if key == reference_key else self._phases.get(reference_key)
+        if first is None:
+            raise _no_reference(key, reference_key)
+        if first[0].shape != phase.shape:
+            raise FrameMismatchError(
+                f"experiment '{experiment}', step {step}: the phase map is {phase.shape[1]}x{phase.shape[0]} px, "
+                f"its reference step {reference_key[1]} has {first[0].shape[1]}x{first[0].shape[0]} px",
+                experiment=experiment,
+                step=step,
+            )
+        shape = calibration.reconstruct(phase, pitch, sigma)
+        cloud = couple(
+            calibration.reconstruct(*first[:1], first[2], first[1]),
+            shape,
+            displacement_dataset(displacement, displacement_sigma, origin=origin, spacing=spacing),
+            calibration=calibration,
+        )
+        names = ["x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w"]
+        fields = {name: cloud[name] for name in names}
+        if parameters.local_frame:
+            local = to_local_frame(cloud)
+            fields |= {name: local[name] for name in ("u_t", "v_t", "w_n")}
+        if parameters.strain_window_px:
+            strain = surface_strain(cloud, window=parameters.strain_window_px)
+            fields |= {name: strain[name] for name in ("e_11", "e_22", "e_12")}
+        arrays = _float32(fields)
+        moved = np.stack([arrays["u"], arrays["v"], arrays["w"]], axis=-1)
+        fraction = float(np.isfinite(moved).all(axis=-1).mean())
+        _check_fraction("a 3D displacement", fraction, parameters.minimum_valid_fraction, experiment, step)
+
+        self._references.succeeded(experiment, step)
+        self._phases.keep(key, current, parameters.kept_steps, reference_key)
+        return CouplingResult(
+            experiment=experiment,
+            step=step,
+            stamp=stamp,
+            reference_step=reference_key[1],
+            shape=_float32({name: shape[name] for name in ("x", "y", "z", "sigma_z")}),
+            displacement=arrays,
+            valid_fraction=fraction,
+            rms=_rms(moved, axis=-1),
+        )
+
+
+def displacement_dataset(
+    displacement: np.ndarray, sigma: np.ndarray, *, origin: tuple[int, int], spacing: int
+) -> xr.Dataset:
+    """Label the arrays of a `DicResult` with the pixel positions of their grid."""
+    rows, columns = displacement.shape[:2]
+    values = {
+        "displacement_x": displacement[..., 0],
+        "displacement_y": displacement[..., 1],
+        "sigma_x": sigma[..., 0],
+        "sigma_y": sigma[..., 1],
+        "valid": np.isfinite(displacement).all(axis=-1),
+    }
+    return xr.Dataset(
+        {name: (("row", "column"), value) for name, value in values.items()},
+        coords={"row": origin[0] + spacing * np.arange(rows), "column": origin[1] + spacing * np.arange(columns)},
+    )
+
+
+def _float32(fields: Mapping[str, xr.DataArray]) -> dict[str, np.ndarray]:
+    return {name: np.ascontiguousarray(array.values, dtype=np.float32) for name, array in fields.items()}
+
+
+def _rms(vectors: np.ndarray, axis: int) -> float:
+    """Root mean square length of the vectors that are measured."""
+    squared = np.sum(vectors.astype(np.float64) ** 2, axis=axis)
+    measured = squared[np.isfinite(squared)]
+    return float(np.sqrt(measured.mean())) if measured.size else float("nan")
+
+
+def _check_fraction(what: str, fraction: float, minimum: float, experiment: str, step: int) -> None:
+    if fraction < minimum or fraction == 0:
+        raise TooFewValidError(
+            f"experiment '{experiment}', step {step}: only {fraction:.1%} of the image has {what}, "
+            f"minimum_valid_fraction asks for {minimum:.1%}",
+            experiment=experiment,
+            step=step,
+        )
+
+
+def _no_reference(key: tuple[str, int], reference_key: tuple[str, int]) -> ReferenceMissingError:
+    experiment, step = key
+    return ReferenceMissingError(
+        f"experiment '{experiment}', step {step}: its reference, step {reference_key[1]}, was not measured or is no "
+        "longer kept; set another reference or raise kept_steps",
+        experiment=experiment,
+        step=step,
+    )
