@@ -53,6 +53,18 @@ class FrameMissingError(StepError, LookupError):
     """Frames of a step never arrived."""
 
 
+class InvalidCalibrationError(FringedicError, ValueError):
+    """A rig parameter has no meaning, or a parameter is missing."""
+
+
+class InvalidPatternError(FringedicError, ValueError):
+    """A pattern is asked for that a projector cannot show or that no phase can be measured from."""
+
+
+class InvalidSequenceError(FringedicError, ValueError):
+    """Fringe frames do not form whole periods of ever finer pitches."""
+
+
 class MissingTopicError(FringedicError, LookupError):
     """A recording lacks topics that are needed."""
 
@@ -67,6 +79,10 @@ class ReferenceMissingError(StepError, LookupError):
 
 class RigFileError(FringedicError, ValueError):
     """A rig file or programme says something that is not allowed."""
+
+
+class ShapeMismatchError(FringedicError, ValueError):
+    """Two arrays that belong together differ in size."""
 
 
 class TooFewValidError(StepError, ValueError):
