@@ -29,6 +29,18 @@ class CalibrationMissingError(StepError, LookupError):
     """A step needs the rig's calibration and none has been given."""
 
 
+class CameraError(FringedicError, RuntimeError):
+    """The camera cannot deliver a frame."""
+
+
+class CameraTimeoutError(CameraError, TimeoutError):
+    """The camera did not deliver a frame in time."""
+
+
+class CloudMessageError(FringedicError, ValueError):
+    """A point cloud message contradicts itself or is of a kind that is not supported."""
+
+
 class DatasetError(FringedicError, ValueError):
     """A file is not a dataset of this library, or two datasets cannot be compared."""
 
@@ -53,6 +65,10 @@ class FrameMissingError(StepError, LookupError):
     """Frames of a step never arrived."""
 
 
+class ImageMessageError(FringedicError, ValueError):
+    """An image message contradicts itself or has an encoding that is not supported."""
+
+
 class InvalidCalibrationError(FringedicError, ValueError):
     """A rig parameter has no meaning, or a parameter is missing."""
 
@@ -69,6 +85,26 @@ class MissingTopicError(FringedicError, LookupError):
     """A recording lacks topics that are needed."""
 
 
+class NoFreeDomainError(FringedicError, RuntimeError):
+    """Every ROS domain set aside for replays is in use."""
+
+
+class NodeDiedError(FringedicError, RuntimeError):
+    """A node process ended while it was needed; the message holds the end of its log."""
+
+
+class NodeNotInstalledError(FringedicError, LookupError):
+    """A node's executable is not in the workspace."""
+
+
+class NotAnsweredError(FringedicError, TimeoutError):
+    """Nodes did not appear or did not answer in time; the message names them."""
+
+
+class ParameterError(FringedicError, ValueError):
+    """A node parameter has a value that is not allowed."""
+
+
 class RecordingError(FringedicError, OSError):
     """A recording cannot be written or read."""
 
@@ -81,8 +117,20 @@ class RigFileError(FringedicError, ValueError):
     """A rig file or programme says something that is not allowed."""
 
 
+class ScreenError(FringedicError, RuntimeError):
+    """The projector's screen cannot show a pattern."""
+
+
 class ShapeMismatchError(FringedicError, ValueError):
     """Two arrays that belong together differ in size."""
+
+
+class StartError(FringedicError, RuntimeError):
+    """A node or device cannot start."""
+
+
+class StepFailedError(FringedicError, RuntimeError):
+    """A load step or a movement of the machine ended with an error code."""
 
 
 class TooFewValidError(StepError, ValueError):
@@ -91,3 +139,7 @@ class TooFewValidError(StepError, ValueError):
 
 class UnknownSchemaError(FringedicError, LookupError):
     """The definition of a message type is not installed."""
+
+
+class WaitTimeoutError(FringedicError, TimeoutError):
+    """Something that was waited for did not come in time."""

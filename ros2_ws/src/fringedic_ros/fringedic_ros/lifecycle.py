@@ -1,0 +1,130 @@
+"""Hardware nodes are lifecycle nodes that start by themselves."""
+
+from __future__ import annotations
+
+from typing import Any, Generic, TypeVar
+
+from fringedic.errors import FringedicError, StartError
+from pydantic import BaseModel, Field
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from typing_extensions import Self
+
+from fringedic_ros.diagnostics import NodeDiagnostics
+from fringedic_ros.parameters import declare
+
+
+class HardwareParameters(BaseModel):
+    """What every hardware node has."""
+
+    autostart: bool = Field(True, description="Configure and activate at start; otherwise wait for a lifecycle manager.")
+
+
+ParametersT = TypeVar("ParametersT", bound=HardwareParameters)
+
+
+class HardwareNode(LifecycleNode, Generic[ParametersT]):
+    """A device behind a lifecycle: `open` at configure, `activate`, `deactivate`, `close` at clean-up.
+
+    Subclasses override these four; each may raise a `FringedicError`, which refuses the transition with its words.
+    Parameters are declared once and read at the transitions, so a change counts from the next one on.
+
+    Parameters
+    ----------
+    name
+        Node name.
+    model
+        Model of the parameters, derived from `HardwareParameters`.
+    """
+
+    def __init__(self, name: str, model: type[ParametersT], **options: Any) -> None:
+        super().__init__(name, **options)
+        self._refusal = ""
+        self._active = False
+        self._opened = False
+        self.parameters = declare(self, model)
+        self.diagnostics = NodeDiagnostics(self)
+
+    @classmethod
+    def started(cls, **options: Any) -> Self:
+        """The node, active already when its parameter `autostart` says so.
+
+        Raises
+        ------
+        StartError
+            It cannot be configured or activated; the message says why.
+        """
+        node = cls(**options)
+        if node.parameters.value.autostart:
+            for transition in (node.trigger_configure, node.trigger_activate):
+                if transition() is not TransitionCallbackReturn.SUCCESS:
+                    refusal = node._refusal
+                    node.destroy_node()
+                    raise StartError(refusal)
+        return node
+
+    @property
+    def active(self) -> bool:
+        """Whether the device may be used."""
+        return self._active
+
+    def open(self) -> None:
+        """Open the device as the parameters say."""
+
+    def activate(self) -> None:
+        """Begin to work."""
+
+    def deactivate(self) -> None:
+        """Stop working; the device stays open."""
+
+    def close(self) -> None:
+        """Give the device back."""
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Open the device."""
+        return self._transition("configure", self._open)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin to work."""
+        result = self._transition("activate", self.activate)
+        self._active = result is TransitionCallbackReturn.SUCCESS
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop working."""
+        self._active = False
+        return self._transition("deactivate", self.deactivate)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Give the device back."""
+        return self._transition("clean up", self._release)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop working and give the device back."""
+        return self._transition("shut down", self._release)
+
+    def destroy_node(self) -> None:
+        """Stop working, give the device back and end the node."""
+        self._release()
+        super().destroy_node()
+
+    def _open(self) -> None:
+        self.open()
+        self._opened = True
+
+    def _release(self) -> None:
+        if self._active:
+            self._active = False
+            self.deactivate()
+        if self._opened:
+            self._opened = False
+            self.close()
+
+    def _transition(self, verb: str, action: Any) -> TransitionCallbackReturn:
+        try:
+            action()
+        except FringedicError as error:
+            self._refusal = f"{self.get_name()} cannot {verb}: {error}"
+            self.get_logger().error(self._refusal)
+            self.diagnostics.failure(self._refusal)
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS

@@ -1,0 +1,40 @@
+"""How every node process starts, runs and ends."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Callable
+
+import rclpy
+from fringedic.errors import FringedicError
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+
+
+def run(make_node: Callable[[], Node]) -> int:
+    """Spin one node until SIGINT or SIGTERM; return the exit code of the process.
+
+    A node that cannot start (a named error) ends with its message and code 1; anything unexpected ends with its
+    traceback and code 1, so that whoever started the process knows.
+    """
+    node: Node | None = None
+    try:
+        rclpy.init(args=sys.argv)
+        node = make_node()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        executor.spin()
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except FringedicError as error:
+        print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
+        return 1
+    except Exception:
+        traceback.print_exc()
+        return 1
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

@@ -1,0 +1,265 @@
+"""Node parameters from one declaration: a pydantic model gives names, types, defaults, ranges, words and documentation.
+
+    class FilterParameters(BaseModel):
+        window: int = Field(32, ge=8, le=128, description="Width of the window [px].")
+
+    parameters = declare(node, FilterParameters)
+    parameters.value.window
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+import typing
+from collections.abc import Callable, Mapping
+from typing import Any, Generic, TypeVar
+
+from annotated_types import Ge, Gt, Le, Lt
+from fringedic.errors import ParameterError
+from fringedic_msgs.msg import NodeParameters
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from fringedic_ros.qos import LATCHED
+
+ModelT = TypeVar("ModelT", bound=BaseModel)
+
+_SCALARS = {
+    bool: Parameter.Type.BOOL,
+    int: Parameter.Type.INTEGER,
+    float: Parameter.Type.DOUBLE,
+    str: Parameter.Type.STRING,
+}
+_ARRAYS = {
+    bool: Parameter.Type.BOOL_ARRAY,
+    int: Parameter.Type.INTEGER_ARRAY,
+    float: Parameter.Type.DOUBLE_ARRAY,
+    str: Parameter.Type.STRING_ARRAY,
+}
+_INTEGER_LIMIT = 2**63 - 1
+
+
+class Parameters(Generic[ModelT]):
+    """The declared parameters of a node; `value` is the current, validated model."""
+
+    def __init__(self, node: Node, value: ModelT, on_change: Callable[[ModelT], None] | None) -> None:
+        self.value = value
+        self._node = node
+        self._on_change = on_change
+        self._publisher = node.create_publisher(NodeParameters, "node_parameters", LATCHED)
+        node.add_pre_set_parameters_callback(self._to_declared_types)
+        node.add_on_set_parameters_callback(self._check)
+        node.add_post_set_parameters_callback(self._accept)
+        self._publish()
+
+    def _to_declared_types(self, changes: list[Parameter]) -> list[Parameter]:
+        fields = type(self.value).model_fields
+        return [
+            Parameter(change.name, _ros_type(fields[change.name]), _widened(change.value, fields[change.name]))
+            if change.name in fields and _fits(change.value, fields[change.name])
+            else change
+            for change in changes
+        ]
+
+    def _changed(self, changes: list[Parameter]) -> ModelT:
+        fields = type(self.value).model_fields
+        new = {change.name: change.value for change in changes if change.name in fields}
+        return _validated(self._node.get_name(), type(self.value), {**_plain(self.value), **new})
+
+    def _check(self, changes: list[Parameter]) -> SetParametersResult:
+        try:
+            self._changed(changes)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _accept(self, changes: list[Parameter]) -> None:
+        value = self._changed(changes)
+        if value != self.value:
+            self.value = value
+            self._publish()
+            if self._on_change is not None:
+                self._on_change(value)
+
+    def _publish(self) -> None:
+        message = NodeParameters(node=self._node.get_name())
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.parameters = [self._node.get_parameter(name).to_parameter_msg() for name in type(self.value).model_fields]
+        self._publisher.publish(message)
+
+
+def declare(node: Node, model: type[ModelT], on_change: Callable[[ModelT], None] | None = None) -> Parameters[ModelT]:
+    """Declare every field of a model as a parameter and keep a validated model of their values.
+
+    Values come from the command line or a parameter file, else from the field's default. Whole numbers are taken for
+    floats. Later changes are refused, with words, unless the model accepts them; NaN and infinity never pass. The node
+    publishes all its values on `node_parameters` (latched) now and after every change.
+
+    Parameters
+    ----------
+    node
+        Owner of the parameters; calls this once.
+    model
+        Flat model whose fields are bool, int, float, str, enumerations of str, or lists of these; each with a default
+        and a description.
+    on_change
+        Called with the new model after each change.
+
+    Raises
+    ------
+    ParameterError
+        A value that the model refuses; the message names node, parameter and value.
+    """
+    raw: dict[str, Any] = {}
+    for name, field in model.model_fields.items():
+        # declared with any type first: the model's words are better than the middleware's
+        start = ParameterDescriptor(description=field.description or "", dynamic_typing=True)
+        raw[name] = node.declare_parameter(name, _plain_value(field.get_default(call_default_factory=True)), start).value
+    value = _validated(node.get_name(), model, raw)
+    plain = _plain(value)
+    for name, field in model.model_fields.items():
+        typed = Parameter(name, _ros_type(field), _widened(plain[name], field))
+        node.set_descriptor(name, _descriptor(name, field), typed.to_parameter_msg().value)
+    return Parameters(node, value, on_change)
+
+
+def parameter_table(model: type[BaseModel]) -> str:
+    """Markdown table of a model's parameters: name, type, default, range and description."""
+    lines = ["| parameter | type | default | range | what |", "|---|---|---|---|---|"]
+    for name, field in model.model_fields.items():
+        default = _plain_value(field.get_default(call_default_factory=True))
+        shown = f'"{default}"' if isinstance(default, str) else str(default).lower() if isinstance(default, bool) else str(default)
+        kind = _ros_type(field).name.lower().replace("_", " ")
+        lines.append(f"| `{name}` | {kind} | `{shown}` | {_range_words(field)} | {field.description or ''} |")
+    return "\n".join(lines)
+
+
+def _validated(node_name: str, model: type[ModelT], values: Mapping[str, Any]) -> ModelT:
+    for name, value in values.items():
+        field = model.model_fields[name]
+        if not _fits(value, field):
+            kind = _ros_type(field).name.lower().replace("_", " ")
+            raise ParameterError(f"{node_name}.{name} = {value!r}: needs a value of type {kind}")
+        if not all(math.isfinite(number) for number in _elements(value) if isinstance(number, float)):
+            raise ParameterError(f"{node_name}.{name} = {value}: must be a finite number")
+    try:
+        return model.model_validate({name: _widened(value, model.model_fields[name]) for name, value in values.items()})
+    except ValidationError as error:
+        complaints = []
+        for detail in error.errors():
+            where = ".".join(str(part) for part in (node_name, *detail["loc"]))
+            given = f" = {detail['input']!r}" if detail["loc"] else ""
+            complaints.append(f"{where}{given}: {detail['msg'][:1].lower()}{detail['msg'][1:]}")
+        raise ParameterError("; ".join(complaints)) from None
+
+
+def _descriptor(name: str, field: FieldInfo) -> ParameterDescriptor:
+    kind = _ros_type(field)
+    descriptor = ParameterDescriptor(
+        name=name, type=kind.value, description=field.description or "", additional_constraints=_range_words(field)
+    )
+    low, high, _, _ = _bounds(field)
+    if (low, high) != (-math.inf, math.inf):
+        if kind is Parameter.Type.INTEGER:
+            descriptor.integer_range = [
+                IntegerRange(
+                    from_value=-_INTEGER_LIMIT if low == -math.inf else int(low),
+                    to_value=_INTEGER_LIMIT if high == math.inf else int(high),
+                    step=1,
+                )
+            ]
+        elif kind is Parameter.Type.DOUBLE:
+            descriptor.floating_point_range = [FloatingPointRange(from_value=float(low), to_value=float(high))]
+    return descriptor
+
+
+def _bounds(field: FieldInfo) -> tuple[float, float, bool, bool]:
+    """Lowest and highest value of a field, and whether each is excluded."""
+    low, high, low_open, high_open = -math.inf, math.inf, False, False
+    for constraint in field.metadata:
+        if isinstance(constraint, Ge):
+            low = typing.cast(float, constraint.ge)
+        elif isinstance(constraint, Gt):
+            low, low_open = typing.cast(float, constraint.gt), True
+        elif isinstance(constraint, Le):
+            high = typing.cast(float, constraint.le)
+        elif isinstance(constraint, Lt):
+            high, high_open = typing.cast(float, constraint.lt), True
+    return low, high, low_open, high_open
+
+
+def _range_words(field: FieldInfo) -> str:
+    choices = _choices(_element_type(field)[0])
+    if choices:
+        return ", ".join(f"`{choice}`" for choice in choices)
+    low, high, low_open, high_open = _bounds(field)
+    if low != -math.inf and high != math.inf:
+        return f"{'over' if low_open else 'from'} {low:g} {'to below' if high_open else 'to'} {high:g}"
+    if low != -math.inf:
+        return f"{'over' if low_open else 'at least'} {low:g}"
+    if high != math.inf:
+        return f"{'below' if high_open else 'at most'} {high:g}"
+    return ""
+
+
+def _choices(annotation: Any) -> list[str]:
+    if typing.get_origin(annotation) is typing.Literal:
+        return [str(choice) for choice in typing.get_args(annotation)]
+    if isinstance(annotation, type) and issubclass(annotation, enum.Enum):
+        return [str(member.value) for member in annotation]
+    return []
+
+
+def _element_type(field: FieldInfo) -> tuple[Any, bool]:
+    """Type of a field's elements, and whether the field is a list of them."""
+    annotation: Any = field.annotation
+    if typing.get_origin(annotation) in (list, tuple):
+        return typing.get_args(annotation)[0], True
+    return annotation, False
+
+
+def _scalar_type(field: FieldInfo) -> type:
+    element, _ = _element_type(field)
+    return str if _choices(element) else element
+
+
+def _ros_type(field: FieldInfo) -> Parameter.Type:
+    kinds = _ARRAYS if _element_type(field)[1] else _SCALARS
+    return kinds[_scalar_type(field)]
+
+
+def _elements(value: Any) -> list[Any]:
+    return [value] if isinstance(value, bool | int | float | str) or value is None else list(value)
+
+
+def _fits(value: Any, field: FieldInfo) -> bool:
+    is_array = _element_type(field)[1]
+    scalar = _scalar_type(field)
+    accepted = (int, float) if scalar is float else (scalar,)
+    if is_array is (isinstance(value, bool | int | float | str) or value is None):
+        return False
+    return all(
+        isinstance(element, accepted) and (scalar is bool or not isinstance(element, bool)) for element in _elements(value)
+    )
+
+
+def _widened(value: Any, field: FieldInfo) -> Any:
+    """The value with whole numbers as floats where the field is one."""
+    convert = float if _scalar_type(field) is float else lambda element: element
+    return [convert(element) for element in _elements(value)] if _element_type(field)[1] else convert(value)
+
+
+def _plain_value(value: Any) -> Any:
+    if isinstance(value, enum.Enum):
+        return value.value
+    if isinstance(value, list | tuple):
+        return [_plain_value(element) for element in value]
+    return value
+
+
+def _plain(model: BaseModel) -> dict[str, Any]:
+    return {name: _plain_value(getattr(model, name)) for name in type(model).model_fields}

@@ -1,0 +1,92 @@
+"""Exposure and calibration messages <-> the library's records."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from fringedic.rig import RigModel
+from fringedic.sequence import FrameRecord, Orientation, PatternKind, Projection
+from fringedic_msgs.msg import Exposure, RigCalibration
+
+from fringedic_ros.stamps import to_msg, to_nanoseconds
+
+
+def frame_record(message: Exposure) -> FrameRecord:
+    """Record of one frame.
+
+    Raises
+    ------
+    ValueError
+        A kind or orientation that does not exist.
+    """
+    return FrameRecord(
+        experiment=message.experiment,
+        step=message.step,
+        index=message.index,
+        count=message.count,
+        projection=projection(message),
+        stamp=to_nanoseconds(message.header.stamp),
+        exposure_time=message.exposure_time,
+        dropped=message.dropped,
+    )
+
+
+def exposure_message(record: FrameRecord, *, frame_id: str) -> Exposure:
+    """Message of one frame's record."""
+    message = Exposure(
+        experiment=record.experiment,
+        step=record.step,
+        index=record.index,
+        count=record.count,
+        kind=int(record.projection.kind),
+        orientation=int(record.projection.orientation),
+        pitch=float(record.projection.pitch),
+        shift=record.projection.shift,
+        shifts=record.projection.shifts,
+        exposure_time=float(record.exposure_time),
+        dropped=record.dropped,
+    )
+    message.header.stamp = to_msg(record.stamp)
+    message.header.frame_id = frame_id
+    return message
+
+
+def projection(message: Any) -> Projection:
+    """What a message with kind, orientation, pitch, shift and shifts (Exposure, ShowPattern, CaptureFrame) asks for.
+
+    Raises
+    ------
+    ValueError
+        A kind or orientation that does not exist.
+    """
+    return Projection(
+        kind=PatternKind(message.kind),
+        orientation=Orientation(message.orientation),
+        pitch=message.pitch,
+        shift=message.shift,
+        shifts=message.shifts,
+    )
+
+
+def calibration_message(rig: RigModel, *, stamp_ns: int, frame_id: str = "reference_plane") -> RigCalibration:
+    """Message of a rig model; the fields have the same names and units."""
+    message = RigCalibration()
+    for field in dataclasses.fields(rig):
+        setattr(message, field.name, _plain(getattr(rig, field.name)))
+    message.header.stamp = to_msg(stamp_ns)
+    message.header.frame_id = frame_id
+    return message
+
+
+def rig_model(message: RigCalibration) -> RigModel:
+    """Rig model of a calibration message."""
+    values = {field.name: _plain(getattr(message, field.name)) for field in dataclasses.fields(RigModel)}
+    return RigModel(**values)
+
+
+def _plain(value: Any) -> Any:
+    return [element.item() if isinstance(element, np.generic) else element for element in np.asarray(value).ravel()] if (
+        isinstance(value, np.ndarray | list | tuple)
+    ) else value

@@ -1,0 +1,144 @@
+"""Waiting inside coroutines of a single-threaded executor: exact, without polling where an event exists, leak-free.
+
+A coroutine keeps its callback group busy while it waits. Give every callback that waits a group of its own
+(`MutuallyExclusiveCallbackGroup` to serve one call after the other); the timers here bring their own.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from fringedic.errors import WaitTimeoutError
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.client import Client
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.node import Node
+from rclpy.task import Future
+
+_STEADY = Clock(clock_type=ClockType.STEADY_TIME)
+_POLL_S = 0.01
+
+
+async def wait_for(node: Node, future: Future, timeout_s: float, what: str = "an answer") -> Any:
+    """Result of a future, which may be completed by any thread.
+
+    Raises
+    ------
+    WaitTimeoutError
+        The future was not done after `timeout_s`; `what` names it in the message.
+    """
+    gate = Future()
+    open_gate = _opener(node, gate)
+    if not future.done():
+        future.add_done_callback(open_gate)
+        try:
+            with _timer(node, timeout_s, open_gate):
+                await gate
+        finally:
+            future.remove_done_callback(open_gate)
+    if not future.done():
+        raise WaitTimeoutError(f"{what} did not come within {timeout_s:g} s")
+    return future.result()
+
+
+async def sleep(node: Node, seconds: float) -> None:
+    """Let other callbacks run for a time on the steady clock."""
+    if seconds > 0:
+        gate = Future()
+        with _timer(node, seconds, _opener(node, gate)):
+            await gate
+
+
+async def until(node: Node, predicate: Callable[[], bool], timeout_s: float, what: str = "the condition") -> None:
+    """Wait for something that gives no event, such as the graph: looks every 10 ms.
+
+    Raises
+    ------
+    WaitTimeoutError
+        The predicate was still false after `timeout_s`.
+    """
+    deadline = time.monotonic() + timeout_s
+    gate = Future()
+
+    def look() -> None:
+        if not gate.done() and (predicate() or time.monotonic() >= deadline):
+            gate.set_result(None)
+
+    look()
+    with _timer(node, _POLL_S, look):
+        await gate
+    if not predicate():
+        raise WaitTimeoutError(f"{what} did not come within {timeout_s:g} s")
+
+
+async def call(node: Node, client: Client, request: Any, timeout_s: float) -> Any:
+    """Response of a service; waits for the service to exist as well, both within `timeout_s`.
+
+    Raises
+    ------
+    WaitTimeoutError
+        No such service, or no answer in time. The pending request is forgotten.
+    """
+    deadline = time.monotonic() + timeout_s
+    await until(node, client.service_is_ready, timeout_s, f"service {client.srv_name}")
+    future = client.call_async(request)
+    try:
+        return await wait_for(
+            node, future, max(deadline - time.monotonic(), 0.0), f"the answer of service {client.srv_name}"
+        )
+    except WaitTimeoutError:
+        client.remove_pending_request(future)
+        raise
+
+
+class Condition:
+    """Something that callbacks change and coroutines wait for, like `asyncio.Condition` without its lock."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._changed = Future()
+
+    def notify(self) -> None:
+        """Say that something changed: waiting coroutines look again. Call it in the executor's thread."""
+        changed, self._changed = self._changed, Future()
+        changed.set_result(None)
+
+    async def wait(self, predicate: Callable[[], bool], timeout_s: float, what: str = "the condition") -> None:
+        """Return when the predicate is true; it is evaluated now and after each `notify`.
+
+        Raises
+        ------
+        WaitTimeoutError
+            The predicate was still false after `timeout_s`.
+        """
+        deadline = time.monotonic() + timeout_s
+        while not predicate():
+            try:
+                await wait_for(self._node, self._changed, max(deadline - time.monotonic(), 0.0))
+            except WaitTimeoutError:
+                raise WaitTimeoutError(f"{what} did not come within {timeout_s:g} s") from None
+
+
+def _opener(node: Node, gate: Future) -> Callable[..., None]:
+    def open_gate(*_: Any) -> None:
+        if not gate.done():
+            gate.set_result(None)
+            # the executor may sleep while another thread completes the future
+            if node.executor is not None:
+                node.executor.wake()
+
+    return open_gate
+
+
+@contextlib.contextmanager
+def _timer(node: Node, seconds: float, callback: Callable[[], None]) -> Iterator[None]:
+    # a group of its own: a shared one would block, and would remember every timer that ever was
+    timer = node.create_timer(seconds, callback, callback_group=ReentrantCallbackGroup(), clock=_STEADY)
+    try:
+        yield
+    finally:
+        node.destroy_timer(timer)
