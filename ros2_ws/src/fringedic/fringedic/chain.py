@@ -35,16 +35,29 @@ class PhaseParameters(Parameters):
     """Parameters of the phase node."""
 
     read_noise_grey_level: float = Field(
-        1.0, gt=0, le=1e4, description="Standard deviation of the camera's noise in the dark [grey level]."
+        0.0,
+        ge=0,
+        le=1e4,
+        description="Standard deviation of the camera's noise in the dark [grey level]; 0 estimates the noise from "
+        "the frames of each step.",
     )
     shot_noise_grey_level: float = Field(
-        0.0, ge=0, le=1e4, description="Variance of the noise per grey level of brightness [grey level]."
+        0.0,
+        ge=0,
+        le=1e4,
+        description="Variance of the noise per grey level of brightness [grey level]; not used when it is estimated.",
     )
     saturation_grey_level: float = Field(
         0.0,
         ge=0,
         le=65535,
         description="Grey level from which a pixel counts as saturated [grey level]; 0 is the full scale of the pixels.",
+    )
+    minimum_modulation_grey_level: float = Field(
+        0.0,
+        ge=0,
+        le=65535,
+        description="Fringe amplitude that a pixel needs beyond what its noise asks for [grey level].",
     )
     minimum_valid_fraction: float = Field(
         0.05, ge=0, le=1, description="The step fails when a smaller part of the image has a phase [0 to 1]."
@@ -203,11 +216,13 @@ def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
             experiment=stack.experiment,
             step=stack.step,
         )
+    read_noise = parameters.read_noise_grey_level
     measured = absolute_phase(
         stack.frames,
         stack.projections,
-        noise=CameraNoise(parameters.read_noise_grey_level, parameters.shot_noise_grey_level),
+        noise=CameraNoise(read_noise, parameters.shot_noise_grey_level) if read_noise else None,
         saturation=parameters.saturation_grey_level or None,
+        minimum_modulation=parameters.minimum_modulation_grey_level,
     )
     fraction = float(measured.valid.mean())
     _check_fraction("a phase", fraction, parameters.minimum_valid_fraction, stack.experiment, stack.step)

@@ -1,0 +1,458 @@
+"""Rig files and programmes: what a person writes, in mm, degree, pixel and millisecond, checked before anything starts.
+
+The library and every message speak SI; the translation happens here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
+
+from fringedic.chain import CouplingParameters, DicParameters, PhaseParameters
+from fringedic.errors import FringedicError, RigFileError
+from fringedic.rig import RigModel
+from fringedic.sequence import Orientation, PatternKind, Projection
+from fringedic.virtual_rig import VirtualRigConfiguration
+
+MILLI = 1e-3
+FINEST_DEFAULT_PITCH_PX = 8.0
+VIRTUAL_RIG = "virtual_rig"
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class Section(BaseModel):
+    """Base of all sections: unknown keys, other types, NaN and infinity are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class CameraSection(Section):
+    """The camera of the rig."""
+
+    source: Literal["virtual", "files"] = Field(description="virtual: the virtual rig; files: images from a folder.")
+    width: int | None = Field(None, ge=16, le=32768, description="Image width [px]; known from a virtual rig.")
+    height: int | None = Field(None, ge=16, le=32768, description="Image height [px]; known from a virtual rig.")
+    exposure_ms: float = Field(10.0, gt=0, le=60e3, description="Exposure time [ms].")
+    settle_ms: float = Field(
+        0.0, ge=0, le=60e3, description="Time between the pattern on the screen and the exposure [ms]."
+    )
+    files: str | None = Field(None, description="Images for the source 'files': a folder or a pattern such as a/*.tif.")
+
+    @model_validator(mode="after")
+    def _files_belong_to_their_source(self) -> CameraSection:
+        if (self.source == "files") != (self.files is not None):
+            raise ValueError("source: files needs the key files, and only this source has it")
+        return self
+
+    @property
+    def exposure_time(self) -> float:
+        """Exposure time [s]."""
+        return self.exposure_ms * MILLI
+
+    @property
+    def settle_time(self) -> float:
+        """Time between pattern and exposure [s]."""
+        return self.settle_ms * MILLI
+
+
+class ProjectorSection(Section):
+    """The projector of the rig."""
+
+    source: Literal["virtual"] = Field("virtual", description="virtual: shows its image to the virtual rig only.")
+    width: int | None = Field(None, ge=16, le=32768, description="Image width [px]; known from a virtual rig.")
+    height: int | None = Field(None, ge=16, le=32768, description="Image height [px]; known from a virtual rig.")
+
+
+class SequenceSection(Section):
+    """The fringe patterns of one step."""
+
+    pitches_px: list[Annotated[float, Field(ge=2)]] | None = Field(
+        None,
+        min_length=1,
+        max_length=8,
+        description="Fringe pitches, coarse to fine [projector pixel]; the coarsest covers the width in view. "
+        "By default the projector's width, a fifth, a twentieth and an eightieth of it, none below 8 px.",
+    )
+    shifts: int = Field(4, ge=3, le=64, description="Phase shifts per pitch.")
+    orientation: Literal["vertical", "horizontal"] = Field("vertical", description="Direction of the fringes.")
+
+    @model_validator(mode="after")
+    def _coarse_to_fine(self) -> SequenceSection:
+        pitches = self.pitches_px or []
+        if any(fine >= coarse for coarse, fine in zip(pitches, pitches[1:], strict=False)):
+            raise ValueError("pitches_px must become smaller from one to the next")
+        return self
+
+
+class CalibrationSection(Section):
+    """Pin-hole model of camera and projector in the rig frame (z towards the camera, y up in the image)."""
+
+    identifier: str = Field("rig file", description="Names this calibration in results.")
+    model: Literal["paper", "general"] = Field("general", description="paper: no angles and no distortion.")
+    camera_width: int = Field(ge=16, description="Image width [px].")
+    camera_height: int = Field(ge=16, description="Image height [px].")
+    camera_distance_mm: float = Field(gt=0, description="Distance h0 of the camera from the reference plane.")
+    pixel_size_mm: float = Field(gt=0, description="Length per row on the reference plane at the principal point.")
+    pixel_aspect: float = Field(1.0, gt=0, description="Row spacing over column spacing (tau).")
+    principal_column_px: float | None = Field(None, description="By default the centre of the image.")
+    principal_row_px: float | None = Field(None, description="By default the centre of the image.")
+    camera_tilt_x_degree: float = Field(0.0, gt=-45, lt=45, description="Rotation of the camera about x.")
+    camera_tilt_y_degree: float = Field(0.0, gt=-45, lt=45, description="Rotation of the camera about y.")
+    projector_width: int = Field(ge=16, description="Image width [px].")
+    projector_height: int = Field(ge=16, description="Image height [px].")
+    projector_position_mm: list[float] = Field(min_length=3, max_length=3, description="(d, y, hp) of its pin-hole.")
+    projector_rotation_degree: list[float] = Field(
+        [0.0, 0.0, 0.0],
+        min_length=3,
+        max_length=3,
+        description="(yaw, pitch, roll) against the attitude that looks at the origin.",
+    )
+    projector_focal_length_px: float = Field(gt=0, description="Focal length.")
+    projector_principal_column_px: float | None = Field(None, description="By default the centre of the image.")
+    projector_principal_row_px: float | None = Field(None, description="By default the centre of the image.")
+    projector_k1: float = Field(0.0, ge=-1, le=1, description="Radial distortion.")
+
+    def rig_model(self, source: str) -> RigModel:
+        """Return the model in SI units; ``source`` tells where it came from."""
+        return RigModel(
+            identifier=self.identifier,
+            model=self.model,
+            source=source,
+            camera_width=self.camera_width,
+            camera_height=self.camera_height,
+            camera_distance=self.camera_distance_mm * MILLI,
+            pixel_size=self.pixel_size_mm * MILLI,
+            pixel_aspect=self.pixel_aspect,
+            principal_column=_centre(self.principal_column_px, self.camera_width),
+            principal_row=_centre(self.principal_row_px, self.camera_height),
+            camera_tilt_x=math.radians(self.camera_tilt_x_degree),
+            camera_tilt_y=math.radians(self.camera_tilt_y_degree),
+            projector_width=self.projector_width,
+            projector_height=self.projector_height,
+            projector_position=_triple(value * MILLI for value in self.projector_position_mm),
+            projector_rotation=_triple(math.radians(value) for value in self.projector_rotation_degree),
+            projector_focal_length=self.projector_focal_length_px,
+            projector_principal_column=_centre(self.projector_principal_column_px, self.projector_width),
+            projector_principal_row=_centre(self.projector_principal_row_px, self.projector_height),
+            projector_k1=self.projector_k1,
+        )
+
+
+class LoadFrameSection(Section):
+    """The testing machine."""
+
+    source: Literal["simulated", "external"] = Field(
+        "simulated", description="simulated: the one of the virtual rig; external: somebody publishes load_frame/state."
+    )
+    rate_hz: float = Field(100.0, gt=0, le=10e3, description="Samples of force and position per second.")
+
+
+class NodesSection(Section):
+    """Parameters of the processing nodes."""
+
+    phase: PhaseParameters = PhaseParameters()
+    dic: DicParameters = DicParameters()
+    coupling: CouplingParameters = CouplingParameters()
+
+
+class RecordingSection(Section):
+    """What is recorded where."""
+
+    folder: str = Field("recordings", description="Folder for recordings, relative to where the command is given.")
+    derived: bool = Field(True, description="Also record phase maps, displacements and clouds.")
+    compression: Literal["zstd", "none"] = Field("zstd", description="none is faster and takes more room.")
+
+
+class ProgrammeStep(Section):
+    """One load step: move, hold, measure."""
+
+    position_mm: float | None = Field(None, description="Crosshead position to move to; none stays where it is.")
+    speed_mm_per_s: float = Field(1.0, gt=0, description="Speed of the crosshead.")
+    hold_s: float = Field(0.0, ge=0, le=3600, description="Time to wait after the move before measuring.")
+    mode: Literal["fringes", "white"] = Field("fringes", description="white: one frame, in-plane displacement only.")
+    set_reference: bool = Field(False, description="This step becomes the reference of the following ones.")
+
+    @property
+    def position(self) -> float | None:
+        """Crosshead position [m]."""
+        return None if self.position_mm is None else self.position_mm * MILLI
+
+    @property
+    def speed(self) -> float:
+        """Speed of the crosshead [m/s]."""
+        return self.speed_mm_per_s * MILLI
+
+
+class Ramp(Section):
+    """Equal steps from one crosshead position to another, both included."""
+
+    from_mm: float = Field(0.0, description="First position.")
+    to_mm: float = Field(description="Last position.")
+    steps: int = Field(ge=2, le=10000, description="Number of steps.")
+    speed_mm_per_s: float = Field(1.0, gt=0, description="Speed of the crosshead.")
+    hold_s: float = Field(0.0, ge=0, le=3600, description="Time to wait after each move before measuring.")
+    mode: Literal["fringes", "white"] = Field("fringes", description="white: one frame, in-plane displacement only.")
+
+
+class Programme(Section):
+    """The load steps of one experiment, written out or as a ramp."""
+
+    experiment: str = Field("experiment", pattern=r"^[A-Za-z0-9_\-]+$", description="Name of the experiment.")
+    steps: list[ProgrammeStep] | None = Field(None, min_length=1, description="The steps one by one.")
+    ramp: Ramp | None = Field(None, description="Equal steps.")
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Programme:
+        if (self.steps is None) == (self.ramp is None):
+            raise ValueError("give either steps or ramp")
+        return self
+
+    def load_steps(self) -> list[ProgrammeStep]:
+        """Return the steps one by one."""
+        if self.ramp is None:
+            return list(self.steps or ())
+        ramp = self.ramp
+        return [
+            ProgrammeStep(
+                position_mm=ramp.from_mm + (ramp.to_mm - ramp.from_mm) * number / (ramp.steps - 1),
+                speed_mm_per_s=ramp.speed_mm_per_s,
+                hold_s=ramp.hold_s,
+                mode=ramp.mode,
+            )
+            for number in range(ramp.steps)
+        ]
+
+
+Calibration = Annotated[
+    Annotated[str, Tag("file")] | Annotated[CalibrationSection, Tag("values")],
+    Discriminator(lambda value: "values" if isinstance(value, (Mapping, CalibrationSection)) else "file"),
+]
+
+
+class RigFile(Section):
+    """Everything that a rig is made of.
+
+    ``calibration`` is the parameters themselves, the path of a calibration file (relative to the rig file), or the
+    word ``virtual_rig`` for the exact parameters of the virtual rig. ``virtual_rig`` is passed on to
+    `fringedic.virtual_rig.VirtualRigConfiguration`.
+    """
+
+    namespace: str = Field("rig", pattern=r"^([A-Za-z]\w*(/[A-Za-z]\w*)*)?$", description="ROS namespace of the rig.")
+    camera: CameraSection
+    projector: ProjectorSection | None = None
+    sequence: SequenceSection = SequenceSection()
+    calibration: Calibration | None = None
+    load_frame: LoadFrameSection | None = None
+    nodes: NodesSection = NodesSection()
+    virtual_rig: dict[str, Any] | None = None
+    recording: RecordingSection = RecordingSection()
+    programme: Programme | None = None
+
+    @model_validator(mode="after")
+    def _virtual_parts_have_their_rig(self) -> RigFile:
+        users = [
+            name
+            for name, used in (
+                ("camera.source: virtual", self.camera.source == "virtual"),
+                ("projector.source: virtual", self.projector is not None and self.projector.source == "virtual"),
+                ("calibration: virtual_rig", self.calibration == VIRTUAL_RIG),
+                ("load_frame.source: simulated", self.load_frame is not None and self.load_frame.source == "simulated"),
+            )
+            if used
+        ]
+        if users and self.virtual_rig is None:
+            raise ValueError(f"{users[0]} needs the section virtual_rig, for example virtual_rig: {{preset: plate}}")
+        return self
+
+    def virtual_configuration(self) -> VirtualRigConfiguration:
+        """Return the virtual rig of this file; only where there is one."""
+        return VirtualRigConfiguration.from_dict(self.virtual_rig or {})
+
+    def camera_size(self) -> tuple[int, int] | None:
+        """(width, height) of the images [px], None when only the image files know."""
+        return self._size(self.camera, "camera")
+
+    def projector_size(self) -> tuple[int, int] | None:
+        """(width, height) of the projector's image [px], None without a projector."""
+        return None if self.projector is None else self._size(self.projector, "projector")
+
+    def pitches(self) -> list[float]:
+        """Fringe pitches, coarse to fine [projector pixel]; empty without a projector."""
+        size = self.projector_size()
+        if size is None:
+            return []
+        if self.sequence.pitches_px is not None:
+            return list(self.sequence.pitches_px)
+        return [
+            size[0] / part for part in (1, 5, 20, 80) if part == 1 or size[0] / part >= FINEST_DEFAULT_PITCH_PX
+        ]
+
+    def projections(self) -> list[Projection]:
+        """What the frames of one step show, in their order."""
+        orientation = Orientation[self.sequence.orientation.upper()]
+        shifts = self.sequence.shifts
+        return [
+            Projection(PatternKind.FRINGES, orientation, pitch, shift, shifts)
+            for pitch in self.pitches()
+            for shift in range(1, shifts + 1)
+        ]
+
+    def _size(self, section: CameraSection | ProjectorSection, name: str) -> tuple[int, int] | None:
+        if section.source == "virtual":
+            part = getattr(self.virtual_configuration(), name)
+            size = (part.columns, part.rows)
+            given = (section.width or size[0], section.height or size[1])
+            if given != size:
+                raise RigFileError(
+                    f"{name} is {given[0]}x{given[1]} px, the virtual rig's {name} has {size[0]}x{size[1]} px; "
+                    "leave width and height out to take those"
+                )
+            return size
+        if section.width is None or section.height is None:
+            return None
+        return section.width, section.height
+
+
+def load_rig_file(path: str | os.PathLike[str]) -> RigFile:
+    """Read and check a rig file.
+
+    Raises
+    ------
+    RigFileError
+        The file cannot be read, or a key is unknown, missing or out of its range; the message names file and key.
+    """
+    rig = _load(Path(path), RigFile)
+    try:
+        rig.camera_size()
+        rig.projector_size()
+        if rig.virtual_rig is not None:
+            rig.virtual_configuration()
+        load_calibration(rig, path)
+    except FringedicError as error:
+        raise error if isinstance(error, RigFileError) and str(error).startswith(str(path)) else RigFileError(
+            f"{path}: {error}"
+        ) from error
+    return rig
+
+
+def load_programme(path: str | os.PathLike[str]) -> Programme:
+    """Read and check a programme of load steps.
+
+    Raises
+    ------
+    RigFileError
+        The file cannot be read, or a key is unknown, missing or out of its range; the message names file and key.
+    """
+    return _load(Path(path), Programme)
+
+
+def load_calibration(rig: RigFile, path: str | os.PathLike[str]) -> RigModel | None:
+    """Return the calibration that a rig file holds or names, None when it has none.
+
+    Parameters
+    ----------
+    path
+        The rig file, beside which a calibration file is looked for.
+
+    Raises
+    ------
+    RigFileError
+        The calibration file cannot be read.
+    """
+    if rig.calibration is None:
+        return None
+    if isinstance(rig.calibration, CalibrationSection):
+        return rig.calibration.rig_model(str(path))
+    if rig.calibration == VIRTUAL_RIG:
+        return calibration_of(rig.virtual_configuration())
+    file = Path(path).parent / rig.calibration
+    if not file.is_file():
+        raise RigFileError(f"{path}: calibration: there is no file {file}")
+    return RigModel.from_yaml(file)
+
+
+def calibration_of(virtual_rig: VirtualRigConfiguration) -> RigModel:
+    """Return the exact parameters of a virtual rig as a calibration."""
+    camera, projector = virtual_rig.camera, virtual_rig.projector
+    section = CalibrationSection(
+        identifier="virtual rig",
+        camera_width=camera.columns,
+        camera_height=camera.rows,
+        camera_distance_mm=camera.distance_mm,
+        pixel_size_mm=camera.pixel_size_um * MILLI,
+        pixel_aspect=camera.pixel_aspect,
+        principal_column_px=camera.principal_column,
+        principal_row_px=camera.principal_row,
+        camera_tilt_x_degree=camera.tilt_x_degree,
+        camera_tilt_y_degree=camera.tilt_y_degree,
+        projector_width=projector.columns,
+        projector_height=projector.rows,
+        projector_position_mm=[projector.x_mm, projector.y_mm, projector.z_mm],
+        projector_rotation_degree=[projector.yaw_degree, projector.pitch_degree, projector.roll_degree],
+        projector_focal_length_px=projector.focal_length_px,
+        projector_principal_column_px=projector.principal_column,
+        projector_principal_row_px=projector.principal_row,
+        projector_k1=projector.k1,
+    )
+    return section.rig_model(VIRTUAL_RIG)
+
+
+def _load(path: Path, model: type[Model]) -> Model:
+    try:
+        content = yaml.safe_load(path.read_text("utf-8"))
+    except OSError as error:
+        raise RigFileError(f"{path}: cannot be read: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise RigFileError(f"{path}: is not YAML: {error}") from error
+    if not isinstance(content, dict):
+        raise RigFileError(f"{path}: is empty or no list of 'key: value'; keys are {_keys(model)}")
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        problems = "; ".join(_problem(model, each) for each in error.errors())
+        raise RigFileError(f"{path}: {problems}") from error
+
+
+def _problem(model: type[BaseModel], error: Mapping[str, Any]) -> str:
+    """One sentence about one wrong key: where, what, and what is allowed."""
+    place = [part for part in error["loc"] if part not in ("values", "file")]
+    name = ".".join(map(str, place)) or "file"
+    if error["type"] == "extra_forbidden":
+        return f"{name}: unknown key; known are {_keys(_section_at(model, place[:-1]))}"
+    if error["type"] == "missing":
+        return f"{name}: is missing"
+    return f"{name}: {error['msg'].removeprefix('Value error, ')} (it is {error['input']!r})"
+
+
+def _section_at(model: type[BaseModel], place: Sequence[str | int]) -> type[BaseModel]:
+    """Return the section that a key path leads to."""
+    for part in place:
+        if isinstance(part, str):
+            model = _section_in(model.model_fields[part].annotation) or model
+    return model
+
+
+def _section_in(annotation: Any) -> type[BaseModel] | None:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    inner = (_section_in(argument) for argument in getattr(annotation, "__args__", ()))
+    return next((section for section in inner if section is not None), None)
+
+
+def _keys(model: type[BaseModel]) -> str:
+    return ", ".join(model.model_fields)
+
+
+def _centre(principal: float | None, size: int) -> float:
+    return (size - 1) / 2 if principal is None else principal
+
+
+def _triple(values: Any) -> tuple[float, float, float]:
+    first, second, third = values
+    return first, second, third
