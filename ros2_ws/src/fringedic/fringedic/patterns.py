@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -86,7 +87,7 @@ def fringe_sequence(
     of_each = [shifts] * len(pitches) if isinstance(shifts, int) else list(shifts)
     if len(of_each) != len(pitches):
         raise InvalidPatternError(f"{len(of_each)} numbers of shifts for {len(pitches)} pitches: give one for each")
-    if any(fine >= coarse for coarse, fine in zip(pitches, pitches[1:], strict=False)):
+    if any(fine >= coarse for coarse, fine in pairwise(pitches)):
         raise InvalidPatternError(f"pitches {list(pitches)} px have to become finer from each to the next")
     projections = tuple(
         Projection(PatternKind.FRINGES, Orientation[orientation.upper()], float(pitch), shift, count)

@@ -11,7 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, pairwise
 
 import numpy as np
 import xarray as xr
@@ -317,10 +317,8 @@ def _absolute_phase(
             for period in range(periods):
                 s, c = sine_sum[period, column], cosine_sum[period, column]
                 amplitude = np.float32(2) / count[period] * math.sqrt(s * s + c * c)
-                # NaN modulation (NaN frames) fails this comparison as it should
-                measured &= amplitude > max(
-                    confidence * math.sqrt(np.float32(2) / count[period]) * noise, minimum_modulation
-                )
+                limit = confidence * math.sqrt(np.float32(2) / count[period]) * noise
+                measured &= amplitude > max(limit, minimum_modulation)
                 if not measured:
                     continue
                 wrapped = math.atan2(s, c)
@@ -365,7 +363,7 @@ def _periods(projections: Sequence[Projection]) -> list[_Period]:
 
 
 def _check_finer(pitches: Sequence[float]) -> None:
-    if any(fine >= coarse for coarse, fine in zip(pitches, pitches[1:], strict=False)):
+    if any(fine >= coarse for coarse, fine in pairwise(pitches)):
         raise InvalidSequenceError(f"pitches {list(pitches)} px have to become finer from each to the next")
 
 
