@@ -19,7 +19,7 @@ from fringedic.correlation import Reference, measure_displacement
 from fringedic.errors import CalibrationMissingError, FrameMismatchError, ReferenceMissingError, TooFewValidError
 from fringedic.phase import CameraNoise, absolute_phase
 from fringedic.rig import RigModel
-from fringedic.sequence import PatternKind, Stack
+from fringedic.sequence import Orientation, PatternKind, Stack
 from fringedic.surface import couple, surface_strain, to_local_frame
 
 Kept = TypeVar("Kept")
@@ -51,7 +51,7 @@ class PhaseParameters(Parameters):
         0.0,
         ge=0,
         le=65535,
-        description="Grey level from which a pixel counts as saturated [grey level]; 0 is the full scale of the pixels.",
+        description="Grey level from which a pixel counts as saturated [grey level]; 0 is the pixels' full scale.",
     )
     minimum_modulation_grey_level: float = Field(
         0.0,
@@ -120,8 +120,8 @@ class PhaseResult:
         Fringe amplitude and mean of the whole stack [grey level], float32 (row, column).
     valid_fraction
         Pixels with a phase over all pixels.
-    pitch
-        The finest pitch [projector pixel], to which the phase belongs.
+    pitch, orientation
+        The finest pitch [projector pixel], to which the phase belongs, and the direction of the fringes.
     rms
         Median of ``sigma`` [rad].
     """
@@ -135,6 +135,7 @@ class PhaseResult:
     texture: np.ndarray
     valid_fraction: float
     pitch: float
+    orientation: Orientation
     rms: float
 
 
@@ -236,7 +237,8 @@ def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
         modulation=measured.modulation.values,
         texture=measured.texture.values,
         valid_fraction=fraction,
-        pitch=min(projection.pitch for projection in stack.projections),
+        pitch=stack.projections[-1].pitch,
+        orientation=stack.projections[-1].orientation,
         rms=float(np.nanmedian(sigma)),
     )
 
@@ -397,6 +399,17 @@ class DisplacementTracker:
         return predicted[..., 0], predicted[..., 1]
 
 
+@dataclass(frozen=True)
+class _KeptPhase:
+    phase: np.ndarray
+    sigma: np.ndarray
+    pitch: float
+    orientation: Orientation
+
+    def surface(self, calibration: RigModel) -> xr.Dataset:
+        return calibration.reconstruct(self.phase, self.pitch, self.sigma, self.orientation)
+
+
 class ShapeTracker:
     """Computes the surface of each step and its 3D displacement against the reference step (eq. 10 and 12).
 
@@ -413,7 +426,7 @@ class ShapeTracker:
         self.parameters = parameters
         self._calibration: RigModel | None = None
         self._references = _References()
-        self._phases: _LatestSteps[tuple[np.ndarray, np.ndarray, float]] = _LatestSteps()
+        self._phases: _LatestSteps[_KeptPhase] = _LatestSteps()
 
     def set_calibration(self, calibration: RigModel) -> None:
         """Give the rig's model; steps that follow, and their reference, are reconstructed with it."""
@@ -434,6 +447,7 @@ class ShapeTracker:
         displacement_sigma: np.ndarray,
         *,
         pitch: float,
+        orientation: Orientation = Orientation.VERTICAL,
         spacing: int = 1,
         origin: tuple[int, int] = (0, 0),
     ) -> CouplingResult:
@@ -445,8 +459,8 @@ class ShapeTracker:
             As published by the phase node [rad], float32 (row, column).
         displacement, displacement_sigma
             As published by the dic node [px], float32 (row, column, 2).
-        pitch
-            The finest pitch of the step's sequence [projector pixel].
+        pitch, orientation
+            Of the step's last frame: the finest pitch [projector pixel], and the direction of the fringes.
         spacing, origin
             Grid of the displacement [px].
 
@@ -470,20 +484,20 @@ class ShapeTracker:
             )
         key = (experiment, step)
         reference_key = (experiment, self._references.of(experiment, step))
-        current = (phase, sigma, pitch)
+        current = _KeptPhase(phase, sigma, pitch, orientation)
         first = current if key == reference_key else self._phases.get(reference_key)
         if first is None:
             raise _no_reference(key, reference_key)
-        if first[0].shape != phase.shape:
+        if first.phase.shape != phase.shape:
             raise FrameMismatchError(
                 f"experiment '{experiment}', step {step}: the phase map is {phase.shape[1]}x{phase.shape[0]} px, "
-                f"its reference step {reference_key[1]} has {first[0].shape[1]}x{first[0].shape[0]} px",
+                f"its reference step {reference_key[1]} has {first.phase.shape[1]}x{first.phase.shape[0]} px",
                 experiment=experiment,
                 step=step,
             )
-        shape = calibration.reconstruct(phase, pitch, sigma)
+        shape = current.surface(calibration)
         cloud = couple(
-            calibration.reconstruct(*first[:1], first[2], first[1]),
+            shape if first is current else first.surface(calibration),
             shape,
             displacement_dataset(displacement, displacement_sigma, origin=origin, spacing=spacing),
             calibration=calibration,

@@ -209,7 +209,7 @@ class BagWriter:
         self._failure: OSError | None = None
         with self._named_errors():
             self.path.mkdir(parents=True)
-            self._stream: BinaryIO = open(self.path / self._file_name, "xb")
+            self._stream: BinaryIO = (self.path / self._file_name).open("xb")
             self._writer = Writer(self._stream, compression=_COMPRESSIONS[compression])
             self._writer.start(profile="ros2", library=f"fringedic {__version__}")
             self._writer.flush()
@@ -648,10 +648,10 @@ def _open_file(path: Path, rescan: bool) -> _File:
                 raise RecordingError(f"{path}: is not an MCAP file")
             file = None if rescan else _from_index(path, stream)
             return file or _from_scan(path, stream)
+    except RecordingError:
+        raise
     except OSError as error:
-        raise error if isinstance(error, RecordingError) else RecordingError(
-            f"{path}: cannot be read: {error.strerror}"
-        ) from error
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def _from_index(path: Path, stream: BinaryIO) -> _File | None:

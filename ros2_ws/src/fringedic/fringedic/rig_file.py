@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -85,62 +86,83 @@ class SequenceSection(Section):
     @model_validator(mode="after")
     def _coarse_to_fine(self) -> SequenceSection:
         pitches = self.pitches_px or []
-        if any(fine >= coarse for coarse, fine in zip(pitches, pitches[1:], strict=False)):
+        if any(fine >= coarse for coarse, fine in pairwise(pitches)):
             raise ValueError("pitches_px must become smaller from one to the next")
         return self
 
 
-class CalibrationSection(Section):
-    """Pin-hole model of camera and projector in the rig frame (z towards the camera, y up in the image)."""
+class CalibratedCamera(Section):
+    """Pin-hole of the camera."""
 
-    identifier: str = Field("rig file", description="Names this calibration in results.")
-    model: Literal["paper", "general"] = Field("general", description="paper: no angles and no distortion.")
-    camera_width: int = Field(ge=16, description="Image width [px].")
-    camera_height: int = Field(ge=16, description="Image height [px].")
-    camera_distance_mm: float = Field(gt=0, description="Distance h0 of the camera from the reference plane.")
+    width_px: int = Field(ge=16, description="Image width.")
+    height_px: int = Field(ge=16, description="Image height.")
+    distance_mm: float = Field(gt=0, description="Distance h0 from the reference plane.")
     pixel_size_mm: float = Field(gt=0, description="Length per row on the reference plane at the principal point.")
     pixel_aspect: float = Field(1.0, gt=0, description="Row spacing over column spacing (tau).")
     principal_column_px: float | None = Field(None, description="By default the centre of the image.")
     principal_row_px: float | None = Field(None, description="By default the centre of the image.")
-    camera_tilt_x_degree: float = Field(0.0, gt=-45, lt=45, description="Rotation of the camera about x.")
-    camera_tilt_y_degree: float = Field(0.0, gt=-45, lt=45, description="Rotation of the camera about y.")
-    projector_width: int = Field(ge=16, description="Image width [px].")
-    projector_height: int = Field(ge=16, description="Image height [px].")
-    projector_position_mm: list[float] = Field(min_length=3, max_length=3, description="(d, y, hp) of its pin-hole.")
-    projector_rotation_degree: list[float] = Field(
-        [0.0, 0.0, 0.0],
-        min_length=3,
-        max_length=3,
-        description="(yaw, pitch, roll) against the attitude that looks at the origin.",
-    )
-    projector_focal_length_px: float = Field(gt=0, description="Focal length.")
-    projector_principal_column_px: float | None = Field(None, description="By default the centre of the image.")
-    projector_principal_row_px: float | None = Field(None, description="By default the centre of the image.")
-    projector_k1: float = Field(0.0, ge=-1, le=1, description="Radial distortion.")
+    tilt_x_degree: float = Field(0.0, gt=-45, lt=45, description="Rotation of the camera about x.")
+    tilt_y_degree: float = Field(0.0, gt=-45, lt=45, description="Rotation of the camera about y.")
 
-    def rig_model(self, source: str) -> RigModel:
-        """Return the model in SI units; ``source`` tells where it came from."""
+
+class CalibratedProjector(Section):
+    """Pin-hole of the projector."""
+
+    width_px: int = Field(ge=16, description="Image width.")
+    height_px: int = Field(ge=16, description="Image height.")
+    position_mm: list[float] = Field(min_length=3, max_length=3, description="(d, y, hp) of its pin-hole.")
+    yaw_pitch_roll_degree: list[float] = Field(
+        [0.0, 0.0, 0.0], min_length=3, max_length=3, description="Against the attitude that looks at the origin."
+    )
+    focal_length_px: float = Field(gt=0, description="Focal length.")
+    principal_column_px: float | None = Field(None, description="By default the centre of the image.")
+    principal_row_px: float | None = Field(None, description="By default the centre of the image.")
+    k1: float = Field(0.0, ge=-1, le=1, description="Radial distortion.")
+
+
+class CovarianceSection(Section):
+    """Covariance of the fitted parameters in SI units, row-major."""
+
+    parameters: list[str] = []
+    values: list[float] = []
+
+
+class CalibrationSection(Section):
+    """Pin-hole model of camera and projector, laid out as in the file that a calibration writes."""
+
+    identifier: str = Field("rig file", description="Names this calibration in results.")
+    model: Literal["paper", "general"] = Field("general", description="paper: no angles and no distortion.")
+    source: str = Field("", description="Where it came from; by default the rig file.")
+    camera: CalibratedCamera
+    projector: CalibratedProjector
+    covariance_si: CovarianceSection = CovarianceSection()
+
+    def rig_model(self, rig_file: str) -> RigModel:
+        """Return the model in SI units."""
+        camera, projector = self.camera, self.projector
         return RigModel(
             identifier=self.identifier,
             model=self.model,
-            source=source,
-            camera_width=self.camera_width,
-            camera_height=self.camera_height,
-            camera_distance=self.camera_distance_mm * MILLI,
-            pixel_size=self.pixel_size_mm * MILLI,
-            pixel_aspect=self.pixel_aspect,
-            principal_column=_centre(self.principal_column_px, self.camera_width),
-            principal_row=_centre(self.principal_row_px, self.camera_height),
-            camera_tilt_x=math.radians(self.camera_tilt_x_degree),
-            camera_tilt_y=math.radians(self.camera_tilt_y_degree),
-            projector_width=self.projector_width,
-            projector_height=self.projector_height,
-            projector_position=_triple(value * MILLI for value in self.projector_position_mm),
-            projector_rotation=_triple(math.radians(value) for value in self.projector_rotation_degree),
-            projector_focal_length=self.projector_focal_length_px,
-            projector_principal_column=_centre(self.projector_principal_column_px, self.projector_width),
-            projector_principal_row=_centre(self.projector_principal_row_px, self.projector_height),
-            projector_k1=self.projector_k1,
+            source=self.source or rig_file,
+            camera_width=camera.width_px,
+            camera_height=camera.height_px,
+            camera_distance=camera.distance_mm * MILLI,
+            pixel_size=camera.pixel_size_mm * MILLI,
+            pixel_aspect=camera.pixel_aspect,
+            principal_column=_centre(camera.principal_column_px, camera.width_px),
+            principal_row=_centre(camera.principal_row_px, camera.height_px),
+            camera_tilt_x=math.radians(camera.tilt_x_degree),
+            camera_tilt_y=math.radians(camera.tilt_y_degree),
+            projector_width=projector.width_px,
+            projector_height=projector.height_px,
+            projector_position=_triple(value * MILLI for value in projector.position_mm),
+            projector_rotation=_triple(math.radians(value) for value in projector.yaw_pitch_roll_degree),
+            projector_focal_length=projector.focal_length_px,
+            projector_principal_column=_centre(projector.principal_column_px, projector.width_px),
+            projector_principal_row=_centre(projector.principal_row_px, projector.height_px),
+            projector_k1=projector.k1,
+            parameter_names=tuple(self.covariance_si.parameters),
+            covariance=tuple(self.covariance_si.values),
         )
 
 
@@ -289,9 +311,7 @@ class RigFile(Section):
             return []
         if self.sequence.pitches_px is not None:
             return list(self.sequence.pitches_px)
-        return [
-            size[0] / part for part in (1, 5, 20, 80) if part == 1 or size[0] / part >= FINEST_DEFAULT_PITCH_PX
-        ]
+        return [size[0] / part for part in (1, 5, 20, 80) if part == 1 or size[0] / part >= FINEST_DEFAULT_PITCH_PX]
 
     def projections(self) -> list[Projection]:
         """What the frames of one step show, in their order."""
@@ -335,9 +355,7 @@ def load_rig_file(path: str | os.PathLike[str]) -> RigFile:
             rig.virtual_configuration()
         load_calibration(rig, path)
     except FringedicError as error:
-        raise error if isinstance(error, RigFileError) and str(error).startswith(str(path)) else RigFileError(
-            f"{path}: {error}"
-        ) from error
+        raise RigFileError(f"{path}: {error}") from error
     return rig
 
 
@@ -373,7 +391,7 @@ def load_calibration(rig: RigFile, path: str | os.PathLike[str]) -> RigModel | N
         return calibration_of(rig.virtual_configuration())
     file = Path(path).parent / rig.calibration
     if not file.is_file():
-        raise RigFileError(f"{path}: calibration: there is no file {file}")
+        raise RigFileError(f"calibration: there is no file {file}")
     return RigModel.from_yaml(file)
 
 
@@ -382,23 +400,27 @@ def calibration_of(virtual_rig: VirtualRigConfiguration) -> RigModel:
     camera, projector = virtual_rig.camera, virtual_rig.projector
     section = CalibrationSection(
         identifier="virtual rig",
-        camera_width=camera.columns,
-        camera_height=camera.rows,
-        camera_distance_mm=camera.distance_mm,
-        pixel_size_mm=camera.pixel_size_um * MILLI,
-        pixel_aspect=camera.pixel_aspect,
-        principal_column_px=camera.principal_column,
-        principal_row_px=camera.principal_row,
-        camera_tilt_x_degree=camera.tilt_x_degree,
-        camera_tilt_y_degree=camera.tilt_y_degree,
-        projector_width=projector.columns,
-        projector_height=projector.rows,
-        projector_position_mm=[projector.x_mm, projector.y_mm, projector.z_mm],
-        projector_rotation_degree=[projector.yaw_degree, projector.pitch_degree, projector.roll_degree],
-        projector_focal_length_px=projector.focal_length_px,
-        projector_principal_column_px=projector.principal_column,
-        projector_principal_row_px=projector.principal_row,
-        projector_k1=projector.k1,
+        camera=CalibratedCamera(
+            width_px=camera.columns,
+            height_px=camera.rows,
+            distance_mm=camera.distance_mm,
+            pixel_size_mm=camera.pixel_size_um * MILLI,
+            pixel_aspect=camera.pixel_aspect,
+            principal_column_px=camera.principal_column,
+            principal_row_px=camera.principal_row,
+            tilt_x_degree=camera.tilt_x_degree,
+            tilt_y_degree=camera.tilt_y_degree,
+        ),
+        projector=CalibratedProjector(
+            width_px=projector.columns,
+            height_px=projector.rows,
+            position_mm=[projector.x_mm, projector.y_mm, projector.z_mm],
+            yaw_pitch_roll_degree=[projector.yaw_degree, projector.pitch_degree, projector.roll_degree],
+            focal_length_px=projector.focal_length_px,
+            principal_column_px=projector.principal_column,
+            principal_row_px=projector.principal_row,
+            k1=projector.k1,
+        ),
     )
     return section.rig_model(VIRTUAL_RIG)
 
