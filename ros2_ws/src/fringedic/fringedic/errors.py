@@ -41,6 +41,10 @@ class CloudMessageError(FringedicError, ValueError):
     """A point cloud message contradicts itself or is of a kind that is not supported."""
 
 
+class CrossheadRangeError(FringedicError, ValueError):
+    """A crosshead position or speed is outside what the machine or the specimen allows."""
+
+
 class DatasetError(FringedicError, ValueError):
     """A file is not a dataset of this library, or two datasets cannot be compared."""
 
@@ -81,6 +85,10 @@ class InvalidSequenceError(FringedicError, ValueError):
     """Fringe frames do not form whole periods of ever finer pitches."""
 
 
+class InvalidWindowError(FringedicError, ValueError):
+    """A window or filter is too narrow to hold a measurement, or no width at all."""
+
+
 class MissingTopicError(FringedicError, LookupError):
     """A recording lacks topics that are needed."""
 
@@ -103,6 +111,10 @@ class NotAnsweredError(FringedicError, TimeoutError):
 
 class ParameterError(FringedicError, ValueError):
     """A node parameter has a value that is not allowed."""
+
+
+class RaysMissingError(FringedicError, LookupError):
+    """A shape does not tell the lines of sight that it was measured along."""
 
 
 class RecordingError(FringedicError, OSError):
@@ -139,6 +151,10 @@ class TooFewValidError(StepError, ValueError):
 
 class UnknownSchemaError(FringedicError, LookupError):
     """The definition of a message type is not installed."""
+
+
+class VirtualRigConfigurationError(FringedicError, ValueError):
+    """A virtual rig is described by entries that are unknown, missing or out of range."""
 
 
 class WaitTimeoutError(FringedicError, TimeoutError):
