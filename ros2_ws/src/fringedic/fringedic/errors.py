@@ -41,6 +41,14 @@ class CloudMessageError(FringedicError, ValueError):
     """A point cloud message contradicts itself or is of a kind that is not supported."""
 
 
+class ColourImageError(FringedicError, ValueError):
+    """An image has colour channels where grey levels are needed."""
+
+
+class CorrelationMethodError(FringedicError, ValueError):
+    """A method of measuring displacement is asked for that does not exist."""
+
+
 class CrossheadRangeError(FringedicError, ValueError):
     """A crosshead position or speed is outside what the machine or the specimen allows."""
 
@@ -51,6 +59,10 @@ class DatasetError(FringedicError, ValueError):
 
 class DiskFullError(FringedicError, OSError):
     """The disk is full; what was written so far stays readable."""
+
+
+class EmptyMaskError(FringedicError, ValueError):
+    """A mask excludes every pixel."""
 
 
 class FrameDoubledError(StepError, ValueError):
@@ -73,6 +85,14 @@ class ImageMessageError(FringedicError, ValueError):
     """An image message contradicts itself or has an encoding that is not supported."""
 
 
+class ImageSizeError(FringedicError, ValueError):
+    """An image is empty, too small or has the wrong number of dimensions."""
+
+
+class ImageTypeError(FringedicError, TypeError):
+    """The pixels of an image are not real numbers."""
+
+
 class InvalidCalibrationError(FringedicError, ValueError):
     """A rig parameter has no meaning, or a parameter is missing."""
 
@@ -91,6 +111,10 @@ class InvalidWindowError(FringedicError, ValueError):
 
 class MissingTopicError(FringedicError, LookupError):
     """A recording lacks topics that are needed."""
+
+
+class NoCorrelationError(FringedicError, ValueError):
+    """Two images do not show the same surface."""
 
 
 class NoFreeDomainError(FringedicError, RuntimeError):
@@ -145,6 +169,10 @@ class StepFailedError(FringedicError, RuntimeError):
     """A load step or a movement of the machine ended with an error code."""
 
 
+class TexturelessImageError(FringedicError, ValueError):
+    """An image has no texture to measure by: it is constant or not measured."""
+
+
 class TooFewValidError(StepError, ValueError):
     """Less of the image is measured than the parameters allow."""
 
@@ -159,3 +187,7 @@ class VirtualRigConfigurationError(FringedicError, ValueError):
 
 class WaitTimeoutError(FringedicError, TimeoutError):
     """Something that was waited for did not come in time."""
+
+
+class WindowError(FringedicError, ValueError):
+    """A correlation window or spacing does not fit the image."""

@@ -1,0 +1,325 @@
+"""What a virtual rig consists of, in people's units: the ``virtual_rig`` section of a rig file, and the presets."""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from fringedic.errors import VirtualRigConfigurationError
+
+PresetName = Literal["plate", "skin", "leather", "rigid", "plane", "sphere", "stepped"]
+SizeName = Literal["full", "small", "tiny"]
+
+# Images of a size have this many times fewer pixels along each side than the paper's, on the same field.
+SIZES: dict[str, int] = {"full": 1, "small": 4, "tiny": 8}
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class CameraConfiguration(_Section):
+    """Pin-hole camera at (0, 0, distance), looking down at the reference plane."""
+
+    columns: int = Field(1280, ge=16, le=8192, description="Image width [px].")
+    rows: int = Field(960, ge=16, le=8192, description="Image height [px].")
+    distance_mm: float = Field(400.0, gt=0, description="Distance h0 of the pin-hole from the reference plane.")
+    pixel_size_um: float = Field(50.0, gt=0, description="Length per row on the reference plane, principal point.")
+    pixel_aspect: float = Field(1.0, gt=0, description="Row spacing over column spacing (tau).")
+    principal_column: float | None = Field(None, description="Principal point [px]; None is the image centre.")
+    principal_row: float | None = Field(None, description="Principal point [px]; None is the image centre.")
+    tilt_x_degree: float = Field(0.0, gt=-45, lt=45, description="Rotation of the camera about the rig's x axis.")
+    tilt_y_degree: float = Field(0.0, gt=-45, lt=45, description="Rotation of the camera about the rig's y axis.")
+
+
+class ProjectorConfiguration(_Section):
+    """Pin-hole projector at (x, y, z) that looks at the origin of the rig frame, but for its three angles."""
+
+    columns: int = Field(800, ge=16, le=8192, description="Image width [px].")
+    rows: int = Field(600, ge=16, le=8192, description="Image height [px].")
+    x_mm: float = Field(180.0, description="Position d along x; positive is right of the camera.")
+    y_mm: float = Field(0.0, description="Position along y.")
+    z_mm: float = Field(380.0, gt=0, description="Distance hp of the pin-hole from the reference plane.")
+    yaw_degree: float = Field(0.0, gt=-45, lt=45, description="Turn about the projector's own up axis.")
+    pitch_degree: float = Field(0.0, gt=-45, lt=45, description="Tilt about the projector's own right axis.")
+    roll_degree: float = Field(0.0, ge=-180, le=180, description="Roll about the projector's own axis.")
+    focal_length_px: float = Field(3400.0, gt=0, description="Focal length.")
+    principal_column: float | None = Field(None, description="Principal point [px]; None is the image centre.")
+    principal_row: float | None = Field(None, description="Principal point [px]; None is the image centre.")
+    k1: float = Field(0.0, ge=-1, le=1, description="Radial distortion, (m, n) *= 1 + k1 (m^2 + n^2).")
+    gamma: float = Field(1.0, gt=0, le=5, description="Light = (grey level / 255)^gamma; 1 is a corrected projector.")
+    defocus_px: float = Field(
+        0.6, ge=0.05, le=10, description="Standard deviation of the lens's point spread, added to the pixel's square."
+    )
+
+
+class SensorConfiguration(_Section):
+    """Exposure, noise and digits of the camera; grey levels are those of the chosen number of bits."""
+
+    bits: Literal[8, 10, 12, 16] = Field(8, description="Digits per pixel; more than 8 give 16-bit images.")
+    white_level: float = Field(
+        0.75, gt=0, le=2, description="Full white on unpainted surface at the origin, part of the full scale."
+    )
+    ambient_light: float = Field(0.02, ge=0, le=1, description="Room light relative to the projector's white.")
+    background: float = Field(0.01, ge=0, le=1, description="Brightness beside the specimen, part of the full scale.")
+    read_noise_grey_level: float = Field(1.0, ge=0, description="Standard deviation of the noise in the dark.")
+    shot_noise_grey_level: float = Field(0.02, ge=0, description="Variance of the noise per grey level.")
+
+
+class TextureConfiguration(_Section):
+    """Random pattern on the surface, as seen after the blur of the camera's lens."""
+
+    kind: Literal["speckle", "furrows", "grain"] = Field("speckle", description="Sprayed dots, skin or leather.")
+    feature_um: float = Field(200.0, gt=0, description="Full width at half height of the typical dark feature.")
+    coverage: float = Field(0.5, gt=0, lt=1, description="Part of the surface darker than half (speckle only).")
+    floor: float = Field(0.12, ge=0, lt=1, description="Darkest reflectance relative to the unpainted surface.")
+
+
+class RigidSpecimen(_Section):
+    """A rigid shape that moves and turns with the crosshead: plane, sphere (cap) or stepped block."""
+
+    kind: Literal["rigid"] = "rigid"
+    shape: Literal["plane", "sphere", "stepped"] = "plane"
+    half_width_mm: float = Field(60.0, gt=0, description="The specimen reaches from -this to +this along X.")
+    half_height_mm: float = Field(50.0, gt=0, description="The specimen reaches from -this to +this along Y.")
+    height_mm: float = Field(0.0, description="Height of the plane at the origin, of the apex, of the lowest floor.")
+    angle_degree: float = Field(0.0, gt=-80, lt=80, description="Plane: raises the +x side towards the camera.")
+    angle_y_degree: float = Field(0.0, gt=-80, lt=80, description="Plane: raises the +y side towards the camera.")
+    radius_mm: float = Field(120.0, gt=0, description="Sphere: radius.")
+    step_mm: float = Field(4.0, description="Stepped: height of the block; its upper part is half as high again.")
+    transition_mm: float = Field(0.25, gt=0, description="Stepped: length scale of the walls (tanh).")
+    block_half_width_mm: float = Field(12.0, gt=0, description="Stepped: half width of the block along X.")
+    step_y_mm: float = Field(4.0, description="Stepped: Y above which the surface is half a block higher.")
+    translation: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="Translation per crosshead travel.")
+    rotation_degree_per_mm: tuple[float, float, float] = Field(
+        (0.0, 0.0, 0.0), description="Rotation vector about the origin per crosshead travel."
+    )
+
+
+class PlateSpecimen(_Section):
+    """A flat plate under tension along y, slightly bowed and slanted in its grips."""
+
+    kind: Literal["plate"] = "plate"
+    half_width_mm: float = Field(30.0, gt=0)
+    half_height_mm: float = Field(50.0, gt=0)
+    gauge_length_mm: float = Field(100.0, gt=0, description="Distance of the grips; the lower one stands still.")
+    poisson: float = Field(0.33, ge=0, le=0.5)
+    bow_mm: float = Field(0.4, description="Height of the bow at the centre before loading.")
+    straightening_mm: float = Field(0.4, gt=0, description="Crosshead travel that halves the bow.")
+    angle_degree: float = Field(0.5, gt=-45, lt=45, description="Slant that raises the +x side.")
+    angle_y_degree: float = Field(-0.3, gt=-45, lt=45, description="Slant that raises the +y side.")
+    twist_per_mm: float = Field(0.008, description="Relative growth of the bow along x.")
+
+
+class SkinSpecimen(_Section):
+    """Skin of a forearm, pulled along +y by a pad; the strain band lies between the pads."""
+
+    kind: Literal["skin"] = "skin"
+    half_width_mm: float = Field(9.0, gt=0)
+    half_height_mm: float = Field(8.0, gt=0)
+    radius_x_mm: float = Field(45.0, gt=0, description="Radius of curvature along x.")
+    radius_y_mm: float = Field(220.0, gt=0, description="Radius of curvature along y.")
+    band_mm: float = Field(5.0, gt=0, description="Length scale of the strain band: strain is travel / (2 band).")
+    pad_reach_mm: float = Field(10.0, gt=0, description="Gaussian reach of the pad's pull along x.")
+    poisson: float = Field(0.35, ge=0, le=1)
+    device_angle_degree: float = Field(30.0, ge=-90, le=90, description="Device against the skin's stiff direction.")
+    anisotropy: float = Field(0.25, ge=0, lt=1, description="Strength of the asymmetry that the angle brings.")
+    dip: float = Field(0.12, description="Sinking of the band per crosshead travel.")
+    relief_um: float = Field(15.0, ge=0, description="Depth of the main furrows.")
+
+
+class LeatherSpecimen(_Section):
+    """Folded leather held by a screw: the fold flattens and the piece turns about the screw."""
+
+    kind: Literal["leather"] = "leather"
+    half_width_mm: float = Field(30.0, gt=0)
+    half_height_mm: float = Field(40.0, gt=0)
+    fold_mm: float = Field(5.0, description="Height of the fold before loading, far from the screw.")
+    fold_width_mm: float = Field(8.0, gt=0, description="Length scale a of the fold A sech^2(s/a).")
+    fold_direction_degree: float = Field(65.0, description="Direction along the fold against +x.")
+    fold_x_mm: float = Field(2.0, description="A point on the crest.")
+    fold_y_mm: float = Field(0.0, description="A point on the crest.")
+    screw_x_mm: float = Field(-12.0)
+    screw_y_mm: float = Field(-18.0)
+    growth_mm: float = Field(14.0, gt=0, description="Length scale over which the fold grows away from the screw.")
+    flattening_mm: float = Field(6.0, gt=0, description="Crosshead travel that flattens the fold by a factor e.")
+    rotation_degree_per_mm: float = Field(0.35, description="In-plane rotation about the screw, per travel.")
+    stretch_per_mm: float = Field(0.002, description="Strain along y per travel.")
+    curvature_per_m: float = Field(0.8, description="Curvature of the whole piece before loading.")
+    lift_per_m_per_mm: float = Field(-0.1, description="Change of that curvature per travel.")
+
+
+class LoadFrameConfiguration(_Section):
+    """The testing machine that stretches the specimen."""
+
+    maximum_position_mm: float = Field(1.0, gt=0, description="Crosshead travel from the unloaded specimen at 0.")
+    maximum_speed_mm_per_s: float = Field(5.0, gt=0)
+    acceleration_mm_per_s2: float = Field(10.0, gt=0, description="Ramp of the speed at start and stop.")
+    stiffness_n_per_mm: float = Field(2000.0, gt=0, description="Force per travel of fast loading.")
+    relaxation: float = Field(0.02, ge=0, lt=1, description="Part of the force lost in a long hold.")
+    relaxation_time_s: float = Field(5.0, gt=0)
+    play_mm: float = Field(0.0, ge=0, description="Dead travel of the grips before force builds up or falls.")
+    force_noise_n: float = Field(0.5, ge=0, description="Standard deviation of the force reading.")
+
+
+Specimen = Annotated[
+    RigidSpecimen | PlateSpecimen | SkinSpecimen | LeatherSpecimen,
+    Field(discriminator="kind"),
+]
+
+
+class VirtualRigConfiguration(_Section):
+    """Everything the twin needs; a rig is reproducible from this and nothing else."""
+
+    seed: int = Field(0, ge=0, lt=2**32, description="Seed of texture and noise.")
+    camera: CameraConfiguration = CameraConfiguration()
+    projector: ProjectorConfiguration = ProjectorConfiguration()
+    sensor: SensorConfiguration = SensorConfiguration()
+    texture: TextureConfiguration = TextureConfiguration()
+    specimen: Specimen = PlateSpecimen()
+    load_frame: LoadFrameConfiguration = LoadFrameConfiguration()
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Self:
+        """Build from nested dictionaries, such as the ``virtual_rig`` section of a rig file.
+
+        Parameters
+        ----------
+        values
+            The fields of this class. With ``preset`` (and optionally ``size`` and ``ideal``) the other entries change
+            single values of that preset, e.g. ``{"preset": "plate", "size": "small", "sensor": {"bits": 12}}``.
+
+        Raises
+        ------
+        VirtualRigConfigurationError
+            An entry is unknown, missing or out of range; the message names it.
+        """
+        entries = copy.deepcopy(dict(values))
+        if "preset" in entries:
+            base = preset(entries.pop("preset"), size=entries.pop("size", "full"), ideal=entries.pop("ideal", False))
+            entries = _merge(base, entries)
+        try:
+            return cls.model_validate(entries)
+        except ValidationError as error:
+            raise VirtualRigConfigurationError(
+                "virtual_rig: " + "; ".join(_sentence(problem) for problem in error.errors())
+            ) from error
+
+
+def _sentence(problem: Mapping[str, Any]) -> str:
+    return f"{'.'.join(str(part) for part in problem['loc'])}: {problem['msg']} (got {problem['input']!r})"
+
+
+def _merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Entries of `base` with single values changed; a section of another kind replaces the whole section."""
+    merged = dict(base)
+    for name, value in changes.items():
+        section = merged.get(name)
+        same_kind = isinstance(section, dict) and isinstance(value, Mapping)
+        if same_kind and value.get("kind", section.get("kind")) == section.get("kind"):
+            value = _merge(section, value)
+        merged[name] = value
+    return merged
+
+
+# Small errors of setting up, as a real rig has them.
+_MISALIGNED_CAMERA = {"tilt_x_degree": 0.12, "tilt_y_degree": -0.08}
+_MISALIGNED_PROJECTOR = {"roll_degree": 0.7, "pitch_degree": 0.2, "yaw_degree": -0.15}
+
+# The macro rig sees 13.06 mm x 9.79 mm: the paper's 10 x 13 mm with the long side along the image rows.
+_MACRO_CAMERA = {"distance_mm": 125.0, "pixel_size_um": 10.2}
+_MACRO_PROJECTOR = {"x_mm": 55.0, "z_mm": 118.0, "focal_length_px": 6500.0}
+
+_PRESETS: dict[str, dict[str, Any]] = {
+    "plate": {
+        "specimen": {"kind": "plate"},
+        "load_frame": {"maximum_position_mm": 1.0, "stiffness_n_per_mm": 2000.0, "play_mm": 0.02},
+    },
+    "skin": {
+        "camera": _MACRO_CAMERA,
+        "projector": _MACRO_PROJECTOR,
+        "texture": {"kind": "furrows", "feature_um": 45.0, "floor": 0.2},
+        "specimen": {"kind": "skin"},
+        "load_frame": {
+            "maximum_position_mm": 1.0,
+            "maximum_speed_mm_per_s": 1.0,
+            "stiffness_n_per_mm": 0.8,
+            "relaxation": 0.25,
+            "relaxation_time_s": 3.0,
+            "force_noise_n": 0.003,
+        },
+    },
+    "leather": {
+        "texture": {"kind": "grain", "feature_um": 190.0, "floor": 0.15},
+        "specimen": {"kind": "leather"},
+        "load_frame": {
+            "maximum_position_mm": 6.0,
+            "stiffness_n_per_mm": 15.0,
+            "relaxation": 0.12,
+            "play_mm": 0.1,
+            "force_noise_n": 0.05,
+        },
+    },
+    "rigid": {
+        "specimen": {"kind": "rigid", "translation": (1.0, 0.0, 0.0)},
+        "load_frame": {"maximum_position_mm": 5.0},
+    },
+    "plane": {"specimen": {"kind": "rigid", "angle_degree": 10.0}},
+    "sphere": {"specimen": {"kind": "rigid", "shape": "sphere", "height_mm": 4.0}},
+    "stepped": {"specimen": {"kind": "rigid", "shape": "stepped", "height_mm": -2.0}},
+}
+
+
+def preset(name: str, *, size: str = "full", ideal: bool = False) -> dict[str, Any]:
+    """Entries of a ready rig for `VirtualRigConfiguration.from_dict`.
+
+    Parameters
+    ----------
+    name
+        ``plate``, ``skin``, ``leather`` (the specimens of the paper), ``rigid`` (a plane that moves along x),
+        ``plane`` (at 10 degrees), ``sphere`` or ``stepped``.
+    size
+        ``full``: camera 1280x960, projector 800x600; ``small``: a quarter; ``tiny``: an eighth along each side, on the
+        same field, with a texture that is as many pixels coarse.
+    ideal
+        A perfectly aligned rig without noise.
+
+    Raises
+    ------
+    VirtualRigConfigurationError
+        The name or the size is unknown.
+    """
+    if name not in _PRESETS:
+        raise VirtualRigConfigurationError(
+            f"virtual_rig: preset {name!r} is unknown; choose from {', '.join(_PRESETS)}"
+        )
+    if size not in SIZES:
+        raise VirtualRigConfigurationError(f"virtual_rig: size {size!r} is unknown; choose from {', '.join(SIZES)}")
+    scale = SIZES[size]
+    sections: dict[str, Any] = copy.deepcopy(_PRESETS[name])
+    camera = {**sections.get("camera", {}), **({} if ideal else _MISALIGNED_CAMERA)}
+    projector = {**sections.get("projector", {}), **({} if ideal else _MISALIGNED_PROJECTOR)}
+    texture = sections.get("texture", {})
+    if not ideal:
+        projector["y_mm"] = 1.5 * projector.get("x_mm", 180.0) / 180.0
+    full_camera, full_projector = CameraConfiguration(**camera), ProjectorConfiguration(**projector)
+    camera["columns"] = full_camera.columns // scale
+    camera["rows"] = full_camera.rows // scale
+    camera["pixel_size_um"] = full_camera.pixel_size_um * scale
+    projector["columns"] = full_projector.columns // scale
+    projector["rows"] = full_projector.rows // scale
+    projector["focal_length_px"] = full_projector.focal_length_px / scale
+    texture["feature_um"] = TextureConfiguration(**texture).feature_um * scale
+    sections |= {"camera": camera, "projector": projector, "texture": texture}
+    if ideal:
+        sections["sensor"] = {"read_noise_grey_level": 0.0, "shot_noise_grey_level": 0.0}
+    return sections
+
+
+def slope(degrees: float) -> float:
+    """Slope of a surface at an angle in degree."""
+    return math.tan(math.radians(degrees))

@@ -1,0 +1,112 @@
+"""Light of the projector on the surface, and what the camera's sensor makes of it."""
+
+# mypy: allow-untyped-defs, allow-incomplete-defs
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import prange
+
+from fringedic.virtual_rig.tracing import compiled, in_parallel
+
+
+def taps_of(defocus: float) -> int:
+    """Number of projector pixels whose point spread reaches a point; the rest adds less than 3e-7."""
+    return 2 * math.ceil(5.0 * defocus) + 1
+
+
+@compiled
+def _spread(distance, defocus):
+    """Point spread of one projector pixel: its square of width 1 convolved with a Gaussian."""
+    k = math.sqrt(0.5) / defocus
+    return 0.5 * (math.erf((distance + 0.5) * k) - math.erf((distance - 0.5) * k))
+
+
+@in_parallel
+def spread_weights(coordinate, defocus, size, first, weights):
+    """Weights of the projector pixels ``first, first + 1, ...`` at every point; zero beyond the image's edges."""
+    reach = weights.shape[2] // 2
+    for i in prange(coordinate.shape[0]):
+        for j in range(coordinate.shape[1]):
+            centre = coordinate[i, j]
+            if not -reach - 1.0 < centre < size + reach:
+                first[i, j] = 0
+                weights[i, j, :] = 0.0
+                continue
+            first[i, j] = round(centre) - reach
+            for k in range(weights.shape[2]):
+                n = first[i, j] + k
+                weights[i, j, k] = _spread(centre - n, defocus) if 0 <= n < size else 0.0
+
+
+@in_parallel
+def edge_weight(coordinate, defocus, size, weight):
+    """Sum of the weights of all ``size`` projector pixels: 1 inside the image, falling to 0 across its edges."""
+    k = math.sqrt(0.5) / defocus
+    for i in prange(coordinate.shape[0]):
+        for j in range(coordinate.shape[1]):
+            c = coordinate[i, j]
+            weight[i, j] = 0.5 * (math.erf((c + 0.5) * k) - math.erf((c + 0.5 - size) * k))
+
+
+@in_parallel
+def light_along(line, first, weights, edge, light):
+    """Light of an image that changes along one direction only: one sum over its `line` of values."""
+    last = line.shape[0] - 1
+    for i in prange(light.shape[0]):
+        for j in range(light.shape[1]):
+            total = 0.0
+            for k in range(weights.shape[2]):
+                total += weights[i, j, k] * line[min(max(first[i, j] + k, 0), last)]
+            light[i, j] = total * edge[i, j]
+
+
+@in_parallel
+def light_of(image, first_column, column_weights, first_row, row_weights, light):
+    """Light of any image: the separable sum over all pixels whose point spread reaches the point."""
+    last_row = image.shape[0] - 1
+    last_column = image.shape[1] - 1
+    for i in prange(light.shape[0]):
+        for j in range(light.shape[1]):
+            total = 0.0
+            for m in range(row_weights.shape[2]):
+                if row_weights[i, j, m] == 0.0:
+                    continue
+                n = min(max(first_row[i, j] + m, 0), last_row)
+                line = 0.0
+                for k in range(column_weights.shape[2]):
+                    line += column_weights[i, j, k] * image[n, min(max(first_column[i, j] + k, 0), last_column)]
+                total += row_weights[i, j, m] * line
+            light[i, j] = total
+
+
+@compiled
+def _mixed(key):
+    """A 64-bit number that looks random, from a counter (the finaliser of splitmix64)."""
+    key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    key = (key ^ (key >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return key ^ (key >> np.uint64(31))
+
+
+@compiled
+def _normal(stream, counter):
+    """Standard normal deviate number `counter` of a stream, by Box and Muller; the same on any number of threads."""
+    bits = _mixed(stream + np.uint64(counter) * np.uint64(0x9E3779B97F4A7C15))
+    first = (float(bits >> np.uint64(32)) + 0.5) / 4294967296.0
+    second = float(bits & np.uint64(0xFFFFFFFF)) / 4294967296.0
+    return math.sqrt(-2.0 * math.log(first)) * math.cos(2.0 * math.pi * second)
+
+
+@in_parallel
+def expose_sensor(light, gain, offset, read_variance, shot_variance, full_scale, seed, frame, image):
+    """Grey levels: gain * light + offset, with noise, rounded and cut at 0 and full scale."""
+    stream = _mixed(_mixed(np.uint64(seed) + np.uint64(0x9E3779B97F4A7C15)) ^ np.uint64(frame))
+    noisy = read_variance > 0.0 or shot_variance > 0.0
+    for i in prange(light.shape[0]):
+        for j in range(light.shape[1]):
+            level = gain[i, j] * light[i, j] + offset[i, j]
+            if noisy:
+                sigma = math.sqrt(read_variance + shot_variance * level)
+                level += sigma * _normal(stream, i * light.shape[1] + j)
+            image[i, j] = min(max(round(level), 0), full_scale)

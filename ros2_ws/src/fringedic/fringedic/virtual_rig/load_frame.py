@@ -1,0 +1,149 @@
+"""The testing machine of the twin: a crosshead with speed ramps, and a specimen that relaxes and has play in its grips."""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+
+from fringedic.errors import CrossheadRangeError
+from fringedic.virtual_rig.configuration import LoadFrameConfiguration
+
+
+class LoadMode(IntEnum):
+    """What the machine is doing; the numbers of fringedic_msgs/LoadState."""
+
+    UNKNOWN = 0
+    IDLE = 1
+    MOVING = 2
+    HOLD = 3
+    FAULT = 4
+
+
+class LoadSample(NamedTuple):
+    """One reading of the machine: force [N], tension positive, and crosshead position [m]."""
+
+    mode: LoadMode
+    force: float
+    position: float
+
+
+class SimulatedLoadFrame:
+    """Testing machine whose time is advanced by its user; it never looks at a clock.
+
+    The force is that of a standard linear solid, ``stiffness * ((1 - relaxation) x + q)`` with q the part that decays
+    with the relaxation time; x is the travel of the specimen's end, which lags behind the crosshead by the play.
+
+    Parameters
+    ----------
+    configuration
+        Ranges, stiffness, relaxation, play and noise.
+    seed
+        Seed of the force noise; the same calls give the same samples.
+    """
+
+    def __init__(self, configuration: LoadFrameConfiguration, seed: int = 0) -> None:
+        self._configuration = configuration
+        self._rng = np.random.default_rng(seed)
+        self._mode = LoadMode.IDLE
+        self._position = 0.0
+        self._speed = 0.0
+        self._target = 0.0
+        self._cruise = 0.0
+        self._travel = 0.0
+        self._relaxing = 0.0
+
+    @property
+    def maximum_position(self) -> float:
+        """Largest crosshead position [m]; the smallest is 0."""
+        return 1e-3 * self._configuration.maximum_position_mm
+
+    @property
+    def maximum_speed(self) -> float:
+        """Largest crosshead speed [m/s]."""
+        return 1e-3 * self._configuration.maximum_speed_mm_per_s
+
+    def move_to(self, position: float, speed: float) -> None:
+        """Start moving to `position` [m] at `speed` [m/s] with the machine's ramps, then hold there.
+
+        Raises
+        ------
+        CrossheadRangeError
+            The position or the speed is outside the machine's range; the machine goes on as before.
+        """
+        if not 0.0 <= position <= self.maximum_position * (1.0 + 1e-9):
+            raise CrossheadRangeError(
+                f"crosshead position {position * 1e3:g} mm is outside 0 to {self.maximum_position * 1e3:g} mm"
+            )
+        if not 0.0 < speed <= self.maximum_speed * (1.0 + 1e-9):
+            raise CrossheadRangeError(
+                f"crosshead speed {speed * 1e3:g} mm/s is outside 0 to {self.maximum_speed * 1e3:g} mm/s"
+            )
+        self._target = position
+        self._cruise = speed
+        self._mode = LoadMode.MOVING
+
+    def hold(self) -> None:
+        """Stop with the machine's ramp and hold."""
+        ramp = 1e-3 * self._configuration.acceleration_mm_per_s2
+        self._target = self._position + math.copysign(self._speed**2 / (2.0 * ramp), self._speed)
+        self._mode = LoadMode.MOVING if self._speed else LoadMode.HOLD
+
+    def advance(self, time_s: float) -> None:
+        """Let `time_s` seconds pass."""
+        if not 0.0 <= time_s < math.inf:
+            raise ValueError(f"time can only advance by a finite number of seconds, not {time_s}")
+        while self._mode is LoadMode.MOVING and time_s > 0.0:
+            time_s -= self._move(time_s)
+        self._pass(time_s, 0.0)
+
+    def sample(self) -> LoadSample:
+        """Read mode, force (with noise) and position."""
+        c = self._configuration
+        force = 1e3 * c.stiffness_n_per_mm * ((1.0 - c.relaxation) * self._travel + self._relaxing)
+        return LoadSample(self._mode, force + c.force_noise_n * self._rng.standard_normal(), self._position)
+
+    def _move(self, time_s: float) -> float:
+        """Run the part of the speed profile that comes next, at most `time_s` long; return its duration."""
+        ramp = 1e-3 * self._configuration.acceleration_mm_per_s2
+        distance = self._target - self._position
+        sign = math.copysign(1.0, distance)
+        way, speed = abs(distance), sign * self._speed
+        braking = speed * speed / (2.0 * ramp)
+        if speed < 0.0 or speed > self._cruise * (1.0 + 1e-12) or braking > way * (1.0 + 1e-9):
+            # away from the target, too fast or past the point of braking: slow down first
+            goal = 0.0 if speed < 0.0 or braking > way * (1.0 + 1e-9) else self._cruise
+            duration, change = abs(speed - goal) / ramp, math.copysign(ramp, goal - speed)
+        elif way - braking > 1e-9 * way + 1e-15:
+            # speed up until it is time to brake, or cruise until then
+            peak = min(self._cruise, math.sqrt(ramp * way + 0.5 * speed * speed))
+            if speed < peak * (1.0 - 1e-12):
+                duration, change = (peak - speed) / ramp, ramp
+            else:
+                duration, change = (way - braking) / speed, 0.0
+        else:
+            duration, change = speed / ramp, -ramp
+        last = duration <= time_s
+        step = min(duration, time_s)
+        travelled = speed * step + 0.5 * change * step * step
+        self._speed = sign * (speed + change * step)
+        position = self._position + sign * travelled
+        if last and abs(position - self._target) < 1e-9 and abs(self._speed) < 1e-9:
+            position, self._speed, self._mode = self._target, 0.0, LoadMode.HOLD
+        self._pass(step, position - self._position)
+        self._position = position
+        return step
+
+    def _pass(self, time_s: float, travel: float) -> None:
+        """Strain and relax the specimen while the crosshead goes on by `travel` in `time_s`."""
+        c = self._configuration
+        position = self._position + travel
+        end = min(max(self._travel, position - 1e-3 * c.play_mm), position)
+        ratio = time_s / c.relaxation_time_s
+        decay = math.exp(-ratio)
+        # constant rate over the interval: the mean of the decay weighs the new strain
+        mean = -math.expm1(-ratio) / ratio if ratio > 0.0 else 1.0
+        self._relaxing = self._relaxing * decay + c.relaxation * (end - self._travel) * mean
+        self._travel = end

@@ -1,0 +1,355 @@
+"""The digital twin: what a real rig's camera would see, with the truth behind it."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from os import PathLike
+from typing import Any, Self
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from fringedic.errors import CrossheadRangeError, ShapeMismatchError
+from fringedic.virtual_rig import exposure, tracing
+from fringedic.virtual_rig.configuration import VirtualRigConfiguration, preset
+from fringedic.virtual_rig.optics import camera_optics, camera_pin_hole, projector_optics, projector_pin_hole
+from fringedic.virtual_rig.specimens import make_surface
+from fringedic.virtual_rig.texture import make_texture
+
+Map = NDArray[np.float64]
+
+_KEPT_VIEWS = 2
+# A pixel whose material point projects farther than this from its centre counts as not found [px].
+_TOLERANCE = 1e-6
+# The whole specimen is looked at on a grid of this many points along each side for parts that may throw shadows.
+_SHADOW_GRID = 400
+
+
+@dataclass
+class View:
+    """Everything that does not change from frame to frame at one crosshead position; NaN beside the specimen.
+
+    Attributes
+    ----------
+    X, Y : (row, column)
+        Material coordinates of the point that each pixel sees [m].
+    x, y, z : (row, column)
+        Where that point is [m].
+    residual : (row, column)
+        Distance between the pixel and the projection of its point [px].
+    projector_column, projector_row : (row, column)
+        Projector pixel coordinates of the point.
+    lit : (row, column) bool
+        The projector sees the point.
+    gain, offset : (row, column) float32
+        Grey level = gain * projected light + offset.
+    """
+
+    X: Map
+    Y: Map
+    x: Map
+    y: Map
+    z: Map
+    residual: Map
+    projector_column: Map
+    projector_row: Map
+    lit: NDArray[np.bool_]
+    gain: NDArray[np.float32]
+    offset: NDArray[np.float32]
+    _weights: dict[str, tuple[NDArray[np.int32], NDArray[np.float32]]] = field(default_factory=dict)
+
+    def weights(self, axis: str, size: int, defocus: float) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+        """First projector column (or row) that lights each pixel, and the weights from there on; kept once made."""
+        if axis not in self._weights:
+            coordinate = self.projector_column if axis == "column" else self.projector_row
+            first = np.empty(coordinate.shape, np.int32)
+            weights = np.empty((*coordinate.shape, exposure.taps_of(defocus)), np.float32)
+            exposure.spread_weights(coordinate, defocus, size, first, weights)
+            self._weights[axis] = first, weights
+        return self._weights[axis]
+
+
+class VirtualRig:
+    """Digital twin of projector, camera and specimen.
+
+    Every camera pixel looks at exactly one material point, found by solving the projection of the deformed surface;
+    light and texture are analytic functions at that point. The crosshead position [m] is the load; the specimen is
+    undeformed at 0.
+
+    Parameters
+    ----------
+    configuration
+        The rig; see `VirtualRigConfiguration` and `from_preset`.
+
+    Examples
+    --------
+    >>> rig = VirtualRig.from_preset("plate", size="tiny")
+    >>> image = rig.expose(np.full(rig.projector_shape, 250, np.uint8), position=0.0, frame=0)
+    >>> image.shape, image.dtype
+    ((120, 160), dtype('uint8'))
+    """
+
+    def __init__(self, configuration: VirtualRigConfiguration) -> None:
+        self.configuration = configuration
+        self._camera = camera_pin_hole(configuration.camera)
+        self._projector = projector_pin_hole(configuration.projector)
+        self._surface = make_surface(configuration.specimen, configuration.texture, configuration.seed)
+        self._texture = make_texture(configuration.texture, self._surface.outline, configuration.seed)
+        self._views: OrderedDict[float, View] = OrderedDict()
+
+    @classmethod
+    def from_preset(cls, name: str, *, size: str = "full", ideal: bool = False, seed: int = 0) -> Self:
+        """A ready rig: `plate`, `skin`, `leather`, `rigid`, `plane`, `sphere` or `stepped`.
+
+        `size` is `full` (1280x960, 800x600), `small` or `tiny`; `ideal` rigs are aligned and without noise.
+        """
+        return cls(VirtualRigConfiguration.from_dict({**preset(name, size=size, ideal=ideal), "seed": seed}))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the camera's image."""
+        return self.configuration.camera.rows, self.configuration.camera.columns
+
+    @property
+    def projector_shape(self) -> tuple[int, int]:
+        """Rows and columns of the projector's image."""
+        return self.configuration.projector.rows, self.configuration.projector.columns
+
+    @property
+    def maximum_position(self) -> float:
+        """Largest crosshead position [m]."""
+        return 1e-3 * self.configuration.load_frame.maximum_position_mm
+
+    def optics(self) -> dict[str, Any]:
+        """The true optical parameters [m, rad, px] under the names of fringedic_msgs/RigCalibration."""
+        return {
+            "model": "general",
+            **camera_optics(self.configuration.camera),
+            **projector_optics(self.configuration.projector),
+        }
+
+    def expose(self, projector_image: NDArray[np.uint8], position: float, frame: int) -> NDArray[np.unsignedinteger]:
+        """Take one picture.
+
+        Parameters
+        ----------
+        projector_image : uint8 (projector rows, projector columns)
+            What the projector shows.
+        position
+            Crosshead position [m].
+        frame
+            Running number of the frame; with the rig's seed it decides the noise.
+
+        Returns
+        -------
+        uint8 (rows, columns), or uint16 for cameras of more than 8 bits.
+
+        Raises
+        ------
+        ShapeMismatchError
+            The image is not as large as the projector's.
+        CrossheadRangeError
+            The position is outside the specimen's range.
+        """
+        if projector_image.shape != self.projector_shape or projector_image.dtype != np.uint8:
+            raise ShapeMismatchError(
+                f"the projector shows uint8 images of {self.projector_shape} rows and columns, "
+                f"not {projector_image.dtype} of {projector_image.shape}"
+            )
+        view = self.view(position)
+        sensor = self.configuration.sensor
+        image = np.empty(self.shape, np.uint8 if sensor.bits == 8 else np.uint16)
+        exposure.expose_sensor(
+            self._light(view, projector_image),
+            view.gain,
+            view.offset,
+            sensor.read_noise_grey_level**2,
+            sensor.shot_noise_grey_level,
+            2**sensor.bits - 1,
+            self.configuration.seed,
+            frame,
+            image,
+        )
+        return image
+
+    def _light(self, view: View, projector_image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        projector = self.configuration.projector
+        defocus = projector.defocus_px
+        response = (np.linspace(0.0, 1.0, 256) ** projector.gamma).astype(np.float32)
+        light = np.empty(self.shape, np.float32)
+        edge = np.empty(self.shape, np.float32)
+        if (projector_image == projector_image[:1]).all():
+            exposure.edge_weight(view.projector_row, defocus, projector.rows, edge)
+            weights = view.weights("column", projector.columns, defocus)
+            exposure.light_along(response[projector_image[0]], *weights, edge, light)
+        elif (projector_image == projector_image[:, :1]).all():
+            exposure.edge_weight(view.projector_column, defocus, projector.columns, edge)
+            weights = view.weights("row", projector.rows, defocus)
+            exposure.light_along(response[projector_image[:, 0]], *weights, edge, light)
+        else:
+            columns = view.weights("column", projector.columns, defocus)
+            rows = view.weights("row", projector.rows, defocus)
+            exposure.light_of(response[projector_image], *columns, *rows, light)
+        return light
+
+    def view(self, position: float) -> View:
+        """Solve the geometry at a crosshead position [m]; the latest two are kept."""
+        if not 0.0 <= position <= self.maximum_position * (1.0 + 1e-9):
+            raise CrossheadRangeError(
+                f"crosshead position {position * 1e3:g} mm is outside 0 to {self.maximum_position * 1e3:g} mm"
+            )
+        if position not in self._views:
+            self._views[position] = self._solve(position)
+            if len(self._views) > _KEPT_VIEWS:
+                self._views.popitem(last=False)
+        self._views.move_to_end(position)
+        return self._views[position]
+
+    def _points(self, position: float, X: Map, Y: Map) -> tuple[Map, Map, Map]:
+        x, y, z = np.empty_like(X), np.empty_like(X), np.empty_like(X)
+        surface = self._surface
+        tracing.surface_points(surface.kind, surface.coefficients, surface.relief, position, X, Y, x, y, z)
+        return x, y, z
+
+    def _seen(self, x: Map, y: Map, z: Map) -> tuple[Map, Map]:
+        column, row = np.empty_like(x), np.empty_like(x)
+        tracing.project_points(self._camera, x, y, z, column, row)
+        return column, row
+
+    def _light_geometry(self, position: float, X: Map, Y: Map) -> tuple[Map, Map, Map, Map]:
+        maps = np.empty_like(X), np.empty_like(X), np.empty_like(X), np.empty_like(X)
+        s = self._surface
+        tracing.light_geometry(self._camera, self._projector, s.kind, s.coefficients, s.relief, position, X, Y, *maps)
+        return maps
+
+    def _solve(self, position: float) -> View:
+        surface = self._surface
+        X, Y, residual = np.empty(self.shape), np.empty(self.shape), np.empty(self.shape)
+        tracing.solve_pixels(self._camera, surface.kind, surface.coefficients, surface.relief, position, X, Y, residual)
+        left, right, low, high = surface.outline
+        beside = ~((residual < _TOLERANCE) & (left <= X) & (right >= X) & (low <= Y) & (high >= Y))
+        X[beside] = Y[beside] = np.nan
+        column, row, irradiance, facing = self._light_geometry(position, X, Y)
+        x, y, z = self._points(position, X, Y)
+        hidden = ~(facing > 0.0)
+        for values in (X, Y, x, y, z, column, row, irradiance, residual):
+            values[hidden] = np.nan
+        self._cast_shadows(position, X, Y, irradiance)
+        lit = irradiance > 0.0
+
+        texture = np.empty(self.shape)
+        tracing.reflectance(self._texture, self.configuration.texture.floor, X, Y, texture)
+        sensor = self.configuration.sensor
+        full_scale = 2**sensor.bits - 1
+        white = full_scale * sensor.white_level * texture
+        gain = np.where(lit, white * irradiance, 0.0)
+        offset = np.where(hidden, full_scale * sensor.background, white * sensor.ambient_light)
+        return View(X, Y, x, y, z, residual, column, row, lit, gain.astype(np.float32), offset.astype(np.float32))
+
+    def _cast_shadows(self, position: float, X: Map, Y: Map, irradiance: Map) -> None:
+        """Take the projector's light from points behind other parts of the specimen.
+
+        A light path can only meet the surface again beyond a part that turns its back to the projector, so nothing is
+        to be done where no part does.
+        """
+        left, right, low, high = self._surface.outline
+        grid_x, grid_y = np.meshgrid(np.linspace(left, right, _SHADOW_GRID), np.linspace(low, high, _SHADOW_GRID))
+        averted = self._light_geometry(position, grid_x, grid_y)[2] <= 0.0
+        if not averted.any() and not (irradiance <= 0.0).any():
+            return
+        top = max(
+            float(self._points(position, grid_x, grid_y)[2].max()), float(np.nanmax(self._points(position, X, Y)[2]))
+        )
+        s = self._surface
+        tracing.cast_shadows(
+            self._projector,
+            s.kind,
+            s.coefficients,
+            s.relief,
+            position,
+            s.outline,
+            top,
+            1e-6 * self.configuration.camera.pixel_size_um,
+            X,
+            Y,
+            irradiance,
+        )
+
+    def truth(self, position: float, reference_position: float = 0.0) -> xr.Dataset:
+        """Exact shape and displacement of the points that the reference image's pixels see.
+
+        Parameters
+        ----------
+        position
+            Crosshead position [m] of the deformed state.
+        reference_position
+            Crosshead position [m] of the reference image.
+
+        Returns
+        -------
+        xarray.Dataset
+            On (row, column) of the reference image, NaN beside the specimen: ``x``, ``y``, ``z`` [m] the reference
+            shape; ``u``, ``v``, ``w`` [m] the displacement; ``displacement_x``, ``displacement_y`` [px] that in the
+            image, ``deformed(p + d(p)) = reference(p)``; ``valid``: the point is seen in both images; ``lit``: the
+            projector reaches it in the reference state. On the pixels of the deformed image itself: ``z_deformed``
+            [m], ``projector_column`` [px] and ``lit_deformed``.
+        """
+        reference, deformed = self.view(reference_position), self.view(position)
+        rows, columns = self.shape
+        x, y, z = self._points(position, reference.X, reference.Y)
+        column, row = self._seen(reference.x, reference.y, reference.z)
+        seen_column, seen_row = self._seen(x, y, z)
+        within_columns = (seen_column > -_TOLERANCE) & (seen_column < columns - 1 + _TOLERANCE)
+        within_rows = (seen_row > -_TOLERANCE) & (seen_row < rows - 1 + _TOLERANCE)
+
+        def image(values: NDArray[Any], units: str, description: str) -> tuple[tuple[str, str], NDArray[Any], dict]:
+            return ("row", "column"), values, {"units": units, "long_name": description}
+
+        return xr.Dataset(
+            {
+                "x": image(reference.x, "m", "reference position to the right"),
+                "y": image(reference.y, "m", "reference position upwards"),
+                "z": image(reference.z, "m", "reference height towards the camera"),
+                "u": image(x - reference.x, "m", "displacement to the right"),
+                "v": image(y - reference.y, "m", "displacement upwards"),
+                "w": image(z - reference.z, "m", "displacement towards the camera"),
+                "displacement_x": image(seen_column - column, "px", "displacement along columns"),
+                "displacement_y": image(seen_row - row, "px", "displacement along rows, downwards"),
+                "valid": image(within_columns & within_rows, "1", "point seen in both images"),
+                "lit": image(reference.lit, "1", "lit by the projector in the reference state"),
+                "z_deformed": image(deformed.z, "m", "height at the deformed image's own pixels"),
+                "projector_column": image(
+                    deformed.projector_column, "px", "projector column at the deformed image's own pixels"
+                ),
+                "lit_deformed": image(deformed.lit, "1", "lit by the projector at the deformed image's own pixels"),
+            },
+            coords={"row": np.arange(rows), "column": np.arange(columns)},
+            attrs={"position_m": position, "reference_position_m": reference_position},
+        )
+
+    def save_truth(self, path: str | PathLike[str], positions: list[float], reference_position: float = 0.0) -> None:
+        """Write the truth of several load steps as NetCDF, float32, with the dimension ``step``.
+
+        Parameters
+        ----------
+        path
+            File to write.
+        positions
+            Crosshead position [m] of each step.
+        reference_position
+            Crosshead position [m] of the reference image.
+        """
+        steps = []
+        for position in positions:
+            step = self.truth(position, reference_position)
+            steps.append(step.map(lambda values: values.astype(np.float32) if values.dtype == float else values))
+        of_reference = ["x", "y", "z", "lit"]
+        truth = xr.concat([step.drop_vars(of_reference) for step in steps], dim="step", combine_attrs="drop")
+        truth = truth.merge(steps[0][of_reference])
+        truth["position"] = ("step", np.asarray(positions), {"units": "m", "long_name": "crosshead position"})
+        truth.attrs = {"reference_position_m": reference_position}
+        truth.to_netcdf(
+            path, engine="h5netcdf", encoding={name: {"zlib": True, "complevel": 1} for name in truth.data_vars}
+        )

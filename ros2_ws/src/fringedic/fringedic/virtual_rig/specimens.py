@@ -1,0 +1,125 @@
+"""Specimens of the twin: the numbers that the compiled surface functions take, in SI units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fringedic.virtual_rig import tracing
+from fringedic.virtual_rig.configuration import (
+    LeatherSpecimen,
+    PlateSpecimen,
+    RigidSpecimen,
+    SkinSpecimen,
+    TextureConfiguration,
+    slope,
+)
+from fringedic.virtual_rig.texture import furrow_strokes, stroke_field
+
+_MM = 1e-3
+_SHAPES = {"plane": tracing.PLANE, "sphere": tracing.SPHERE, "stepped": tracing.STEPPED}
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A specimen as the ray tracing takes it.
+
+    Attributes
+    ----------
+    kind, coefficients
+        Which surface function, and its numbers.
+    outline
+        First and last X, first and last Y [m] of the specimen in material coordinates.
+    relief
+        Strokes of height [m] added to z.
+    """
+
+    kind: int
+    coefficients: NDArray[np.float64]
+    outline: NDArray[np.float64]
+    relief: tracing.StrokeField
+
+
+def make_surface(
+    specimen: RigidSpecimen | PlateSpecimen | SkinSpecimen | LeatherSpecimen, texture: TextureConfiguration, seed: int
+) -> Surface:
+    """Turn the description of a specimen into numbers; the relief of skin follows the furrows of its texture."""
+    half_width, half_height = specimen.half_width_mm * _MM, specimen.half_height_mm * _MM
+    outline = np.array([-half_width, half_width, -half_height, half_height])
+    strokes = np.empty((0, 6))
+    match specimen:
+        case RigidSpecimen():
+            kind, coefficients = tracing.RIGID, _rigid(specimen)
+        case PlateSpecimen():
+            kind, coefficients = tracing.PLATE, _plate(specimen)
+        case SkinSpecimen():
+            kind, coefficients = tracing.SKIN, _skin(specimen)
+            strokes = furrow_strokes(outline, 1e-6 * texture.feature_um, seed)
+            strokes[:, 5] *= -1e-6 * specimen.relief_um
+        case LeatherSpecimen():
+            kind, coefficients = tracing.LEATHER, _leather(specimen)
+    return Surface(kind, np.array(coefficients, dtype=np.float64), outline, stroke_field(strokes, outline))
+
+
+def _rigid(s: RigidSpecimen) -> list[float]:
+    height = s.height_mm * _MM
+    match s.shape:
+        case "plane":
+            shape = [height, slope(s.angle_degree), slope(s.angle_y_degree), 0.0, 0.0]
+        case "sphere":
+            shape = [height, s.radius_mm * _MM, 0.0, 0.0, 0.0]
+        case "stepped":
+            lengths = (s.step_mm, s.transition_mm, s.block_half_width_mm, s.step_y_mm)
+            shape = [height, *(length * _MM for length in lengths)]
+    rotation = [math.radians(rate) / _MM for rate in s.rotation_degree_per_mm]
+    return [_SHAPES[s.shape], *shape, *s.translation, *rotation]
+
+
+def _plate(s: PlateSpecimen) -> list[float]:
+    return [
+        s.gauge_length_mm * _MM,
+        s.poisson,
+        s.bow_mm * _MM,
+        s.straightening_mm * _MM,
+        slope(s.angle_degree),
+        slope(s.angle_y_degree),
+        s.twist_per_mm / _MM,
+    ]
+
+
+def _skin(s: SkinSpecimen) -> list[float]:
+    # Pulling at an angle to the stiff direction shears the strain band, symmetrically about 0 and 90 degrees.
+    angle = math.radians(2.0 * s.device_angle_degree)
+    return [
+        s.radius_x_mm * _MM,
+        s.radius_y_mm * _MM,
+        s.band_mm * _MM,
+        s.pad_reach_mm * _MM,
+        s.poisson * (1.0 - s.anisotropy * math.cos(angle)),
+        s.anisotropy * math.sin(angle),
+        0.5 * s.anisotropy * math.sin(angle),
+        s.dip,
+    ]
+
+
+def _leather(s: LeatherSpecimen) -> list[float]:
+    along = math.radians(s.fold_direction_degree)
+    return [
+        s.fold_mm * _MM,
+        s.fold_width_mm * _MM,
+        math.sin(along),
+        -math.cos(along),
+        s.fold_x_mm * _MM,
+        s.fold_y_mm * _MM,
+        s.screw_x_mm * _MM,
+        s.screw_y_mm * _MM,
+        s.growth_mm * _MM,
+        s.flattening_mm * _MM,
+        math.radians(s.rotation_degree_per_mm) / _MM,
+        s.stretch_per_mm / _MM,
+        s.curvature_per_m,
+        s.lift_per_m_per_mm / _MM,
+    ]

@@ -1,0 +1,424 @@
+"""Compiled ray tracing of the digital twin: pin-holes, surfaces, strokes, the exact solution of every camera pixel.
+
+All kernels that call each other live in this one file on purpose: Numba's on-disk cache notices a change of the file
+that defines a kernel, not of the files it calls into.
+
+Lengths are in metre and image coordinates in pixel. A surface is a function of the material coordinates (X, Y) and of
+the crosshead position; (X, Y) is where the material point stands in the undeformed planform.
+"""
+
+# mypy: allow-untyped-defs, allow-incomplete-defs
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+# Elementwise only, so that results do not depend on the number of threads. A search that leaves the surface shall end in
+# NaN and not in an exception: errors as NumPy treats them.
+compiled = njit(cache=True, nogil=True, error_model="numpy")
+in_parallel = njit(cache=True, nogil=True, error_model="numpy", parallel=True)
+
+RIGID, PLATE, SKIN, LEATHER = 0, 1, 2, 3
+PLANE, SPHERE, STEPPED = 0, 1, 2
+
+# A stroke ends where its Gaussian has fallen to exp(-STROKE_REACH / 2) = 8e-7 of its height; this foot is taken off
+# the whole stroke, so that surface and texture stay continuous there.
+STROKE_REACH = 28.0
+STROKE_FOOT = math.exp(-0.5 * STROKE_REACH)
+# Half step of the central differences [m]: truncation and rounding errors are both near 1e-10 for details of 0.2 mm.
+HALF_STEP = 1e-7
+CONVERGED = 1e-9  # [px]
+
+
+class StrokeField(NamedTuple):
+    """Anisotropic Gaussian strokes with a cell list: each cell names the strokes that reach into it.
+
+    Attributes
+    ----------
+    strokes : float64 array (n, 6)
+        Centre X, Y [m]; A, B, C [1/m^2] of A dX^2 + 2 B dX dY + C dY^2; height.
+    start, items : int64 array (cells + 1,), int32 array
+        Compressed lists: the strokes of cell i are ``items[start[i]:start[i + 1]]``.
+    grid : float64 array (3,)
+        Lower corner X, Y and edge length of the cells [m].
+    cells : int64 array (2,)
+        Number of cells along Y and X.
+    """
+
+    strokes: np.ndarray
+    start: np.ndarray
+    items: np.ndarray
+    grid: np.ndarray
+    cells: np.ndarray
+
+
+@compiled
+def stroke_sum(field, X, Y):
+    """Sum of all strokes at (X, Y) and its derivatives along X and Y."""
+    value = 0.0
+    slope_x = 0.0
+    slope_y = 0.0
+    i = math.floor((Y - field.grid[1]) / field.grid[2])
+    j = math.floor((X - field.grid[0]) / field.grid[2])
+    if 0 <= i < field.cells[0] and 0 <= j < field.cells[1]:
+        cell = i * field.cells[1] + j
+        for k in range(field.start[cell], field.start[cell + 1]):
+            n = field.items[k]
+            dx = X - field.strokes[n, 0]
+            dy = Y - field.strokes[n, 1]
+            px = field.strokes[n, 2] * dx + field.strokes[n, 3] * dy
+            py = field.strokes[n, 3] * dx + field.strokes[n, 4] * dy
+            q = px * dx + py * dy
+            if q < STROKE_REACH:
+                g = math.exp(-0.5 * q)
+                height = field.strokes[n, 5]
+                value += height * (g - STROKE_FOOT)
+                slope_x -= height * g * px
+                slope_y -= height * g * py
+    return value, slope_x, slope_y
+
+
+@compiled
+def fill_cells(strokes, extent, grid, cells, start, items):
+    """List the strokes of every cell; with ``items`` empty only count them into ``start[cell + 1]``."""
+    counting = items.size == 0
+    position = start[:-1].copy()
+    for n in range(strokes.shape[0]):
+        first_j = max(math.floor((strokes[n, 0] - extent[n, 0] - grid[0]) / grid[2]), 0)
+        last_j = min(math.floor((strokes[n, 0] + extent[n, 0] - grid[0]) / grid[2]), cells[1] - 1)
+        first_i = max(math.floor((strokes[n, 1] - extent[n, 1] - grid[1]) / grid[2]), 0)
+        last_i = min(math.floor((strokes[n, 1] + extent[n, 1] - grid[1]) / grid[2]), cells[0] - 1)
+        for i in range(first_i, last_i + 1):
+            for j in range(first_j, last_j + 1):
+                cell = i * cells[1] + j
+                if counting:
+                    start[cell + 1] += 1
+                else:
+                    items[position[cell]] = n
+                    position[cell] += 1
+
+
+# Surfaces ------------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def _rise(x):
+    return 0.5 * (1.0 + math.tanh(x))
+
+
+@compiled
+def _rigid_point(c, position, X, Y):
+    """A rigid shape c[0] with parameters c[1:6], moved by c[6:9] and turned by the rotation vector c[9:12] per metre."""
+    if c[0] == PLANE:  # height, slopes along X and Y
+        z = c[1] + c[2] * X + c[3] * Y
+    elif c[0] == SPHERE:  # height of the apex, radius
+        z = c[1] - c[2] + math.sqrt(max(c[2] * c[2] - X * X - Y * Y, 0.0))
+    else:  # base height, block height, transition length, half width of the block, Y of the second step
+        block = _rise((X + c[4]) / c[3]) - _rise((X - c[4]) / c[3])
+        z = c[1] + c[2] * (block + 0.5 * _rise((Y - c[5]) / c[3]))
+    wx, wy, wz = c[9] * position, c[10] * position, c[11] * position
+    angle = math.sqrt(wx * wx + wy * wy + wz * wz)
+    # Rodrigues' formula with sin(a)/a and (1 - cos(a))/a^2 written so that they stay exact at small angles
+    if angle > 1e-12:
+        s = math.sin(angle) / angle
+        half = math.sin(0.5 * angle) / angle
+        v = 2.0 * half * half
+    else:
+        s, v = 1.0, 0.5
+    kx, ky, kz = wy * z - wz * Y, wz * X - wx * z, wx * Y - wy * X
+    kkx, kky, kkz = wy * kz - wz * ky, wz * kx - wx * kz, wx * ky - wy * kx
+    return (
+        X + s * kx + v * kkx + c[6] * position,
+        Y + s * ky + v * kky + c[7] * position,
+        z + s * kz + v * kkz + c[8] * position,
+    )
+
+
+@compiled
+def _plate_point(c, position, X, Y):
+    """Uniform tension along y with Poisson contraction; the bow of the plate straightens as the load grows."""
+    length, poisson, bow, straightening, slope_x, slope_y, twist = c[0], c[1], c[2], c[3], c[4], c[5], c[6]
+    strain = position / length
+    remaining = bow / (1.0 + position / straightening)
+    t = 2.0 * Y / length
+    return (
+        X * (1.0 - poisson * strain),
+        Y + strain * (Y + 0.5 * length),
+        slope_x * X + slope_y * Y + remaining * (1.0 - t * t) * (1.0 + twist * X),
+    )
+
+
+@compiled
+def _skin_point(c, position, X, Y):
+    """Skin pulled along +y by a pad of finite width; anisotropy tilts the strain band and adds a lateral drift."""
+    radius_x, radius_y, length, reach, poisson = c[0], c[1], c[2], c[3], c[4]
+    tilt, drift, dip = c[5], c[6], c[7]
+    t = math.tanh((Y + tilt * X) / length)
+    band = 1.0 - t * t
+    fall = math.exp(-0.5 * X * X / (reach * reach))
+    return (
+        X + position * fall * (drift * band - poisson * 0.5 * band / length * X),
+        Y + position * fall * 0.5 * (1.0 + t),
+        -0.5 * X * X / radius_x - 0.5 * Y * Y / radius_y - position * dip * band * fall,
+    )
+
+
+@compiled
+def _leather_point(c, position, X, Y):
+    """A fold A sech^2(s/a) that fans out from a screw, flattens without stretching (to second order), and turns.
+
+    Flattening releases the arc length int (z'^2 - z'_0^2)/2 ds = 2 (A_0^2 - A^2)/a (t^3/3 - t^5/5), t = tanh(s/a),
+    which pushes both sides of the fold apart.
+    """
+    height, width, across_x, across_y = c[0], c[1], c[2], c[3]
+    fold_x, fold_y, screw_x, screw_y = c[4], c[5], c[6], c[7]
+    growth, flattening, rotation, stretch, curvature, lift = c[8], c[9], c[10], c[11], c[12], c[13]
+    s = (X - fold_x) * across_x + (Y - fold_y) * across_y
+    along = (X - screw_x) * across_y - (Y - screw_y) * across_x
+    t = math.tanh(s / width)
+    initial = height * _rise(along / growth)
+    present = initial * math.exp(-position / flattening)
+    opening = 2.0 * (initial * initial - present * present) / width * t * t * t * (1.0 / 3.0 - t * t / 5.0)
+    x = X + opening * across_x - screw_x
+    y = Y + opening * across_y - screw_y + stretch * position * (Y - screw_y)
+    turn = rotation * position
+    distance = (X - screw_x) * (X - screw_x) + (Y - screw_y) * (Y - screw_y)
+    return (
+        screw_x + math.cos(turn) * x - math.sin(turn) * y,
+        screw_y + math.sin(turn) * x + math.cos(turn) * y,
+        present * (1.0 - t * t) + 0.5 * (curvature + lift * position) * distance,
+    )
+
+
+@compiled
+def _smooth_point(kind, c, position, X, Y):
+    if kind == RIGID:
+        return _rigid_point(c, position, X, Y)
+    if kind == PLATE:
+        return _plate_point(c, position, X, Y)
+    if kind == SKIN:
+        return _skin_point(c, position, X, Y)
+    return _leather_point(c, position, X, Y)
+
+
+@compiled
+def surface_point(kind, c, relief, position, X, Y):
+    """Where the material point (X, Y) is at a crosshead position: x, y, z [m]."""
+    x, y, z = _smooth_point(kind, c, position, X, Y)
+    return x, y, z + stroke_sum(relief, X, Y)[0]
+
+
+@compiled
+def surface_tangents(kind, c, relief, position, X, Y):
+    """Derivatives of the position along X (three values) and along Y (three values)."""
+    ax, ay, az = _smooth_point(kind, c, position, X + HALF_STEP, Y)
+    bx, by, bz = _smooth_point(kind, c, position, X - HALF_STEP, Y)
+    ex, ey, ez = _smooth_point(kind, c, position, X, Y + HALF_STEP)
+    fx, fy, fz = _smooth_point(kind, c, position, X, Y - HALF_STEP)
+    slope_x, slope_y = stroke_sum(relief, X, Y)[1:]
+    k = 0.5 / HALF_STEP
+    return (
+        (ax - bx) * k,
+        (ay - by) * k,
+        (az - bz) * k + slope_x,
+        (ex - fx) * k,
+        (ey - fy) * k,
+        (ez - fz) * k + slope_y,
+    )
+
+
+@in_parallel
+def surface_points(kind, c, relief, position, X, Y, x, y, z):
+    """Positions of all material points of a map (NaN in, NaN out)."""
+    for i in prange(X.shape[0]):
+        for j in range(X.shape[1]):
+            if math.isnan(X[i, j]):
+                x[i, j] = y[i, j] = z[i, j] = np.nan
+            else:
+                x[i, j], y[i, j], z[i, j] = surface_point(kind, c, relief, position, X[i, j], Y[i, j])
+
+
+# Pin-holes -----------------------------------------------------------------------------------------------------------
+# A pin-hole is a vector: position (3), rotation row-major (9; columns right, up, backwards), scale along columns and
+# rows [px], principal column and row, k1. The camera and the projector are the same kind of thing.
+
+
+@compiled
+def _into_frame(p, x, y, z):
+    return (
+        p[3] * x + p[6] * y + p[9] * z,
+        p[4] * x + p[7] * y + p[10] * z,
+        p[5] * x + p[8] * y + p[11] * z,
+    )
+
+
+@compiled
+def project(p, x, y, z):
+    """Column and row at which a pin-hole sees (or lights) a point."""
+    qx, qy, qz = _into_frame(p, x - p[0], y - p[1], z - p[2])
+    m = -qx / qz
+    n = -qy / qz
+    bend = 1.0 + p[16] * (m * m + n * n)
+    return p[14] + p[12] * m * bend, p[15] - p[13] * n * bend
+
+
+@compiled
+def _project_tangent(p, x, y, z, tx, ty, tz):
+    """Change of column and row when an undistorted pin-hole's point (x, y, z) moves along (tx, ty, tz)."""
+    qx, qy, qz = _into_frame(p, x - p[0], y - p[1], z - p[2])
+    dx, dy, dz = _into_frame(p, tx, ty, tz)
+    return p[12] * (qx * dz / qz - dx) / qz, -p[13] * (qy * dz / qz - dy) / qz
+
+
+@in_parallel
+def project_points(p, x, y, z, column, row):
+    """Columns and rows of all points of a map."""
+    for i in prange(x.shape[0]):
+        for j in range(x.shape[1]):
+            column[i, j], row[i, j] = project(p, x[i, j], y[i, j], z[i, j])
+
+
+@compiled
+def _on_plane(camera, column, row):
+    """Where the camera ray of a pixel meets z = 0: the start of the search."""
+    m = (column - camera[14]) / camera[12]
+    n = (camera[15] - row) / camera[13]
+    x = camera[3] * m + camera[4] * n - camera[5]
+    y = camera[6] * m + camera[7] * n - camera[8]
+    z = camera[9] * m + camera[10] * n - camera[11]
+    return camera[0] - camera[2] / z * x, camera[1] - camera[2] / z * y
+
+
+@in_parallel
+def solve_pixels(camera, kind, c, relief, position, X, Y, residual):
+    """Material point (X, Y) seen by every pixel: damped Newton iteration, each pixel starting from its neighbour.
+
+    ``residual`` [px] is the distance between the pixel and the projection of the point found.
+    """
+    for i in prange(X.shape[0]):
+        material_x, material_y = _on_plane(camera, 0.0, float(i))
+        step_x = 0.0
+        step_y = 0.0
+        for j in range(X.shape[1]):
+            material_x += step_x
+            material_y += step_y
+            base_x = material_x
+            base_y = material_y
+            move_x = 0.0
+            move_y = 0.0
+            fraction = 1.0
+            best = np.inf
+            for _ in range(80):
+                trial_x = base_x + fraction * move_x
+                trial_y = base_y + fraction * move_y
+                x, y, z = surface_point(kind, c, relief, position, trial_x, trial_y)
+                column, row = project(camera, x, y, z)
+                error_c = column - j
+                error_r = row - i
+                error = math.sqrt(error_c * error_c + error_r * error_r)
+                if not error < best:
+                    fraction *= 0.5
+                    continue
+                best = error
+                base_x = trial_x
+                base_y = trial_y
+                if best < CONVERGED:
+                    break
+                ax, ay, az, bx, by, bz = surface_tangents(kind, c, relief, position, base_x, base_y)
+                ca, ra = _project_tangent(camera, x, y, z, ax, ay, az)
+                cb, rb = _project_tangent(camera, x, y, z, bx, by, bz)
+                determinant = ca * rb - cb * ra
+                move_x = (cb * error_r - rb * error_c) / determinant
+                move_y = (ra * error_c - ca * error_r) / determinant
+                fraction = 1.0
+                step_x = rb / determinant
+                step_y = -ra / determinant
+            material_x = base_x
+            material_y = base_y
+            X[i, j] = material_x
+            Y[i, j] = material_y
+            residual[i, j] = best
+
+
+@in_parallel
+def light_geometry(camera, projector, kind, c, relief, position, X, Y, column, row, irradiance, facing):
+    """Projector coordinates, irradiance and camera-facing cosine of every solved pixel (NaN stays NaN).
+
+    The irradiance is Lambert's cosine times the distance fall-off, 1 on a plane z = 0 at the origin; zero or less means
+    that the surface turns its back to the projector.
+    """
+    px, py, pz = projector[0], projector[1], projector[2]
+    reference = math.sqrt(px * px + py * py + pz * pz)
+    for i in prange(X.shape[0]):
+        for j in range(X.shape[1]):
+            if math.isnan(X[i, j]):
+                column[i, j] = row[i, j] = irradiance[i, j] = facing[i, j] = np.nan
+                continue
+            x, y, z = surface_point(kind, c, relief, position, X[i, j], Y[i, j])
+            ax, ay, az, bx, by, bz = surface_tangents(kind, c, relief, position, X[i, j], Y[i, j])
+            nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            norm = math.sqrt(nx * nx + ny * ny + nz * nz)
+            lx, ly, lz = px - x, py - y, pz - z
+            distance = math.sqrt(lx * lx + ly * ly + lz * lz)
+            relative = reference / distance
+            cosine = (nx * lx + ny * ly + nz * lz) / (norm * distance)
+            irradiance[i, j] = cosine * relative * relative * reference / pz
+            vx, vy, vz = camera[0] - x, camera[1] - y, camera[2] - z
+            facing[i, j] = (nx * vx + ny * vy + nz * vz) / (norm * math.sqrt(vx * vx + vy * vy + vz * vz))
+            column[i, j], row[i, j] = project(projector, x, y, z)
+
+
+@compiled
+def _material_below(kind, c, relief, position, x, y, X, Y):
+    """Material point standing at the plan position (x, y), searched from (X, Y); and its height z."""
+    for _ in range(20):
+        px, py, z = surface_point(kind, c, relief, position, X, Y)
+        ex, ey = px - x, py - y
+        if abs(ex) + abs(ey) < 1e-9:
+            break
+        ax, ay, _az, bx, by, _bz = surface_tangents(kind, c, relief, position, X, Y)
+        determinant = ax * by - bx * ay
+        X += (bx * ey - by * ex) / determinant
+        Y += (ay * ex - ax * ey) / determinant
+    return X, Y, z
+
+
+@in_parallel
+def cast_shadows(projector, kind, c, relief, position, outline, top, stride, X, Y, irradiance):
+    """Set the irradiance to zero where the specimen stands between a point and the projector.
+
+    The light path is followed from the surface towards the projector in steps of ``stride`` [m] in plan until it is
+    above ``top``, the highest point of the specimen; at each step the surface below is solved exactly.
+    """
+    for i in prange(X.shape[0]):
+        for j in range(X.shape[1]):
+            if not irradiance[i, j] > 0.0:
+                continue
+            material_x, material_y = X[i, j], Y[i, j]
+            x, y, z = surface_point(kind, c, relief, position, material_x, material_y)
+            lx, ly, lz = projector[0] - x, projector[1] - y, projector[2] - z
+            plan = math.sqrt(lx * lx + ly * ly)
+            steps = math.ceil((top - z) / lz * plan / stride)
+            for k in range(1, steps + 1):
+                t = k * stride / plan
+                material_x, material_y, height = _material_below(
+                    kind, c, relief, position, x + t * lx, y + t * ly, material_x, material_y
+                )
+                on_specimen = outline[0] <= material_x <= outline[1] and outline[2] <= material_y <= outline[3]
+                if on_specimen and height > z + t * lz:
+                    irradiance[i, j] = 0.0
+                    break
+
+
+@in_parallel
+def reflectance(texture, floor, X, Y, value):
+    """Reflectance of the painted surface: optical densities add, so it is floor + (1 - floor) exp(-sum of strokes)."""
+    for i in prange(X.shape[0]):
+        for j in range(X.shape[1]):
+            if math.isnan(X[i, j]):
+                value[i, j] = 0.0
+            else:
+                value[i, j] = floor + (1.0 - floor) * math.exp(-stroke_sum(texture, X[i, j], Y[i, j])[0])
