@@ -14,7 +14,7 @@ import re
 import struct
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from io import BytesIO
@@ -30,7 +30,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import CRCValidationError, breakup_chunk
 from mcap.writer import CompressionType, Writer
-from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fringedic import __version__
 from fringedic.errors import DiskFullError, MissingTopicError, RecordingError, UnknownSchemaError
@@ -147,7 +147,7 @@ class Topic:
     definition
         Full text of the message definition with nested types.
     encoding
-        ``ros2msg`` or ``ros2idl``: the language of ``definition``.
+        Language of ``definition``; ``ros2msg`` can be decoded.
     hash
         RIHS01 hash of the type, empty when unknown.
     qos
@@ -517,12 +517,13 @@ class BagReader:
         Raises
         ------
         RecordingError
-            The bytes do not fit the definition.
+            The bytes do not fit the definition, or it is written in another language than ``ros2msg``.
         """
         known = self.topics[topic]
         if known.type_name not in self._registered:
-            parse: Callable[..., Any] = get_types_from_idl if known.encoding == "ros2idl" else _types_from_msg
-            definitions = parse(known.definition, known.type_name)
+            if known.encoding != "ros2msg":
+                raise RecordingError(f"{self.path}: {topic} is defined in {known.encoding}, only ros2msg is known")
+            definitions = get_types_from_msg(known.definition, known.type_name)
             self._typestore.register(
                 {name: fields for name, fields in definitions.items() if name not in self._typestore.fielddefs}
             )
@@ -619,10 +620,6 @@ def stamp_of(message: Any) -> int:
     return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
-def _types_from_msg(text: str, name: str) -> Any:
-    return get_types_from_msg(text, name)
-
-
 def _mcap_files(path: Path) -> list[Path]:
     if path.is_file():
         return [path]
@@ -657,6 +654,7 @@ def _open_file(path: Path, rescan: bool) -> _File:
 def _from_index(path: Path, stream: BinaryIO) -> _File | None:
     """Read the index at the end of a finished file; None when there is none."""
     try:
+        stream.seek(0)
         summary = make_reader(stream).get_summary()
     except (*_DAMAGE, OSError, ValueError):
         return None

@@ -52,7 +52,9 @@ def test_the_stack_does_not_alias_the_callers_buffer():
 
 def test_missing_frames_are_all_named_when_the_last_one_arrives():
     collector, sequence = FrameCollector(), records(step=2)
-    with pytest.raises(FrameMissingError, match=r"experiment 'plate', step 2: frames 3, 5 of 8 never arrived") as caught:
+    with pytest.raises(
+        FrameMissingError, match=r"experiment 'plate', step 2: frames 3, 5 of 8 never arrived"
+    ) as caught:
         feed(collector, [record for record in sequence if record.index not in (3, 5)])
     assert (caught.value.experiment, caught.value.step, caught.value.index) == ("plate", 2, 3)
     with pytest.raises(FrameLateError):
