@@ -1,0 +1,413 @@
+"""The experiment node against a scripted rig: what it asks for, what it answers, and how every fault ends."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from action_msgs.msg import GoalStatus
+from rcl_interfaces.srv import SetParameters
+from rclpy.action import ActionClient
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.parameter import Parameter
+from rclpy.task import Future
+from sensor_msgs.msg import Image
+from std_srvs.srv import Trigger
+
+from fringedic_msgs.action import MeasureStep
+from fringedic_msgs.msg import (
+    Exposure,
+    LoadState,
+    NodeParameters,
+    NodeStatus,
+    RecorderStatus,
+    Reference,
+    StepStatus,
+)
+from fringedic_msgs.srv import CaptureFrame, SetReference, ShowPattern, StartExperiment
+from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
+from fringedic_ros.stamps import to_msg, to_nanoseconds
+from fringedic_ros.testing import NodeProcess, Peer
+
+DOMAIN = 53
+FRAMES = 7
+EXPOSURE_NS = 10_000_000
+PARAMETERS = {
+    "projector_width_px": 64,
+    "projector_height_px": 48,
+    "pitches_px": [64.0, 8.0],
+    "shifts": [3, 4],
+    "camera_timeout_s": 1.0,
+    "projector_timeout_s": 1.0,
+    "processing_timeout_s": 2.0,
+    "start_timeout_s": 5.0,
+}
+Result = MeasureStep.Result
+
+
+class Rig(Peer):
+    """Projector, camera, load frame, recorder and processing nodes that do what the test's script says."""
+
+    def __init__(self) -> None:
+        super().__init__("rig")
+        self.clock_ns = 1_000_000_000_000
+        self.shown: list[ShowPattern.Request] = []
+        self.captured: list[CaptureFrame.Request] = []
+        self.show_error = self.capture_error = 0
+        self.hang: Future | None = None
+        self.answers: dict[str, int] = {}
+        self.silent: set[str] = set()
+        self.load_mode: int | None = None
+        self.holds = 0
+        self.steps = self.listen(StepStatus, "experiment/step", EVENTS)
+        self.references = self.listen(Reference, "experiment/reference", LATCHED)
+        self.node_parameters = self.listen(NodeParameters, "node_parameters", LATCHED_BY_MANY)
+        self.images = self.create_publisher(Image, "camera/image_raw", IMAGES)
+        self.image_readers = [self.create_subscription(Image, "camera/image_raw", lambda _: None, IMAGES)]
+        self.exposures = self.create_publisher(Exposure, "camera/exposure", IMAGES)
+        self.load: Any = None
+        self.recorder: Any = None
+        self.statuses = {
+            name: self.create_publisher(NodeStatus, f"{name}/status", EVENTS) for name in ("phase", "dic", "coupling")
+        }
+        group = ReentrantCallbackGroup()
+        self.create_service(ShowPattern, "projector/show", self._show, callback_group=group)
+        self.capture = self.create_service(CaptureFrame, "camera/capture", self._capture, callback_group=group)
+        self.create_service(Trigger, "load_frame/hold", self._hold, callback_group=group)
+        self.measure = ActionClient(self, MeasureStep, "measure_step")
+        self.start = self.create_client(StartExperiment, "experiment/start")
+        self.set_reference = self.create_client(SetReference, "experiment/set_reference")
+        self.set_parameters = self.create_client(SetParameters, "experiment/set_parameters")
+        self.feedback: list[MeasureStep.Feedback] = []
+
+    async def _show(self, request: ShowPattern.Request, response: ShowPattern.Response) -> ShowPattern.Response:
+        self.shown.append(request)
+        response.error_code = self.show_error
+        response.error_message = "no screen" if self.show_error else ""
+        self.clock_ns += 1_000_000
+        response.shown = to_msg(self.clock_ns)
+        return response
+
+    async def _capture(self, request: CaptureFrame.Request, response: CaptureFrame.Response) -> CaptureFrame.Response:
+        self.captured.append(request)
+        if self.hang is not None:
+            await self.hang
+        if self.capture_error:
+            response.error_code, response.error_message = self.capture_error, "no frame"
+            return response
+        start = self.clock_ns
+        self.clock_ns += EXPOSURE_NS
+        exposure = Exposure(
+            experiment=request.experiment,
+            step=request.step,
+            index=request.index,
+            count=request.count,
+            kind=request.kind,
+            exposure_time=EXPOSURE_NS * 1e-9,
+        )
+        exposure.header.stamp = response.stamp = to_msg(start + EXPOSURE_NS // 2)
+        self.exposures.publish(exposure)
+        if self.load_mode is not None:
+            self.publish_load(self.load_mode, force=100.0 + request.index)
+        if request.index == request.count - 1:
+            self.publish_statuses(request.experiment, request.step, response.stamp)
+        response.subscribers = 1
+        return response
+
+    async def _hold(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self.holds += 1
+        response.success = True
+        return response
+
+    def publish_statuses(self, experiment: str, step: int, stamp: Any) -> None:
+        for name, publisher in self.statuses.items():
+            if name not in self.silent:
+                status = NodeStatus(node=name, experiment=experiment, step=step, error_code=self.answers.get(name, 0))
+                status.error_message = "scripted" if status.error_code else ""
+                status.valid_fraction, status.rms = 0.75, {"phase": 1.0, "dic": 2.0, "coupling": 3.0}[name]
+                status.header.stamp = stamp
+                publisher.publish(status)
+
+    def publish_load(self, mode: int, force: float = 100.0) -> None:
+        if self.load is None:
+            self.load = self.create_publisher(LoadState, "load_frame/state", STATE)
+            self.wait(self.load.get_subscription_count, "a reader of the load frame")
+        sample = LoadState(mode=mode, force=force, position=1e-3)
+        sample.header.stamp = to_msg(self.clock_ns)
+        self.load.publish(sample)
+
+    def publish_recorder(self, state: int) -> None:
+        if self.recorder is None:
+            self.recorder = self.create_publisher(RecorderStatus, "recorder/status", LATCHED)
+        self.recorder.publish(RecorderStatus(state=state, error_message="disk full" if state == 3 else ""))
+
+    def request(self, **goal: Any) -> Any:
+        """Goal handle of an accepted goal."""
+        future = self.measure.send_goal_async(
+            MeasureStep.Goal(**goal), feedback_callback=lambda message: self.feedback.append(message.feedback)
+        )
+        self.wait(future.done, "the answer to the goal")
+        assert future.result().accepted
+        return future.result()
+
+    def result(self, handle: Any) -> tuple[int, MeasureStep.Result]:
+        """Status and result of a goal."""
+        future = handle.get_result_async()
+        self.wait(future.done, "the result")
+        return future.result().status, future.result().result
+
+    def step(self, **goal: Any) -> MeasureStep.Result:
+        return self.result(self.request(**goal))[1]
+
+    def call(self, client: Any, **request: Any) -> Any:
+        future = client.call_async(client.srv_type.Request(**request))
+        self.wait(future.done, client.srv_name)
+        return future.result()
+
+    def stages_of(self, step: int) -> list[int]:
+        self.wait(
+            lambda: any(message.step == step and message.stage >= StepStatus.END for message in self.steps), "the end"
+        )
+        return [message.stage for message in self.steps if message.step == step]
+
+    def change(self, **values: Any) -> None:
+        """Change parameters of the experiment node."""
+        changes = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        answer = self.call(self.set_parameters, parameters=changes)
+        assert all(result.successful for result in answer.results), answer
+
+    def reset(self) -> None:
+        """Forget what happened and do everything right."""
+        self.serve(0.1)
+        for heard in (self.shown, self.captured, self.steps, self.references, self.feedback):
+            heard.clear()
+        self.holds = 0
+        for topic in ("load", "recorder"):
+            if getattr(self, topic) is not None:
+                self.destroy_publisher(getattr(self, topic))
+                setattr(self, topic, None)
+        self.behave()
+
+    def behave(self) -> None:
+        """Do everything right from now on."""
+        self.show_error = self.capture_error = 0
+        self.hang = self.load_mode = None
+        self.answers, self.silent = {}, set()
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """The rig with an experiment node that serves all tests of this module."""
+    rclpy.init(domain_id=DOMAIN)
+    rig = Rig()
+    folder = tmp_path_factory.mktemp("experiment")
+    with NodeProcess("experiment_node.experiment_node", DOMAIN, folder, PARAMETERS):
+        rig.wait(rig.measure.server_is_ready, "the action server")
+        for client in (rig.start, rig.set_reference, rig.set_parameters):
+            rig.wait(client.service_is_ready, client.srv_name)
+        yield rig
+    rig.destroy_node()
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def rig(running: Rig, request: pytest.FixtureRequest) -> Iterator[Rig]:
+    """The rig at the beginning of a new experiment, which has the name of the test."""
+    running.reset()
+    assert running.call(running.start, experiment=request.node.name).success
+    yield running
+    running.change(projector=True, recording_required=False, start_timeout_s=5.0)
+
+
+def test_a_step_from_begin_to_end(rig: Rig, request: pytest.FixtureRequest) -> None:
+    rig.load_mode = LoadState.HOLD
+    rig.publish_load(LoadState.HOLD)
+    rig.wait(lambda: rig.node_parameters, "the node's parameters")
+    assert "pitches_px" in [parameter.name for parameter in rig.node_parameters[0].parameters]
+
+    status, result = rig.result(rig.request(mode=MeasureStep.Goal.FRINGES))
+    assert (status, result.error_code, result.error_message) == (GoalStatus.STATUS_SUCCEEDED, Result.NONE, "")
+    assert (result.experiment, result.step) == (request.node.name, 0)
+    assert [(shown.pitch, shown.shift, shown.shifts) for shown in rig.shown] == [
+        *((64.0, k, 3) for k in (1, 2, 3)),
+        *((8.0, k, 4) for k in (1, 2, 3, 4)),
+    ]
+    assert [captured.index for captured in rig.captured] == list(range(FRAMES))
+    assert {captured.count for captured in rig.captured} == {FRAMES}
+    assert all(to_nanoseconds(captured.shown) > 0 for captured in rig.captured)
+    assert [captured.minimum_subscribers for captured in rig.captured] == [1] + [0] * (FRAMES - 1)
+    assert rig.stages_of(0) == [StepStatus.BEGIN, *[StepStatus.CAPTURE] * FRAMES, StepStatus.PROCESS, StepStatus.END]
+    assert rig.steps[0].reference and [message.step for message in rig.references] == [0]
+    last = to_nanoseconds(result.stamp)
+    assert last == rig.clock_ns - EXPOSURE_NS // 2
+    assert [to_nanoseconds(message.header.stamp) for message in rig.steps[-2:]] == [last, last]
+    assert (result.valid_fraction, result.rms_displacement) == (0.75, 3.0)
+    assert (result.load_samples, result.force_mean, result.force_range) == (FRAMES, 103.0, 6.0)
+    assert (result.position_mean, result.position_range) == (pytest.approx(1e-3), 0.0)
+    assert 0 <= result.processing_time < result.duration
+    assert [feedback.stage for feedback in rig.feedback][-1] == "process"
+    assert rig.holds == 0
+
+    second = rig.step()
+    assert (second.error_code, second.step) == (Result.NONE, 1)
+    assert not rig.steps[-1].reference and len(rig.references) == 1
+    per_frame = second.duration / FRAMES * 1e3
+    print(f"show and capture per frame, whole step over its frames: {per_frame:.1f} ms (target under 15 ms)")
+
+
+def test_white_without_projector(rig: Rig) -> None:
+    rig.change(projector=False)
+    result = rig.step(mode=MeasureStep.Goal.WHITE)
+    assert (result.error_code, result.rms_displacement) == (Result.NONE, 2.0)
+    assert not rig.shown and [captured.kind for captured in rig.captured] == [Exposure.WHITE]
+    assert to_nanoseconds(rig.captured[0].shown) == 0
+    assert result.load_samples == 0 and math.isnan(result.force_mean) and math.isnan(result.position_range)
+    refused = rig.step(mode=MeasureStep.Goal.FRINGES)
+    assert (refused.error_code, len(rig.captured)) == (Result.INVALID_GOAL, 1)
+    assert "projector" in refused.error_message
+    assert rig.step(mode=7).error_code == Result.INVALID_GOAL
+
+
+def test_references_follow_steps_services_and_failures(rig: Rig, request: pytest.FixtureRequest) -> None:
+    first, second = request.node.name, "another experiment"
+
+    def published() -> list[tuple[str, int]]:
+        rig.serve(0.1)
+        return [(message.experiment, message.step) for message in rig.references]
+
+    rig.answers = {"phase": NodeStatus.FRAME_MISSING, "dic": NodeStatus.INPUT_FAILED}
+    assert rig.step().error_code == Result.PHASE_FAILED
+    rig.behave()
+    assert rig.step().step == 1  # the first step that succeeds is the reference
+    assert published() == [(first, 0), (first, 1)]
+    rig.answers = {"coupling": NodeStatus.TOO_FEW_VALID}
+    assert rig.step(set_reference=True).error_code == Result.COUPLING_FAILED
+    assert published()[2:] == [(first, 2), (first, 1)]  # back to the one that holds
+    rig.behave()
+    assert not rig.call(rig.set_reference, step=2).success
+    assert rig.step().step == 3
+    assert rig.call(rig.set_reference, step=3).success
+    assert published()[4:] == [(first, 3)]
+    assert rig.call(rig.set_reference, next=True).success
+    assert rig.step().step == 4
+    assert published()[5:] == [(first, 4)]
+
+    assert not rig.call(rig.start, experiment=first).success
+    assert rig.call(rig.start, experiment=second).success
+    begun = rig.step()
+    assert (begun.experiment, begun.step) == (second, 0)
+    assert published()[6:] == [(second, 0)]
+
+
+def test_one_step_at_a_time_and_cancel(rig: Rig) -> None:
+    rig.hang = Future()
+    running = rig.request()
+    rig.wait(lambda: rig.captured, "the first exposure")
+    status, busy = rig.result(rig.request())
+    assert (status, busy.error_code, busy.step) == (GoalStatus.STATUS_ABORTED, Result.BUSY, 0)
+    assert not rig.call(rig.start, experiment="other").success
+    assert not rig.call(rig.set_reference, next=True).success
+    cancelling = running.cancel_goal_async()
+    rig.wait(cancelling.done, "the answer to the cancel request")
+    status, cancelled = rig.result(running)
+    assert (status, cancelled.error_code) == (GoalStatus.STATUS_CANCELED, Result.CANCELLED)
+    assert rig.stages_of(0) == [StepStatus.BEGIN, StepStatus.ERROR]
+    assert rig.steps[-1].error_code == Result.CANCELLED
+    rig.hang.set_result(None)
+    rig.behave()
+    after = rig.step()
+    assert (after.error_code, after.step) == (Result.NONE, 1)
+
+
+@pytest.mark.parametrize(
+    ("script", "code", "words"),
+    [
+        ({"show_error": ShowPattern.Request.SCREEN_FAILED}, Result.PROJECTOR_FAILED, "no screen"),
+        ({"capture_error": CaptureFrame.Request.CAMERA_FAILED}, Result.CAMERA_FAILED, "no frame"),
+        ({"capture_error": CaptureFrame.Request.CAMERA_TIMEOUT}, Result.CAMERA_TIMEOUT, "no frame"),
+        ({"capture_error": CaptureFrame.Request.NO_SUBSCRIBER}, Result.NO_SUBSCRIBER, "no frame"),
+        ({"hang": True}, Result.CAMERA_TIMEOUT, "camera/capture did not answer in 1 s"),
+        ({"answers": {"dic": NodeStatus.NO_CORRELATION}}, Result.DIC_FAILED, "dic: scripted"),
+        ({"silent": {"dic", "coupling"}}, Result.PROCESSING_TIMEOUT, "no result from dic, coupling"),
+    ],
+)
+def test_a_fault_ends_the_step_with_its_code_and_the_next_one_works(
+    rig: Rig, script: dict[str, Any], code: int, words: str
+) -> None:
+    for name, value in script.items():
+        setattr(rig, name, Future() if name == "hang" else value)
+    status, failed = rig.result(rig.request())
+    assert (status, failed.error_code) == (GoalStatus.STATUS_ABORTED, code)
+    assert words in failed.error_message and "step 0" in failed.error_message
+    assert rig.stages_of(0)[-1] == StepStatus.ERROR
+    assert rig.steps[-1].error_code == code
+    rig.wait(lambda: rig.holds == 1, "the request to hold")
+    rig.behave()
+    assert rig.step().error_code == Result.NONE
+
+
+def test_a_failed_node_ends_the_sequence_early(rig: Rig) -> None:
+    rig.answers = dict.fromkeys(("phase", "dic", "coupling"), NodeStatus.FRAME_DOUBLED)
+    capture = rig._capture
+
+    async def doubled(request: CaptureFrame.Request, response: CaptureFrame.Response) -> CaptureFrame.Response:
+        response = await capture(request, response)
+        if request.step == 0 and request.index == 2:
+            rig.publish_statuses(request.experiment, request.step, response.stamp)
+        return response
+
+    rig.capture.callback = doubled
+    assert rig.step().error_code == Result.PHASE_FAILED
+    assert 3 <= len(rig.captured) < FRAMES
+    rig.capture.callback = capture
+    rig.behave()
+    assert rig.step().error_code == Result.NONE
+
+
+def test_the_machine_has_to_hold(rig: Rig) -> None:
+    rig.publish_load(LoadState.MOVING)
+    failed = rig.step()
+    assert failed.error_code == Result.LOAD_NOT_HELD and not rig.captured
+    rig.publish_load(LoadState.HOLD)
+    rig.serve(0.2)
+    rig.load_mode = LoadState.MOVING  # starts to move during the exposures
+    assert rig.step().error_code == Result.LOAD_NOT_HELD
+    rig.load_mode = LoadState.IDLE
+    rig.publish_load(LoadState.IDLE)
+    rig.serve(0.2)
+    assert rig.step().error_code == Result.NONE
+
+
+def test_no_step_without_the_recorder(rig: Rig) -> None:
+    rig.change(recording_required=True, start_timeout_s=1.0)
+    failed = rig.step()
+    assert (failed.error_code, rig.captured) == (Result.RECORDER_FAILED, [])
+    rig.publish_recorder(RecorderStatus.STARTING)
+    running = rig.request()
+    rig.serve(0.3)
+    assert not rig.captured
+    rig.publish_recorder(RecorderStatus.RECORDING)
+    assert rig.result(running)[1].error_code == Result.NONE
+    rig.publish_recorder(RecorderStatus.FAILED)
+    rig.serve(0.2)
+    stopped = rig.step()
+    assert stopped.error_code == Result.RECORDER_FAILED and "disk full" in stopped.error_message
+
+
+def test_absent_node_is_named(rig: Rig) -> None:
+    rig.change(start_timeout_s=1.0)
+    rig.destroy_publisher(rig.statuses.pop("coupling"))
+    failed = rig.step()
+    assert failed.error_code == Result.NO_SUBSCRIBER and "coupling/status" in failed.error_message
+    rig.statuses["coupling"] = rig.create_publisher(NodeStatus, "coupling/status", EVENTS)
+    assert rig.step().error_code == Result.NONE
+
+
+def test_impossible_parameters_are_refused(tmp_path: Path) -> None:
+    process = NodeProcess("experiment_node.experiment_node", DOMAIN, tmp_path, {"shifts": [4, 4, 4]})
+    with pytest.raises(AssertionError, match="3 numbers of shifts for 4 pitches"), process:
+        process.process.wait(30)
