@@ -93,7 +93,13 @@ class CouplingParameters(Parameters):
         description="Standard deviation of the Gaussian that smooths the surfaces before they are subtracted [px]; "
         "the published shape is not smoothed.",
     )
-    local_frame: bool = Field(True, description="Also compute the displacement along the surface and its normal.")
+    local_frame_window_px: int = Field(
+        21,
+        ge=0,
+        le=1001,
+        description="Width of the window of the surface's slopes, for the displacement along the surface and its normal "
+        "[px]; 0 leaves these out.",
+    )
     strain_window_px: int = Field(
         85, ge=0, le=1001, description="Width of the window of the surface strain [px]; 0 leaves the strain out."
     )
@@ -150,10 +156,8 @@ class DicResult:
     displacement, sigma
         (d_x, d_y) at the points of the grid and its standard deviation [px], float32 (row, column, 2), d_y > 0
         downwards, NaN where not measured.
-    origin
-        (row, column) of the first point [px].
     spacing
-        Distance of the points [px].
+        Distance of the points [px]; the first one is pixel (0, 0).
     valid_fraction
         Measured points over all points.
     rms
@@ -166,7 +170,6 @@ class DicResult:
     reference_step: int
     displacement: np.ndarray
     sigma: np.ndarray
-    origin: tuple[int, int]
     spacing: int
     valid_fraction: float
     rms: float
@@ -365,7 +368,6 @@ class DisplacementTracker:
             reference_step=reference_key[1],
             displacement=displacement,
             sigma=sigma,
-            origin=(int(measured.row[0]), int(measured.column[0])),
             spacing=parameters.spacing,
             valid_fraction=fraction,
             rms=_rms(displacement, axis=-1),
@@ -449,7 +451,6 @@ class ShapeTracker:
         pitch: float,
         orientation: Orientation = Orientation.VERTICAL,
         spacing: int = 1,
-        origin: tuple[int, int] = (0, 0),
     ) -> CouplingResult:
         """Couple the phase and the in-plane displacement of one step.
 
@@ -461,8 +462,8 @@ class ShapeTracker:
             As published by the dic node [px], float32 (row, column, 2).
         pitch, orientation
             Of the step's last frame: the finest pitch [projector pixel], and the direction of the fringes.
-        spacing, origin
-            Grid of the displacement [px].
+        spacing
+            Distance of the displacement's points [px].
 
         Raises
         ------
@@ -499,13 +500,14 @@ class ShapeTracker:
         cloud = couple(
             shape if first is current else first.surface(calibration),
             shape,
-            displacement_dataset(displacement, displacement_sigma, origin=origin, spacing=spacing),
+            displacement_dataset(displacement, displacement_sigma, spacing),
             calibration=calibration,
+            z_filter=parameters.z_filter_px,
         )
         names = ["x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w"]
         fields = {name: cloud[name] for name in names}
-        if parameters.local_frame:
-            local = to_local_frame(cloud)
+        if parameters.local_frame_window_px:
+            local = to_local_frame(cloud, window=parameters.local_frame_window_px)
             fields |= {name: local[name] for name in ("u_t", "v_t", "w_n")}
         if parameters.strain_window_px:
             strain = surface_strain(cloud, window=parameters.strain_window_px)
@@ -529,10 +531,8 @@ class ShapeTracker:
         )
 
 
-def displacement_dataset(
-    displacement: np.ndarray, sigma: np.ndarray, *, origin: tuple[int, int], spacing: int
-) -> xr.Dataset:
-    """Label the arrays of a `DicResult` with the pixel positions of their grid."""
+def displacement_dataset(displacement: np.ndarray, sigma: np.ndarray, spacing: int) -> xr.Dataset:
+    """Label the arrays of a `DicResult` with the pixel positions of their points."""
     rows, columns = displacement.shape[:2]
     values = {
         "displacement_x": displacement[..., 0],
@@ -543,7 +543,7 @@ def displacement_dataset(
     }
     return xr.Dataset(
         {name: (("row", "column"), value) for name, value in values.items()},
-        coords={"row": origin[0] + spacing * np.arange(rows), "column": origin[1] + spacing * np.arange(columns)},
+        coords={"row": spacing * np.arange(rows), "column": spacing * np.arange(columns)},
     )
 
 
