@@ -97,7 +97,7 @@ class CouplingParameters(Parameters):
         21,
         ge=0,
         le=1001,
-        description="Width of the window of the surface's slopes, for the displacement along the surface and its normal "
+        description="Width of the window of the slopes, for the displacement along the surface and its normal "
         "[px]; 0 leaves these out.",
     )
     strain_window_px: int = Field(
@@ -156,8 +156,10 @@ class DicResult:
     displacement, sigma
         (d_x, d_y) at the points of the grid and its standard deviation [px], float32 (row, column, 2), d_y > 0
         downwards, NaN where not measured.
+    origin
+        (row, column) of the first point [px].
     spacing
-        Distance of the points [px]; the first one is pixel (0, 0).
+        Distance of the points [px].
     valid_fraction
         Measured points over all points.
     rms
@@ -170,6 +172,7 @@ class DicResult:
     reference_step: int
     displacement: np.ndarray
     sigma: np.ndarray
+    origin: tuple[int, int]
     spacing: int
     valid_fraction: float
     rms: float
@@ -368,6 +371,7 @@ class DisplacementTracker:
             reference_step=reference_key[1],
             displacement=displacement,
             sigma=sigma,
+            origin=(int(measured.row[0]), int(measured.column[0])),
             spacing=parameters.spacing,
             valid_fraction=fraction,
             rms=_rms(displacement, axis=-1),
@@ -451,6 +455,7 @@ class ShapeTracker:
         pitch: float,
         orientation: Orientation = Orientation.VERTICAL,
         spacing: int = 1,
+        origin: tuple[int, int] = (0, 0),
     ) -> CouplingResult:
         """Couple the phase and the in-plane displacement of one step.
 
@@ -462,8 +467,8 @@ class ShapeTracker:
             As published by the dic node [px], float32 (row, column, 2).
         pitch, orientation
             Of the step's last frame: the finest pitch [projector pixel], and the direction of the fringes.
-        spacing
-            Distance of the displacement's points [px].
+        spacing, origin
+            Distance of the displacement's points [px], and (row, column) of the first one.
 
         Raises
         ------
@@ -500,7 +505,7 @@ class ShapeTracker:
         cloud = couple(
             shape if first is current else first.surface(calibration),
             shape,
-            displacement_dataset(displacement, displacement_sigma, spacing),
+            displacement_dataset(displacement, displacement_sigma, spacing, origin),
             calibration=calibration,
             z_filter=parameters.z_filter_px,
         )
@@ -531,7 +536,9 @@ class ShapeTracker:
         )
 
 
-def displacement_dataset(displacement: np.ndarray, sigma: np.ndarray, spacing: int) -> xr.Dataset:
+def displacement_dataset(
+    displacement: np.ndarray, sigma: np.ndarray, spacing: int, origin: tuple[int, int]
+) -> xr.Dataset:
     """Label the arrays of a `DicResult` with the pixel positions of their points."""
     rows, columns = displacement.shape[:2]
     values = {
@@ -543,7 +550,7 @@ def displacement_dataset(displacement: np.ndarray, sigma: np.ndarray, spacing: i
     }
     return xr.Dataset(
         {name: (("row", "column"), value) for name, value in values.items()},
-        coords={"row": spacing * np.arange(rows), "column": spacing * np.arange(columns)},
+        coords={"row": origin[0] + spacing * np.arange(rows), "column": origin[1] + spacing * np.arange(columns)},
     )
 
 

@@ -36,7 +36,6 @@ from fringedic import __version__
 from fringedic.errors import DiskFullError, MissingTopicError, RecordingError, UnknownSchemaError
 from fringedic.sequence import FrameRecord, Orientation, PatternKind, Projection
 
-FLUSH_INTERVAL = 0.5  # [s]
 MAGIC = b"\x89MCAP0\r\n"
 _RECORD_HEADER = struct.Struct("<BQ")
 _COMPRESSIONS = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD}
@@ -178,7 +177,7 @@ class BagWriter:
     """Writes a rosbag2 directory with one MCAP file that stays readable when the process or the machine dies.
 
     What was written is handed to the operating system about every half second while messages come in; an owner that
-    may stay silent longer calls `flush` by timer. `sync` makes everything survive a power cut; it costs about 150 ms,
+    hears nothing for longer calls `flush` by timer. `sync` makes everything survive a power cut; it costs about 150 ms,
     so it belongs to the end of a step.
 
     Parameters
@@ -187,6 +186,8 @@ class BagWriter:
         Folder of the recording; it must not exist yet.
     compression
         ``zstd`` or ``none``.
+    flush_interval_s
+        Time after which a message makes what was written before it survive the death of this process [s].
 
     Raises
     ------
@@ -196,8 +197,15 @@ class BagWriter:
         The disk is full (also from every other method). What was written before stays readable.
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, compression: Literal["zstd", "none"] = "zstd") -> None:
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        compression: Literal["zstd", "none"] = "zstd",
+        flush_interval_s: float = 0.5,
+    ) -> None:
         self.path = Path(path)
+        self._flush_interval = flush_interval_s
         if self.path.exists():
             raise RecordingError(f"{self.path} exists already; choose another name, nothing was overwritten")
         self._file_name = f"{self.path.name}_0.mcap"
@@ -236,13 +244,25 @@ class BagWriter:
         """Bytes in the file so far."""
         return (self.path / self._file_name).stat().st_size
 
-    def add_topic(self, name: str, type_name: str, qos: Iterable[Qos] = (Qos(),)) -> None:
+    def add_topic(
+        self, name: str, type_name: str, qos: Iterable[Qos] = (Qos(),), *, publisher_hash: str | None = None
+    ) -> None:
         """Announce a topic, once, before its first message.
+
+        Parameters
+        ----------
+        name, type_name
+            ``/rig/camera/image_raw``, ``sensor_msgs/msg/Image``.
+        qos
+            What the topic's publishers offer.
+        publisher_hash
+            Hash of the type that the publisher uses, to be compared with the installed definition's.
 
         Raises
         ------
         UnknownSchemaError
-            The definition of the type is not installed: the messages could never be read again.
+            The definition of the type is not installed, or the publisher's is another one: the messages could never be
+            read again.
         RecordingError
             The topic is there already with another type.
         """
@@ -253,6 +273,11 @@ class BagWriter:
             return
         profiles = yaml.safe_dump([each.profile() for each in qos], sort_keys=False)
         definition, hash_ = interface_definition(type_name), type_hash(type_name)
+        if publisher_hash is not None and publisher_hash != hash_:
+            raise UnknownSchemaError(
+                f"topic {name}: its publisher was built with another definition of {type_name} than the one installed "
+                "here; build both from the same sources"
+            )
         self.add_recorded_topic(Topic(name, type_name, definition, "ros2msg", hash_, profiles))
 
     def add_recorded_topic(self, topic: Topic) -> None:
@@ -274,7 +299,7 @@ class BagWriter:
         self._counts[topic] += 1
         self._first_time = min(self._first_time, log_time)
         self._last_time = max(self._last_time, log_time)
-        if time.monotonic() - self._flushed_at > FLUSH_INTERVAL:
+        if time.monotonic() - self._flushed_at > self._flush_interval:
             self.flush()
 
     def flush(self) -> None:

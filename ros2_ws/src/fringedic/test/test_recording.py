@@ -18,7 +18,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fringedic.errors import MissingTopicError, RecordingError, UnknownSchemaError
 from fringedic.recording import (
-    FLUSH_INTERVAL,
     BagReader,
     BagWriter,
     Qos,
@@ -112,7 +111,9 @@ def test_unknown_types_are_refused_by_name(definitions, tmp_path):
             writer.add_topic("/torque", "bench_msgs/msg/Torque")
         with pytest.raises(RecordingError, match="/torque was not announced"):
             writer.write("/torque", b"", 0, 0)
-        writer.add_topic("/force", FORCE)
+        with pytest.raises(UnknownSchemaError, match="another definition of bench_msgs/msg/Force"):
+            writer.add_topic("/force", FORCE, publisher_hash=type_hash(PICTURE))
+        writer.add_topic("/force", FORCE, publisher_hash=type_hash(FORCE))
         writer.add_topic("/force", FORCE)
         with pytest.raises(RecordingError, match=f"recorded as {FORCE}, not as {PICTURE}"):
             writer.add_topic("/force", PICTURE)
@@ -307,7 +308,7 @@ def test_a_killed_recorder_loses_no_image_and_half_a_second_of_force(typestore, 
     reader = BagReader(tmp_path / "bag")
     assert "not closed" in reader.lost
     read = {topic: {each.publish_time for each in reader.raw([topic])} for topic in reader.topics}
-    safe = killed_at - FLUSH_INTERVAL - 0.1
+    safe = killed_at - 0.5 - 0.1
     for kind, topic in (("image", "/rig/camera/image_raw"), ("force", "/rig/load_frame/state")):
         kept = {int(number) for what, number, when in written if what == kind and float(when) < safe}
         total = sum(what == kind for what, _, _ in written)
