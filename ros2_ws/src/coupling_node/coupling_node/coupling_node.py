@@ -9,7 +9,7 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from coupling_node.camera_transform import CameraTransform
 from fringedic.chain import CouplingParameters, ShapeTracker
-from fringedic.sequence import PatternKind
+from fringedic.sequence import Orientation, PatternKind
 from fringedic_msgs.msg import Exposure, NodeStatus, Reference, RigCalibration
 from fringedic_ros.clouds import cloud_message
 from fringedic_ros.images import image_array
@@ -90,13 +90,15 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
 
     def _couple(self, status: NodeStatus, stamp: int, parts: dict[str, Any], parameters: CouplingParameters) -> Outcome:
         grid: CameraInfo = parts["dic/camera_info"]
+        exposure: Exposure = parts["camera/exposure"]
         self._tracker.parameters = parameters
         result = self._tracker.step(
             status.experiment,
             status.step,
             stamp,
             *(image_array(parts[topic]) for topic in MAPS),
-            pitch=parts["camera/exposure"].pitch,
+            pitch=exposure.pitch,
+            orientation=Orientation(exposure.orientation),
             spacing=grid.binning_x,
             origin=(grid.roi.y_offset, grid.roi.x_offset),
         )

@@ -1,4 +1,4 @@
-"""Node processes and a peer that talks to them, for tests over real DDS."""
+"""Node processes, a peer that talks to them and frames to send, for tests over real DDS."""
 
 from __future__ import annotations
 
@@ -7,15 +7,31 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
+import numpy as np
+from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from typing_extensions import Self
+from sensor_msgs.msg import Image
+
+from fringedic.patterns import fringe_sequence, render_pattern
+from fringedic.sequence import FrameRecord, PatternKind, Projection
+from fringedic.virtual_rig import VirtualRig
+from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, StepStatus
+from fringedic_ros.images import image_message
+from fringedic_ros.qos import EVENTS, IMAGES, LATCHED_BY_MANY
+from fringedic_ros.records import exposure_message
+from fringedic_ros.stamps import to_nanoseconds
+
+PITCHES = (100.0, 20.0, 5.0)
+SHIFTS = (4, 4, 8)
+Frame = tuple[FrameRecord, np.ndarray]
 
 
 class NodeProcess:
@@ -69,19 +85,47 @@ class NodeProcess:
             assert alive and code == 0, f"the process ended with {code}:\n{self.log}"
 
 
+def fringe_step(rig: VirtualRig, position: float, experiment: str, step: int) -> list[Frame]:
+    """Frames of one step of a tiny virtual rig, with their records; the stamps grow from step to step."""
+    rows, columns = rig.projector_shape
+    sequence = fringe_sequence(columns, rows, PITCHES, SHIFTS)
+    count = len(sequence)
+    frames = []
+    for index, projection in enumerate(sequence.projections):
+        stamp = (1000 * (step + 1) + index) * 10_000_000
+        record = FrameRecord(experiment, step, index, count, projection, stamp, exposure_time=0.005)
+        frames.append((record, rig.expose(sequence.frame(index), position, frame=count * step + index)))
+    return frames
+
+
+def white_step(rig: VirtualRig, position: float, experiment: str, step: int) -> list[Frame]:
+    """The one frame of a step in white light, with its record."""
+    rows, columns = rig.projector_shape
+    projection = Projection(PatternKind.WHITE)
+    record = FrameRecord(experiment, step, 0, 1, projection, 1000 * (step + 1) * 10_000_000, exposure_time=0.005)
+    return [(record, rig.expose(render_pattern(projection, columns, rows), position, frame=step))]
+
+
 class Peer(Node):
     """The other side of a test: publishes, serves and keeps what it hears; spun by the waiting test itself."""
 
     def __init__(self, name: str = "peer") -> None:
         super().__init__(name)
+        self._heard: list[list[Any]] = []
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self)
 
     def listen(self, kind: type[Any], topic: str, qos: QoSProfile) -> list[Any]:
         """Subscribe and return the list that what arrives is appended to."""
         heard: list[Any] = []
+        self._heard.append(heard)
         self.create_subscription(kind, topic, heard.append, qos)
         return heard
+
+    def forget(self) -> None:
+        """Empty all lists of what was heard."""
+        for heard in self._heard:
+            heard.clear()
 
     def wait(self, predicate: Callable[[], Any], what: str, timeout_s: float = 60.0) -> None:
         """Serve callbacks until the predicate is true."""
@@ -100,3 +144,89 @@ class Peer(Node):
         """Leave the executor first."""
         self._executor.shutdown()
         super().destroy_node()
+
+
+class Bench(Peer):
+    """Plays camera and experiment for one processing node, and hears its status.
+
+    Parameters
+    ----------
+    tested
+        Name of the node.
+    """
+
+    def __init__(self, tested: str) -> None:
+        super().__init__("bench")
+        self._tested = tested
+        self._steps = self.create_publisher(StepStatus, "experiment/step", EVENTS)
+        self._exposures = self.create_publisher(Exposure, "camera/exposure", IMAGES)
+        self._images = self.create_publisher(Image, "camera/image_raw", IMAGES)
+        self._set_parameters = self.create_client(SetParameters, f"{tested}/set_parameters")
+        self.statuses = self.listen(NodeStatus, f"{tested}/status", EVENTS)
+        self.node_parameters = self.listen(NodeParameters, "node_parameters", LATCHED_BY_MANY)
+
+    def connect(self) -> None:
+        """Wait until the node is there and every topic between it and this one is connected."""
+        self.wait(lambda: self.count_publishers(f"{self._tested}/status"), f"the {self._tested} node")
+        self.wait(self._set_parameters.service_is_ready, "its parameters")
+        for publisher in self.publishers:
+            if publisher.topic_name.endswith(("/parameter_events", "/rosout")):
+                continue
+            self.wait(
+                lambda publisher=publisher: (
+                    publisher.get_subscription_count() >= self.count_subscribers(publisher.topic_name)
+                ),
+                f"the readers of {publisher.topic_name}",
+            )
+        self.serve(0.5)
+
+    def send(self, frames: Iterable[Frame], *, exposures_first: bool = False) -> None:
+        """Publish frames with their records."""
+        messages = [
+            (
+                image_message(image, stamp_ns=record.stamp, frame_id="camera_optical_frame"),
+                exposure_message(record, frame_id="camera_optical_frame"),
+            )
+            for record, image in frames
+        ]
+        if exposures_first:
+            for _, exposure in messages:
+                self._exposures.publish(exposure)
+        for image, exposure in messages:
+            self._images.publish(image)
+            if not exposures_first:
+                self._exposures.publish(exposure)
+
+    def send_message(self, image: Image, record: FrameRecord) -> None:
+        """Publish one image message as it is, with a record."""
+        self._images.publish(image)
+        self._exposures.publish(exposure_message(record, frame_id="camera_optical_frame"))
+
+    def abort(self, experiment: str, step: int) -> None:
+        """Let the experiment end a step with an error."""
+        self._steps.publish(
+            StepStatus(experiment=experiment, step=step, stage=StepStatus.ERROR, error_message="the camera stopped")
+        )
+
+    def status_of(self, experiment: str, step: int) -> NodeStatus:
+        """The one status of a step; a second one would come at once."""
+
+        def answers() -> list[NodeStatus]:
+            return [each for each in self.statuses if (each.experiment, each.step) == (experiment, step)]
+
+        self.wait(answers, f"the status of step {step}")
+        self.serve(0.15)
+        assert len(answers()) == 1, answers()
+        return answers()[0]
+
+    def change(self, **values: Any) -> None:
+        """Change parameters of the node."""
+        changes = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        future = self._set_parameters.call_async(SetParameters.Request(parameters=changes))
+        self.wait(future.done, "the change of parameters")
+        assert all(result.successful for result in future.result().results), future.result()
+
+
+def of_stamp(messages: list[Any], stamp: int) -> list[Any]:
+    """The messages with exactly this stamp [ns]."""
+    return [message for message in messages if to_nanoseconds(message.header.stamp) == stamp]

@@ -1,0 +1,182 @@
+"""The phase node in a process of its own: the same maps as the library, and one status per step whatever happens."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import rclpy
+from sensor_msgs.msg import Image
+
+from fringedic.chain import PhaseParameters, PhaseResult, phase_step
+from fringedic.sequence import FrameCollector
+from fringedic.virtual_rig import VirtualRig
+from fringedic_msgs.msg import NodeStatus
+from fringedic_ros.images import image_array, image_message
+from fringedic_ros.qos import DERIVED
+from fringedic_ros.stamps import to_nanoseconds
+from fringedic_ros.testing import Bench, Frame, NodeProcess, fringe_step, of_stamp, white_step
+
+DOMAIN = 50
+MAPS = ("map", "sigma", "modulation", "texture")
+Frames = list[Frame]
+
+
+class PhaseBench(Bench):
+    """Hears what the phase node publishes."""
+
+    def __init__(self) -> None:
+        super().__init__("phase")
+        self.rig = VirtualRig.from_preset("plate", size="tiny")
+        self.maps = {name: self.listen(Image, f"phase/{name}", DERIVED) for name in MAPS}
+
+    def published(self, stamp: int) -> dict[str, np.ndarray]:
+        return {name: image_array(message) for name, heard in self.maps.items() for message in of_stamp(heard, stamp)}
+
+
+def expected(frames: Frames, parameters: PhaseParameters) -> PhaseResult:
+    collector = FrameCollector()
+    stack = [collector.add(record, image) for record, image in frames][-1]
+    assert stack is not None
+    return phase_step(stack, parameters)
+
+
+def assert_identical(bench: PhaseBench, result: PhaseResult) -> None:
+    published = bench.published(result.stamp)
+    for name, array in zip(MAPS, (result.phase, result.sigma, result.modulation, result.texture), strict=True):
+        assert published[name].dtype == array.dtype == np.float32
+        assert published[name].tobytes() == array.tobytes(), name
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PhaseBench]:
+    rclpy.init(domain_id=DOMAIN)
+    bench = PhaseBench()
+    with NodeProcess("phase_node.phase_node", DOMAIN, tmp_path_factory.mktemp("phase")):
+        bench.connect()
+        yield bench
+    bench.destroy_node()
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def name(bench: PhaseBench, request: pytest.FixtureRequest) -> str:
+    """An experiment of its own for every test."""
+    bench.forget()
+    return request.node.name
+
+
+def test_maps_are_those_of_the_library_bit_by_bit(bench: PhaseBench, name: str) -> None:
+    for step, exposures_first in enumerate((False, True)):
+        frames = fringe_step(bench.rig, 1e-4 * step, name, step)
+        bench.send(frames, exposures_first=exposures_first)
+        status = bench.status_of(name, step)
+        result = expected(frames, PhaseParameters())
+        assert (status.node, status.error_code, status.error_message) == ("phase", NodeStatus.NONE, "")
+        assert to_nanoseconds(status.header.stamp) == frames[-1][0].stamp == result.stamp
+        assert (status.valid_fraction, status.rms, status.frames) == (result.valid_fraction, result.rms, len(frames))
+        assert status.duration > 0 and result.valid_fraction > 0.5
+        assert_identical(bench, result)
+
+
+def test_parameters_change_from_the_next_step_on(bench: PhaseBench, name: str) -> None:
+    bench.change(read_noise_grey_level=3.0)
+    frames = fringe_step(bench.rig, 0.0, name, 0)
+    bench.send(frames)
+    bench.status_of(name, 0)
+    assert_identical(bench, expected(frames, PhaseParameters(read_noise_grey_level=3.0)))
+    republished = {each.name: each.value.double_value for each in bench.node_parameters[-1].parameters}
+    assert republished["read_noise_grey_level"] == 3.0
+    bench.change(read_noise_grey_level=PhaseParameters().read_noise_grey_level)
+
+
+def test_white_step_has_nothing_to_measure(bench: PhaseBench, name: str) -> None:
+    bench.send(white_step(bench.rig, 0.0, name, 0))
+    status = bench.status_of(name, 0)
+    assert (status.error_code, status.frames) == (NodeStatus.NONE, 0)
+    assert np.isnan(status.valid_fraction)
+    assert not bench.published(to_nanoseconds(status.header.stamp))
+
+
+def missing(frames: Frames) -> Frames:
+    return frames[:5] + frames[6:]
+
+
+def doubled(frames: Frames) -> Frames:
+    record, image = frames[5]
+    again = replace(record, stamp=record.stamp + 1_000_000)  # another exposure claims the same index
+    return [*frames[:6], (again, image), *frames[6:]]
+
+
+def late(frames: Frames) -> Frames:
+    return [*missing(frames), frames[5]]
+
+
+def other_size(frames: Frames) -> Frames:
+    return [(record, image[:-2] if record.index == 5 else image) for record, image in frames]
+
+
+def other_type(frames: Frames) -> Frames:
+    return [(record, image.astype(np.uint16) if record.index == 5 else image) for record, image in frames]
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "words"),
+    [
+        (missing, NodeStatus.FRAME_MISSING, "frame 5 of 16 never arrived"),
+        (doubled, NodeStatus.FRAME_DOUBLED, "frame 5 arrived twice"),
+        (late, NodeStatus.FRAME_MISSING, "frame 5 of 16 never arrived"),
+        (other_size, NodeStatus.FRAME_MISMATCH, "160x118 px"),
+        (other_type, NodeStatus.FRAME_MISMATCH, "uint16"),
+    ],
+)
+def test_bad_frames_end_their_step_and_the_next_one_works(
+    bench: PhaseBench, name: str, fault: object, code: int, words: str
+) -> None:
+    bench.send(fault(fringe_step(bench.rig, 0.0, name, 0)))  # type: ignore[operator]
+    status = bench.status_of(name, 0)
+    assert (status.error_code, status.frames) == (code, 0)
+    assert words in status.error_message and "step 0" in status.error_message
+    assert not bench.published(to_nanoseconds(status.header.stamp))
+    after = fringe_step(bench.rig, 0.0, name, 1)
+    bench.send(after)
+    assert bench.status_of(name, 1).error_code == NodeStatus.NONE
+    assert_identical(bench, expected(after, PhaseParameters()))
+
+
+def test_unreadable_image_ends_its_step(bench: PhaseBench, name: str) -> None:
+    frames = fringe_step(bench.rig, 0.0, name, 0)
+    bench.send(frames[:3])
+    record, image = frames[3]
+    message = image_message(image, stamp_ns=record.stamp, frame_id="")
+    message.encoding = "yuv422"
+    bench.send_message(message, record)
+    bench.send(frames[4:])
+    status = bench.status_of(name, 0)
+    assert status.error_code == NodeStatus.FRAME_MISMATCH and "yuv422" in status.error_message
+    bench.send(fringe_step(bench.rig, 0.0, name, 1))
+    assert bench.status_of(name, 1).error_code == NodeStatus.NONE
+
+
+def test_dark_frames_have_too_little_phase(bench: PhaseBench, name: str) -> None:
+    frames = [(record, np.zeros_like(image)) for record, image in fringe_step(bench.rig, 0.0, name, 0)]
+    bench.send(frames)
+    assert bench.status_of(name, 0).error_code == NodeStatus.TOO_FEW_VALID
+
+
+def test_abort_answers_an_unfinished_step_once(bench: PhaseBench, name: str) -> None:
+    frames = fringe_step(bench.rig, 0.0, name, 0)
+    bench.send(frames[:4])
+    bench.abort(name, 0)
+    status = bench.status_of(name, 0)
+    assert status.error_code == NodeStatus.STEP_ABORTED and "the camera stopped" in status.error_message
+    bench.send(frames[4:])
+    bench.abort(name, 0)
+    assert bench.status_of(name, 0) is status
+    complete = fringe_step(bench.rig, 0.0, name, 1)
+    bench.send(complete)
+    assert bench.status_of(name, 1).error_code == NodeStatus.NONE
+    bench.abort(name, 1)
+    assert bench.status_of(name, 1).error_code == NodeStatus.NONE
