@@ -324,7 +324,7 @@ def _absolute_phase(
                 wrapped = math.atan2(s, c)
                 coarse = angle * ratio[period]
                 coarse_deviation = deviation * ratio[period]
-                deviation = math.sqrt(np.float32(2) / count[period]) * noise / amplitude
+                deviation = np.float32(math.sqrt(np.float32(2) / count[period]) * noise / amplitude)
                 if period == 0:
                     angle = wrapped
                     continue

@@ -8,8 +8,10 @@ as a surface (a plane without distortion); the point seen by a pixel is where it
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -262,7 +264,7 @@ class RigModel:
         """
         try:
             content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-            values = {
+            values: dict[str, Any] = {
                 name: _from_people(content[group][key], factor)
                 for group, entries in _YAML.items()
                 for key, (name, factor) in entries.items()
@@ -349,7 +351,7 @@ class PaperModel:
 
 def pixel_positions(image: np.ndarray | xr.DataArray | xr.Dataset, shape: tuple[int, ...]) -> tuple[np.ndarray, ...]:
     """Return the rows and the columns [px] of an image: its coordinates, or a count from 0 when it has none."""
-    coordinates = image.coords if isinstance(image, xr.DataArray | xr.Dataset) else {}
+    coordinates: Mapping = image.coords if isinstance(image, xr.DataArray | xr.Dataset) else {}
     return tuple(
         np.asarray(coordinates[name], float) if name in coordinates else np.arange(length, dtype=float)
         for name, length in zip(("row", "column"), shape, strict=True)

@@ -74,18 +74,29 @@ def couple(
                 f"reference shape of {reference_shape['z'].shape} and deformed shape of {deformed_shape['z'].shape} "
                 "points do not cover the same pixels"
             )
-    moved = [
+    d_x, d_y, sigma_x, sigma_y = (
         np.ascontiguousarray(displacement[name], np.float32)
         for name in ("displacement_x", "displacement_y", "sigma_x", "sigma_y")
-    ]
-    point_rows, point_columns = pixel_positions(displacement, moved[0].shape)
+    )
+    point_rows, point_columns = pixel_positions(displacement, d_x.shape)
     kernel = _gaussian(z_filter)
     pixel_size = camera_distance * float(np.linalg.norm(ray_matrix[:, 0]))
-    result = np.empty((9, *moved[0].shape), np.float32)
+    z, variance, right, down = _prepare(reference_shape, kernel, pixel_size)
+    z_after, variance_after, right_after, down_after = _prepare(deformed_shape, kernel, pixel_size)
+    result = np.empty((9, *d_x.shape), np.float32)
     _couple(
-        *_prepare(reference_shape, kernel, pixel_size),
-        *_prepare(deformed_shape, kernel, pixel_size),
-        *moved,
+        z,
+        variance,
+        right,
+        down,
+        z_after,
+        variance_after,
+        right_after,
+        down_after,
+        d_x,
+        d_y,
+        sigma_x,
+        sigma_y,
         point_rows,
         point_columns,
         rows[0],
@@ -347,11 +358,13 @@ def _interpolate(
     correlation: np.ndarray,
     s: float,
     r: float,
+    slopes: bool,
     weights: np.ndarray,
 ) -> tuple[float, float, float, float]:
     """Return z, its variance and its derivatives by column and row at row s, column r; NaN beside holes and tears.
 
-    Exactly on a pixel that pixel alone counts, and the derivatives are NaN where its neighbours are not measured.
+    Exactly on a pixel that pixel alone counts, and the derivatives, if `slopes` are asked for, are NaN where its
+    neighbours are not measured.
     """
     nan = np.nan
     rows, columns = z.shape
@@ -359,6 +372,8 @@ def _interpolate(
         return nan, nan, nan, nan
     i, j = int(s), int(r)
     on_pixel = s == i and r == j
+    if on_pixel and not slopes:
+        return z[i, j], variance[i, j], nan, nan
     whole = 1 <= i < rows - 2 and 1 <= j < columns - 2
     if whole:
         for k in range(-1, 3):
@@ -416,7 +431,7 @@ def _couple(
         for j in range(len(columns)):
             s, r = rows[i], columns[j]
             height, spread, _, _ = _interpolate(
-                z, variance, right, down, correlation, s - first_row, r - first_column, weights
+                z, variance, right, down, correlation, s - first_row, r - first_column, False, weights
             )
             depth = rays[2, 0] * r + rays[2, 1] * s + rays[2, 2]
             ray_x = (rays[0, 0] * r + rays[0, 1] * s + rays[0, 2]) / depth
@@ -425,7 +440,15 @@ def _couple(
 
             s, r = s + displacement_y[i, j], r + displacement_x[i, j]
             after, spread_after, z_r, z_s = _interpolate(
-                z_after, variance_after, right_after, down_after, correlation, s - first_row, r - first_column, weights
+                z_after,
+                variance_after,
+                right_after,
+                down_after,
+                correlation,
+                s - first_row,
+                r - first_column,
+                True,
+                weights,
             )
             depth = rays[2, 0] * r + rays[2, 1] * s + rays[2, 2]
             ray_x_after = (rays[0, 0] * r + rays[0, 1] * s + rays[0, 2]) / depth
