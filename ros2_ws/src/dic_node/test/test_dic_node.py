@@ -1,0 +1,216 @@
+"""The dic node in a process of its own: the same displacement as the library, and one status per step."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+import rclpy
+from sensor_msgs.msg import CameraInfo, Image
+
+from fringedic.chain import DicParameters, DicResult, DisplacementTracker, white_texture
+from fringedic.virtual_rig import VirtualRig
+from fringedic_msgs.msg import NodeStatus, Reference
+from fringedic_ros.images import image_array, image_message
+from fringedic_ros.qos import DERIVED, EVENTS, LATCHED
+from fringedic_ros.stamps import to_msg, to_nanoseconds
+from fringedic_ros.testing import Bench, NodeProcess, of_stamp, white_step
+
+DOMAIN = 51
+POSITIONS = (0.0, 1.0e-4, 2.0e-4, 3.0e-4)  # crosshead of each step [m]
+
+
+class DicBench(Bench):
+    """Plays the phase node as well, and hears the dic node."""
+
+    def __init__(self) -> None:
+        super().__init__("dic")
+        rig = VirtualRig.from_preset("plate", size="tiny")
+        self.white = [white_step(rig, position, "", step)[0] for step, position in enumerate(POSITIONS)]
+        self.textures = [white_texture(image) for _, image in self.white]
+        self._texture = self.create_publisher(Image, "phase/texture", DERIVED)
+        self._phase_status = self.create_publisher(NodeStatus, "phase/status", EVENTS)
+        self._reference = self.create_publisher(Reference, "experiment/reference", LATCHED)
+        self.displacement = self.listen(Image, "dic/displacement", DERIVED)
+        self.sigma = self.listen(Image, "dic/sigma", DERIVED)
+        self.grid = self.listen(CameraInfo, "dic/camera_info", DERIVED)
+
+    def stamp(self, step: int) -> int:
+        return self.white[step][0].stamp
+
+    def send_texture(self, step: int, texture: np.ndarray | None = None) -> None:
+        image = self.textures[step] if texture is None else texture
+        self._texture.publish(image_message(image, stamp_ns=self.stamp(step), frame_id="camera_optical_frame"))
+
+    def send_phase_status(self, experiment: str, step: int, error_code: int = NodeStatus.NONE) -> None:
+        status = NodeStatus(node="phase", experiment=experiment, step=step, error_code=error_code, frames=16)
+        status.error_message = "scripted" if error_code else ""
+        status.header.stamp = to_msg(self.stamp(step))
+        self._phase_status.publish(status)
+
+    def send_step(self, experiment: str, step: int, texture: np.ndarray | None = None) -> NodeStatus:
+        """What the phase node sends of a fringe step; returns the answer."""
+        self.send_texture(step, texture)
+        self.send_phase_status(experiment, step)
+        return self.status_of(experiment, step)
+
+    def set_reference(self, experiment: str, step: int) -> None:
+        self._reference.publish(Reference(experiment=experiment, step=step))
+
+    def assert_identical(self, result: DicResult) -> None:
+        for heard, array in ((self.displacement, result.displacement), (self.sigma, result.sigma)):
+            (message,) = of_stamp(heard, result.stamp)
+            assert message.encoding == "32FC2"
+            assert image_array(message).tobytes() == array.tobytes()
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DicBench]:
+    rclpy.init(domain_id=DOMAIN)
+    bench = DicBench()
+    with NodeProcess("dic_node.dic_node", DOMAIN, tmp_path_factory.mktemp("dic")):
+        bench.connect()
+        yield bench
+    bench.destroy_node()
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def name(bench: DicBench, request: pytest.FixtureRequest) -> str:
+    """An experiment of its own for every test."""
+    bench.forget()
+    return request.node.name
+
+
+@pytest.fixture
+def tracker() -> DisplacementTracker:
+    return DisplacementTracker(DicParameters())
+
+
+def test_displacement_is_that_of_the_library_bit_by_bit(
+    bench: DicBench, name: str, tracker: DisplacementTracker
+) -> None:
+    for step, texture in enumerate(bench.textures):
+        if step % 2:  # either order
+            bench.send_phase_status(name, step)
+            bench.serve(0.05)
+            bench.send_texture(step)
+        else:
+            bench.send_texture(step)
+            bench.serve(0.05)
+            bench.send_phase_status(name, step)
+        status = bench.status_of(name, step)
+        result = tracker.step(name, step, bench.stamp(step), texture)
+        assert (status.node, status.error_code) == ("dic", NodeStatus.NONE)
+        assert to_nanoseconds(status.header.stamp) == result.stamp
+        assert (status.valid_fraction, status.rms, status.frames) == (result.valid_fraction, result.rms, 16)
+        bench.assert_identical(result)
+    assert result.rms > 0.1, "the plate has moved"
+
+
+def test_white_steps_come_from_the_camera(bench: DicBench, name: str, tracker: DisplacementTracker) -> None:
+    for step in (0, 1):
+        bench.send(white_step(VirtualRig.from_preset("plate", size="tiny"), POSITIONS[step], name, step))
+        status = bench.status_of(name, step)
+        assert (status.error_code, status.frames) == (NodeStatus.NONE, 1)
+        bench.assert_identical(tracker.step(name, step, bench.stamp(step), bench.textures[step]))
+
+
+def test_reference_of_the_following_steps(bench: DicBench, name: str, tracker: DisplacementTracker) -> None:
+    for step in (0, 1):
+        assert bench.send_step(name, step).error_code == NodeStatus.NONE
+        tracker.step(name, step, bench.stamp(step), bench.textures[step])
+    bench.set_reference(name, 2)  # before the step itself
+    bench.serve(0.1)
+    bench.send_step(name, 2)
+    tracker.set_reference(name, 2)
+    itself = tracker.step(name, 2, bench.stamp(2), bench.textures[2])
+    bench.assert_identical(itself)
+    assert np.nanmax(np.abs(itself.displacement)) == 0 and np.isfinite(itself.displacement).any()
+    bench.set_reference(name, 1)  # one that was measured earlier
+    bench.serve(0.1)
+    bench.send_step(name, 3)
+    tracker.set_reference(name, 1)
+    bench.assert_identical(tracker.step(name, 3, bench.stamp(3), bench.textures[3]))
+
+
+def test_missing_reference(bench: DicBench, name: str) -> None:
+    bench.set_reference(name, 7)
+    bench.serve(0.1)
+    status = bench.send_step(name, 0)
+    assert status.error_code == NodeStatus.NO_REFERENCE and "step 7" in status.error_message
+    bench.set_reference(name, 1)
+    bench.serve(0.1)
+    assert bench.send_step(name, 1).error_code == NodeStatus.NONE
+
+
+def test_window_and_grid_change_from_the_next_step_on(bench: DicBench, name: str) -> None:
+    changed = DicParameters(window=24, spacing=4)
+    tracker = DisplacementTracker(changed)
+    bench.change(window=changed.window, spacing=changed.spacing)
+    try:
+        for step in (0, 1):
+            bench.send_step(name, step)
+            result = tracker.step(name, step, bench.stamp(step), bench.textures[step])
+            bench.assert_identical(result)
+        (grid,) = of_stamp(bench.grid, bench.stamp(1))
+        rows, columns = result.displacement.shape[:2]
+        assert (grid.height, grid.width, grid.binning_x, grid.binning_y) == (120, 160, 4, 4)
+        assert (grid.roi.y_offset, grid.roi.x_offset) == result.origin
+        assert (grid.roi.height, grid.roi.width) == (4 * rows - 3, 4 * columns - 3)
+        republished = {each.name: each.value.integer_value for each in bench.node_parameters[-1].parameters}
+        assert (republished["window"], republished["spacing"]) == (24, 4)
+    finally:
+        bench.change(window=DicParameters().window, spacing=DicParameters().spacing)
+
+
+def test_failed_phase_fails_the_step(bench: DicBench, name: str) -> None:
+    bench.send_phase_status(name, 0, NodeStatus.FRAME_MISSING)
+    status = bench.status_of(name, 0)
+    assert (status.error_code, status.error_message) == (NodeStatus.INPUT_FAILED, "phase: scripted")
+    bench.send_phase_status(name, 1, NodeStatus.STEP_ABORTED)
+    assert bench.status_of(name, 1).error_code == NodeStatus.STEP_ABORTED
+    assert bench.send_step(name, 2).error_code == NodeStatus.NONE
+
+
+@pytest.mark.parametrize(
+    ("spoil", "code"),
+    [
+        (lambda texture: texture[:-20, :-20], NodeStatus.FRAME_MISMATCH),
+        (lambda texture: np.full_like(texture, 100.0), NodeStatus.NO_CORRELATION),
+        (lambda texture: np.full_like(texture, np.nan), NodeStatus.NO_CORRELATION),
+    ],
+    ids=["other size", "no texture", "nothing measured"],
+)
+def test_bad_texture_ends_its_step_and_the_next_one_works(
+    bench: DicBench, name: str, tracker: DisplacementTracker, spoil: object, code: int
+) -> None:
+    bench.send_step(name, 0)
+    tracker.step(name, 0, bench.stamp(0), bench.textures[0])
+    status = bench.send_step(name, 1, spoil(bench.textures[1]))  # type: ignore[operator]
+    assert status.error_code == code, status.error_message
+    assert not of_stamp(bench.displacement, bench.stamp(1))
+    assert bench.send_step(name, 2).error_code == NodeStatus.NONE
+    bench.assert_identical(tracker.step(name, 2, bench.stamp(2), bench.textures[2]))
+
+
+def test_unreadable_white_frame_ends_its_step(bench: DicBench, name: str) -> None:
+    rig = VirtualRig.from_preset("plate", size="tiny")
+    ((record, image),) = white_step(rig, 0.0, name, 0)
+    message = image_message(image, stamp_ns=record.stamp, frame_id="")
+    message.encoding = "yuv422"
+    bench.send_message(message, record)
+    assert bench.status_of(name, 0).error_code == NodeStatus.FRAME_MISMATCH
+    bench.send(white_step(rig, 0.0, name, 1))
+    assert bench.status_of(name, 1).error_code == NodeStatus.NONE
+
+
+def test_abort_answers_a_step_that_waits(bench: DicBench, name: str) -> None:
+    bench.send_texture(0)
+    bench.abort(name, 0)
+    assert bench.status_of(name, 0).error_code == NodeStatus.STEP_ABORTED
+    bench.send_phase_status(name, 0)
+    bench.abort(name, 0)
+    assert bench.status_of(name, 0).error_code == NodeStatus.STEP_ABORTED
+    assert bench.send_step(name, 1).error_code == NodeStatus.NONE
