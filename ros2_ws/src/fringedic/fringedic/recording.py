@@ -36,6 +36,7 @@ from fringedic import __version__
 from fringedic.errors import DiskFullError, MissingTopicError, RecordingError, UnknownSchemaError
 from fringedic.sequence import FrameRecord, Orientation, PatternKind, Projection
 
+REORDER_WINDOW = 64  # messages
 MAGIC = b"\x89MCAP0\r\n"
 _RECORD_HEADER = struct.Struct("<BQ")
 _COMPRESSIONS = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD}
@@ -528,6 +529,19 @@ class BagReader:
                 if topic in wanted:
                     raw = RawMessage(topic, message.data, message.log_time, message.publish_time)
                     heapq.heappush(waiting, (message.log_time, number, chunk.offset, order, raw))
+        while waiting:
+            yield heapq.heappop(waiting)[-1]
+
+    def published(self, topics: Iterable[str] | None = None) -> Iterator[RawMessage]:
+        """Iterate in the order of publishing, which is that of cause and effect.
+
+        Topics reach a recorder through separate queues, where they can overtake each other by a few messages.
+        """
+        waiting: list[tuple[int, int, RawMessage]] = []
+        for order, message in enumerate(self.raw(topics)):
+            heapq.heappush(waiting, (message.publish_time, order, message))
+            if len(waiting) > REORDER_WINDOW:
+                yield heapq.heappop(waiting)[-1]
         while waiting:
             yield heapq.heappop(waiting)[-1]
 

@@ -265,6 +265,16 @@ def test_chunks_that_overlap_in_time_are_read_in_log_order(typestore, tmp_path):
     assert [each.log_time for each in BagReader(tmp_path / "bag").raw()] == [5, 10, 20, 30, 30, 50, 60, 70]
 
 
+def test_messages_that_overtook_each_other_come_in_the_order_of_publishing(typestore, tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/force", FORCE)
+        for logged, published in enumerate((3, 1, 2, 7, 5, 4, 6)):
+            writer.write("/force", force(typestore, published), logged, published)
+    reader = BagReader(tmp_path / "bag")
+    assert [each.publish_time for each in reader.raw()] == [3, 1, 2, 7, 5, 4, 6]
+    assert [each.publish_time for each in reader.published()] == [1, 2, 3, 4, 5, 6, 7]
+
+
 WRITER = """
     import sys, time
     import numpy as np
