@@ -25,58 +25,73 @@ class _Section(BaseModel):
 class CameraConfiguration(_Section):
     """Pin-hole camera at (0, 0, distance), looking down at the reference plane."""
 
-    columns: int = Field(1280, ge=16, le=8192, description="Image width [px].")
-    rows: int = Field(960, ge=16, le=8192, description="Image height [px].")
-    distance_mm: float = Field(400.0, gt=0, description="Distance h0 of the pin-hole from the reference plane.")
-    pixel_size_um: float = Field(50.0, gt=0, description="Length per row on the reference plane, principal point.")
-    pixel_aspect: float = Field(1.0, gt=0, description="Row spacing over column spacing (tau).")
-    principal_column: float | None = Field(None, description="Principal point [px]; None is the image centre.")
-    principal_row: float | None = Field(None, description="Principal point [px]; None is the image centre.")
-    tilt_x_degree: float = Field(0.0, gt=-45, lt=45, description="Rotation of the camera about the rig's x axis.")
-    tilt_y_degree: float = Field(0.0, gt=-45, lt=45, description="Rotation of the camera about the rig's y axis.")
+    columns: int = Field(default=1280, ge=16, le=8192, description="Image width [px].")
+    rows: int = Field(default=960, ge=16, le=8192, description="Image height [px].")
+    distance_mm: float = Field(default=400.0, gt=0, description="Distance h0 of the pin-hole from the reference plane.")
+    pixel_size_um: float = Field(
+        default=50.0, gt=0, description="Length per row on the reference plane, principal point."
+    )
+    pixel_aspect: float = Field(default=1.0, gt=0, description="Row spacing over column spacing (tau).")
+    principal_column: float | None = Field(default=None, description="Principal point [px]; None is the image centre.")
+    principal_row: float | None = Field(default=None, description="Principal point [px]; None is the image centre.")
+    tilt_x_degree: float = Field(
+        default=0.0, gt=-45, lt=45, description="Rotation of the camera about the rig's x axis."
+    )
+    tilt_y_degree: float = Field(
+        default=0.0, gt=-45, lt=45, description="Rotation of the camera about the rig's y axis."
+    )
 
 
 class ProjectorConfiguration(_Section):
     """Pin-hole projector at (x, y, z) that looks at the origin of the rig frame, but for its three angles."""
 
-    columns: int = Field(800, ge=16, le=8192, description="Image width [px].")
-    rows: int = Field(600, ge=16, le=8192, description="Image height [px].")
-    x_mm: float = Field(180.0, description="Position d along x; positive is right of the camera.")
-    y_mm: float = Field(0.0, description="Position along y.")
-    z_mm: float = Field(380.0, gt=0, description="Distance hp of the pin-hole from the reference plane.")
-    yaw_degree: float = Field(0.0, gt=-45, lt=45, description="Turn about the projector's own up axis.")
-    pitch_degree: float = Field(0.0, gt=-45, lt=45, description="Tilt about the projector's own right axis.")
-    roll_degree: float = Field(0.0, ge=-180, le=180, description="Roll about the projector's own axis.")
-    focal_length_px: float = Field(3400.0, gt=0, description="Focal length.")
-    principal_column: float | None = Field(None, description="Principal point [px]; None is the image centre.")
-    principal_row: float | None = Field(None, description="Principal point [px]; None is the image centre.")
-    k1: float = Field(0.0, ge=-1, le=1, description="Radial distortion, (m, n) *= 1 + k1 (m^2 + n^2).")
-    gamma: float = Field(1.0, gt=0, le=5, description="Light = (grey level / 255)^gamma; 1 is a corrected projector.")
+    columns: int = Field(default=800, ge=16, le=8192, description="Image width [px].")
+    rows: int = Field(default=600, ge=16, le=8192, description="Image height [px].")
+    x_mm: float = Field(default=180.0, description="Position d along x; positive is right of the camera.")
+    y_mm: float = Field(default=0.0, description="Position along y.")
+    z_mm: float = Field(default=380.0, gt=0, description="Distance hp of the pin-hole from the reference plane.")
+    yaw_degree: float = Field(default=0.0, gt=-45, lt=45, description="Turn about the projector's own up axis.")
+    pitch_degree: float = Field(default=0.0, gt=-45, lt=45, description="Tilt about the projector's own right axis.")
+    roll_degree: float = Field(default=0.0, ge=-180, le=180, description="Roll about the projector's own axis.")
+    focal_length_px: float = Field(default=3400.0, gt=0, description="Focal length.")
+    principal_column: float | None = Field(default=None, description="Principal point [px]; None is the image centre.")
+    principal_row: float | None = Field(default=None, description="Principal point [px]; None is the image centre.")
+    k1: float = Field(default=0.0, ge=-1, le=1, description="Radial distortion, (m, n) *= 1 + k1 (m^2 + n^2).")
+    gamma: float = Field(
+        default=1.0, gt=0, le=5, description="Light = (grey level / 255)^gamma; 1 is a corrected projector."
+    )
     defocus_px: float = Field(
-        0.6, ge=0.05, le=10, description="Standard deviation of the lens's point spread, added to the pixel's square."
+        default=0.6,
+        ge=0.05,
+        le=10,
+        description="Standard deviation of the lens's point spread, added to the pixel's square.",
     )
 
 
 class SensorConfiguration(_Section):
     """Exposure, noise and digits of the camera; grey levels are those of the chosen number of bits."""
 
-    bits: Literal[8, 10, 12, 16] = Field(8, description="Digits per pixel; more than 8 give 16-bit images.")
+    bits: Literal[8, 10, 12, 16] = Field(default=8, description="Digits per pixel; more than 8 give 16-bit images.")
     white_level: float = Field(
-        0.75, gt=0, le=2, description="Full white on unpainted surface at the origin, part of the full scale."
+        default=0.75, gt=0, le=2, description="Full white on unpainted surface at the origin, part of the full scale."
     )
-    ambient_light: float = Field(0.02, ge=0, le=1, description="Room light relative to the projector's white.")
-    background: float = Field(0.01, ge=0, le=1, description="Brightness beside the specimen, part of the full scale.")
-    read_noise_grey_level: float = Field(1.0, ge=0, description="Standard deviation of the noise in the dark.")
-    shot_noise_grey_level: float = Field(0.02, ge=0, description="Variance of the noise per grey level.")
+    ambient_light: float = Field(default=0.02, ge=0, le=1, description="Room light relative to the projector's white.")
+    background: float = Field(
+        default=0.01, ge=0, le=1, description="Brightness beside the specimen, part of the full scale."
+    )
+    read_noise_grey_level: float = Field(default=1.0, ge=0, description="Standard deviation of the noise in the dark.")
+    shot_noise_grey_level: float = Field(default=0.02, ge=0, description="Variance of the noise per grey level.")
 
 
 class TextureConfiguration(_Section):
     """Random pattern on the surface, as seen after the blur of the camera's lens."""
 
-    kind: Literal["speckle", "furrows", "grain"] = Field("speckle", description="Sprayed dots, skin or leather.")
-    feature_um: float = Field(200.0, gt=0, description="Full width at half height of the typical dark feature.")
-    coverage: float = Field(0.5, gt=0, lt=1, description="Part of the surface darker than half (speckle only).")
-    floor: float = Field(0.12, ge=0, lt=1, description="Darkest reflectance relative to the unpainted surface.")
+    kind: Literal["speckle", "furrows", "grain"] = Field(
+        default="speckle", description="Sprayed dots, skin or leather."
+    )
+    feature_um: float = Field(default=200.0, gt=0, description="Full width at half height of the typical dark feature.")
+    coverage: float = Field(default=0.5, gt=0, lt=1, description="Part of the surface darker than half (speckle only).")
+    floor: float = Field(default=0.12, ge=0, lt=1, description="Darkest reflectance relative to the unpainted surface.")
 
 
 class RigidSpecimen(_Section):
@@ -84,19 +99,27 @@ class RigidSpecimen(_Section):
 
     kind: Literal["rigid"] = "rigid"
     shape: Literal["plane", "sphere", "stepped"] = "plane"
-    half_width_mm: float = Field(60.0, gt=0, description="The specimen reaches from -this to +this along X.")
-    half_height_mm: float = Field(50.0, gt=0, description="The specimen reaches from -this to +this along Y.")
-    height_mm: float = Field(0.0, description="Height of the plane at the origin, of the apex, of the lowest floor.")
-    angle_degree: float = Field(0.0, gt=-80, lt=80, description="Plane: raises the +x side towards the camera.")
-    angle_y_degree: float = Field(0.0, gt=-80, lt=80, description="Plane: raises the +y side towards the camera.")
-    radius_mm: float = Field(120.0, gt=0, description="Sphere: radius.")
-    step_mm: float = Field(4.0, description="Stepped: height of the block; its upper part is half as high again.")
-    transition_mm: float = Field(0.25, gt=0, description="Stepped: length scale of the walls (tanh).")
-    block_half_width_mm: float = Field(12.0, gt=0, description="Stepped: half width of the block along X.")
-    step_y_mm: float = Field(4.0, description="Stepped: Y above which the surface is half a block higher.")
-    translation: tuple[float, float, float] = Field((0.0, 0.0, 0.0), description="Translation per crosshead travel.")
+    half_width_mm: float = Field(default=60.0, gt=0, description="The specimen reaches from -this to +this along X.")
+    half_height_mm: float = Field(default=50.0, gt=0, description="The specimen reaches from -this to +this along Y.")
+    height_mm: float = Field(
+        default=0.0, description="Height of the plane at the origin, of the apex, of the lowest floor."
+    )
+    angle_degree: float = Field(default=0.0, gt=-80, lt=80, description="Plane: raises the +x side towards the camera.")
+    angle_y_degree: float = Field(
+        default=0.0, gt=-80, lt=80, description="Plane: raises the +y side towards the camera."
+    )
+    radius_mm: float = Field(default=120.0, gt=0, description="Sphere: radius.")
+    step_mm: float = Field(
+        default=4.0, description="Stepped: height of the block; its upper part is half as high again."
+    )
+    transition_mm: float = Field(default=0.25, gt=0, description="Stepped: length scale of the walls (tanh).")
+    block_half_width_mm: float = Field(default=12.0, gt=0, description="Stepped: half width of the block along X.")
+    step_y_mm: float = Field(default=4.0, description="Stepped: Y above which the surface is half a block higher.")
+    translation: tuple[float, float, float] = Field(
+        default=(0.0, 0.0, 0.0), description="Translation per crosshead travel."
+    )
     rotation_degree_per_mm: tuple[float, float, float] = Field(
-        (0.0, 0.0, 0.0), description="Rotation vector about the origin per crosshead travel."
+        default=(0.0, 0.0, 0.0), description="Rotation vector about the origin per crosshead travel."
     )
 
 
@@ -104,66 +127,78 @@ class PlateSpecimen(_Section):
     """A flat plate under tension along y, slightly bowed and slanted in its grips."""
 
     kind: Literal["plate"] = "plate"
-    half_width_mm: float = Field(30.0, gt=0)
-    half_height_mm: float = Field(50.0, gt=0)
-    gauge_length_mm: float = Field(100.0, gt=0, description="Distance of the grips; the lower one stands still.")
-    poisson: float = Field(0.33, ge=0, le=0.5)
-    bow_mm: float = Field(0.4, description="Height of the bow at the centre before loading.")
-    straightening_mm: float = Field(0.4, gt=0, description="Crosshead travel that halves the bow.")
-    angle_degree: float = Field(0.5, gt=-45, lt=45, description="Slant that raises the +x side.")
-    angle_y_degree: float = Field(-0.3, gt=-45, lt=45, description="Slant that raises the +y side.")
-    twist_per_mm: float = Field(0.008, description="Relative growth of the bow along x.")
+    half_width_mm: float = Field(default=30.0, gt=0)
+    half_height_mm: float = Field(default=50.0, gt=0)
+    gauge_length_mm: float = Field(
+        default=100.0, gt=0, description="Distance of the grips; the lower one stands still."
+    )
+    poisson: float = Field(default=0.33, ge=0, le=0.5)
+    bow_mm: float = Field(default=0.4, description="Height of the bow at the centre before loading.")
+    straightening_mm: float = Field(default=0.4, gt=0, description="Crosshead travel that halves the bow.")
+    angle_degree: float = Field(default=0.5, gt=-45, lt=45, description="Slant that raises the +x side.")
+    angle_y_degree: float = Field(default=-0.3, gt=-45, lt=45, description="Slant that raises the +y side.")
+    twist_per_mm: float = Field(default=0.008, description="Relative growth of the bow along x.")
 
 
 class SkinSpecimen(_Section):
     """Skin of a forearm, pulled along +y by a pad; the strain band lies between the pads."""
 
     kind: Literal["skin"] = "skin"
-    half_width_mm: float = Field(9.0, gt=0)
-    half_height_mm: float = Field(8.0, gt=0)
-    radius_x_mm: float = Field(45.0, gt=0, description="Radius of curvature along x.")
-    radius_y_mm: float = Field(220.0, gt=0, description="Radius of curvature along y.")
-    band_mm: float = Field(5.0, gt=0, description="Length scale of the strain band: strain is travel / (2 band).")
-    pad_reach_mm: float = Field(10.0, gt=0, description="Gaussian reach of the pad's pull along x.")
-    poisson: float = Field(0.35, ge=0, le=1)
-    device_angle_degree: float = Field(30.0, ge=-90, le=90, description="Device against the skin's stiff direction.")
-    anisotropy: float = Field(0.25, ge=0, lt=1, description="Strength of the asymmetry that the angle brings.")
-    dip: float = Field(0.12, description="Sinking of the band per crosshead travel.")
-    relief_um: float = Field(15.0, ge=0, description="Depth of the main furrows.")
+    half_width_mm: float = Field(default=9.0, gt=0)
+    half_height_mm: float = Field(default=8.0, gt=0)
+    radius_x_mm: float = Field(default=45.0, gt=0, description="Radius of curvature along x.")
+    radius_y_mm: float = Field(default=220.0, gt=0, description="Radius of curvature along y.")
+    band_mm: float = Field(
+        default=5.0, gt=0, description="Length scale of the strain band: strain is travel / (2 band)."
+    )
+    pad_reach_mm: float = Field(default=10.0, gt=0, description="Gaussian reach of the pad's pull along x.")
+    poisson: float = Field(default=0.35, ge=0, le=1)
+    device_angle_degree: float = Field(
+        default=30.0, ge=-90, le=90, description="Device against the skin's stiff direction."
+    )
+    anisotropy: float = Field(default=0.25, ge=0, lt=1, description="Strength of the asymmetry that the angle brings.")
+    dip: float = Field(default=0.12, description="Sinking of the band per crosshead travel.")
+    relief_um: float = Field(default=15.0, ge=0, description="Depth of the main furrows.")
 
 
 class LeatherSpecimen(_Section):
     """Folded leather held by a screw: the fold flattens and the piece turns about the screw."""
 
     kind: Literal["leather"] = "leather"
-    half_width_mm: float = Field(30.0, gt=0)
-    half_height_mm: float = Field(40.0, gt=0)
-    fold_mm: float = Field(5.0, description="Height of the fold before loading, far from the screw.")
-    fold_width_mm: float = Field(8.0, gt=0, description="Length scale a of the fold A sech^2(s/a).")
-    fold_direction_degree: float = Field(65.0, description="Direction along the fold against +x.")
-    fold_x_mm: float = Field(2.0, description="A point on the crest.")
-    fold_y_mm: float = Field(0.0, description="A point on the crest.")
-    screw_x_mm: float = Field(-12.0)
-    screw_y_mm: float = Field(-18.0)
-    growth_mm: float = Field(14.0, gt=0, description="Length scale over which the fold grows away from the screw.")
-    flattening_mm: float = Field(6.0, gt=0, description="Crosshead travel that flattens the fold by a factor e.")
-    rotation_degree_per_mm: float = Field(0.35, description="In-plane rotation about the screw, per travel.")
-    stretch_per_mm: float = Field(0.002, description="Strain along y per travel.")
-    curvature_per_m: float = Field(0.8, description="Curvature of the whole piece before loading.")
-    lift_per_m_per_mm: float = Field(-0.1, description="Change of that curvature per travel.")
+    half_width_mm: float = Field(default=30.0, gt=0)
+    half_height_mm: float = Field(default=40.0, gt=0)
+    fold_mm: float = Field(default=6.0, description="Height of the fold before loading, far from the screw.")
+    fold_width_mm: float = Field(default=6.5, gt=0, description="Length scale a of the fold A sech^2(s/a).")
+    fold_direction_degree: float = Field(default=65.0, description="Direction along the fold against +x.")
+    fold_x_mm: float = Field(default=2.0, description="A point on the crest.")
+    fold_y_mm: float = Field(default=0.0, description="A point on the crest.")
+    screw_x_mm: float = Field(default=-12.0)
+    screw_y_mm: float = Field(default=-18.0)
+    growth_mm: float = Field(
+        default=14.0, gt=0, description="Length scale over which the fold grows away from the screw."
+    )
+    flattening_mm: float = Field(
+        default=6.0, gt=0, description="Crosshead travel that flattens the fold by a factor e."
+    )
+    rotation_degree_per_mm: float = Field(default=0.25, description="In-plane rotation about the screw, per travel.")
+    stretch_per_mm: float = Field(default=0.001, description="Strain along y per travel.")
+    curvature_per_m: float = Field(default=0.8, description="Curvature of the whole piece before loading.")
+    lift_per_m_per_mm: float = Field(default=-0.1, description="Change of that curvature per travel.")
 
 
 class LoadFrameConfiguration(_Section):
     """The testing machine that stretches the specimen."""
 
-    maximum_position_mm: float = Field(1.0, gt=0, description="Crosshead travel from the unloaded specimen at 0.")
-    maximum_speed_mm_per_s: float = Field(5.0, gt=0)
-    acceleration_mm_per_s2: float = Field(10.0, gt=0, description="Ramp of the speed at start and stop.")
-    stiffness_n_per_mm: float = Field(2000.0, gt=0, description="Force per travel of fast loading.")
-    relaxation: float = Field(0.02, ge=0, lt=1, description="Part of the force lost in a long hold.")
-    relaxation_time_s: float = Field(5.0, gt=0)
-    play_mm: float = Field(0.0, ge=0, description="Dead travel of the grips before force builds up or falls.")
-    force_noise_n: float = Field(0.5, ge=0, description="Standard deviation of the force reading.")
+    maximum_position_mm: float = Field(
+        default=1.0, gt=0, description="Crosshead travel from the unloaded specimen at 0."
+    )
+    maximum_speed_mm_per_s: float = Field(default=5.0, gt=0)
+    acceleration_mm_per_s2: float = Field(default=10.0, gt=0, description="Ramp of the speed at start and stop.")
+    stiffness_n_per_mm: float = Field(default=2000.0, gt=0, description="Force per travel of fast loading.")
+    relaxation: float = Field(default=0.02, ge=0, lt=1, description="Part of the force lost in a long hold.")
+    relaxation_time_s: float = Field(default=5.0, gt=0)
+    play_mm: float = Field(default=0.0, ge=0, description="Dead travel of the grips before force builds up or falls.")
+    force_noise_n: float = Field(default=0.5, ge=0, description="Standard deviation of the force reading.")
 
 
 Specimen = Annotated[
@@ -175,7 +210,7 @@ Specimen = Annotated[
 class VirtualRigConfiguration(_Section):
     """Everything the twin needs; a rig is reproducible from this and nothing else."""
 
-    seed: int = Field(0, ge=0, lt=2**32, description="Seed of texture and noise.")
+    seed: int = Field(default=0, ge=0, lt=2**32, description="Seed of texture and noise.")
     camera: CameraConfiguration = CameraConfiguration()
     projector: ProjectorConfiguration = ProjectorConfiguration()
     sensor: SensorConfiguration = SensorConfiguration()
@@ -219,9 +254,9 @@ def _merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     merged = dict(base)
     for name, value in changes.items():
         section = merged.get(name)
-        same_kind = isinstance(section, dict) and isinstance(value, Mapping)
-        if same_kind and value.get("kind", section.get("kind")) == section.get("kind"):
-            value = _merge(section, value)
+        if isinstance(section, dict) and isinstance(value, Mapping):
+            kind = section.get("kind")
+            value = _merge(section, value) if value.get("kind", kind) == kind else dict(value)
         merged[name] = value
     return merged
 

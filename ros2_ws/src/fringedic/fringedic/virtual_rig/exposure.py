@@ -16,17 +16,14 @@ def taps_of(defocus: float) -> int:
     return 2 * math.ceil(5.0 * defocus) + 1
 
 
-@compiled
-def _spread(distance, defocus):
-    """Point spread of one projector pixel: its square of width 1 convolved with a Gaussian."""
-    k = math.sqrt(0.5) / defocus
-    return 0.5 * (math.erf((distance + 0.5) * k) - math.erf((distance - 0.5) * k))
-
-
 @in_parallel
 def spread_weights(coordinate, defocus, size, first, weights):
-    """Weights of the projector pixels ``first, first + 1, ...`` at every point; zero beyond the image's edges."""
+    """Weights of the projector pixels ``first, first + 1, ...`` at every point; zero beyond the image's edges.
+
+    The point spread is the pixel's square convolved with a Gaussian, a difference of two error functions.
+    """
     reach = weights.shape[2] // 2
+    k = math.sqrt(0.5) / defocus
     for i in prange(coordinate.shape[0]):
         for j in range(coordinate.shape[1]):
             centre = coordinate[i, j]
@@ -35,9 +32,12 @@ def spread_weights(coordinate, defocus, size, first, weights):
                 weights[i, j, :] = 0.0
                 continue
             first[i, j] = round(centre) - reach
-            for k in range(weights.shape[2]):
-                n = first[i, j] + k
-                weights[i, j, k] = _spread(centre - n, defocus) if 0 <= n < size else 0.0
+            lower = math.erf((centre - first[i, j] + 0.5) * k)
+            for tap in range(weights.shape[2]):
+                n = first[i, j] + tap
+                upper = math.erf((centre - n - 0.5) * k)
+                weights[i, j, tap] = 0.5 * (lower - upper) if 0 <= n < size else 0.0
+                lower = upper
 
 
 @in_parallel

@@ -1,4 +1,4 @@
-"""The testing machine of the twin: a crosshead with speed ramps, and a specimen that relaxes and has play in its grips."""
+"""The testing machine of the twin: a crosshead with speed ramps, a specimen that relaxes, grips with play."""
 
 from __future__ import annotations
 

@@ -10,6 +10,7 @@ from typing import Any, Self
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation
 
 from fringedic.errors import CrossheadRangeError, ShapeMismatchError
 from fringedic.virtual_rig import exposure, tracing
@@ -23,8 +24,10 @@ Map = NDArray[np.float64]
 _KEPT_VIEWS = 2
 # A pixel whose material point projects farther than this from its centre counts as not found [px].
 _TOLERANCE = 1e-6
-# The whole specimen is looked at on a grid of this many points along each side for parts that may throw shadows.
+# Parts that may throw shadows are looked for at every pixel and, outside the camera's view, on a grid over the specimen
+# of this many points along each side; they are noted in blocks of projector pixels.
 _SHADOW_GRID = 400
+_SHADOW_BLOCK = 4
 
 
 @dataclass
@@ -35,29 +38,24 @@ class View:
     ----------
     X, Y : (row, column)
         Material coordinates of the point that each pixel sees [m].
-    x, y, z : (row, column)
-        Where that point is [m].
-    residual : (row, column)
-        Distance between the pixel and the projection of its point [px].
     projector_column, projector_row : (row, column)
         Projector pixel coordinates of the point.
     lit : (row, column) bool
         The projector sees the point.
     gain, offset : (row, column) float32
         Grey level = gain * projected light + offset.
+    residual
+        Largest distance between a pixel and the projection of its point [px].
     """
 
     X: Map
     Y: Map
-    x: Map
-    y: Map
-    z: Map
-    residual: Map
     projector_column: Map
     projector_row: Map
     lit: NDArray[np.bool_]
     gain: NDArray[np.float32]
     offset: NDArray[np.float32]
+    residual: float
     _weights: dict[str, tuple[NDArray[np.int32], NDArray[np.float32]]] = field(default_factory=dict)
 
     def weights(self, axis: str, size: int, defocus: float) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
@@ -200,6 +198,7 @@ class VirtualRig:
             raise CrossheadRangeError(
                 f"crosshead position {position * 1e3:g} mm is outside 0 to {self.maximum_position * 1e3:g} mm"
             )
+        position = float(position)  # an integer would compile all kernels once more
         if position not in self._views:
             self._views[position] = self._solve(position)
             if len(self._views) > _KEPT_VIEWS:
@@ -232,50 +231,71 @@ class VirtualRig:
         beside = ~((residual < _TOLERANCE) & (left <= X) & (right >= X) & (low <= Y) & (high >= Y))
         X[beside] = Y[beside] = np.nan
         column, row, irradiance, facing = self._light_geometry(position, X, Y)
-        x, y, z = self._points(position, X, Y)
         hidden = ~(facing > 0.0)
-        for values in (X, Y, x, y, z, column, row, irradiance, residual):
+        for values in (X, Y, column, row, irradiance, residual):
             values[hidden] = np.nan
-        self._cast_shadows(position, X, Y, irradiance)
-        lit = irradiance > 0.0
 
         texture = np.empty(self.shape)
         tracing.reflectance(self._texture, self.configuration.texture.floor, X, Y, texture)
         sensor = self.configuration.sensor
         full_scale = 2**sensor.bits - 1
         white = full_scale * sensor.white_level * texture
-        gain = np.where(lit, white * irradiance, 0.0)
-        offset = np.where(hidden, full_scale * sensor.background, white * sensor.ambient_light)
-        return View(X, Y, x, y, z, residual, column, row, lit, gain.astype(np.float32), offset.astype(np.float32))
-
-    def _cast_shadows(self, position: float, X: Map, Y: Map, irradiance: Map) -> None:
-        """Take the projector's light from points behind other parts of the specimen.
-
-        A light path can only meet the surface again beyond a part that turns its back to the projector, so nothing is
-        to be done where no part does.
-        """
-        left, right, low, high = self._surface.outline
-        grid_x, grid_y = np.meshgrid(np.linspace(left, right, _SHADOW_GRID), np.linspace(low, high, _SHADOW_GRID))
-        averted = self._light_geometry(position, grid_x, grid_y)[2] <= 0.0
-        if not averted.any() and not (irradiance <= 0.0).any():
-            return
-        top = max(
-            float(self._points(position, grid_x, grid_y)[2].max()), float(np.nanmax(self._points(position, X, Y)[2]))
+        lit = self._lit(position, X, Y, column, row, irradiance)
+        return View(
+            X=X,
+            Y=Y,
+            projector_column=column,
+            projector_row=row,
+            lit=lit,
+            gain=np.where(lit, white * irradiance, 0.0).astype(np.float32),
+            offset=np.where(hidden, full_scale * sensor.background, white * sensor.ambient_light).astype(np.float32),
+            residual=float(np.max(residual, initial=0.0, where=~hidden)),
         )
-        s = self._surface
+
+    def _lit(self, position: float, X: Map, Y: Map, column: Map, row: Map, irradiance: Map) -> NDArray[np.bool_]:
+        """Points that the projector reaches: turned towards it, and not behind other parts of the specimen.
+
+        A light path meets the surface again only behind a part that turns its back to the projector, and that part
+        lies on the same path: only points at the same projector pixels as averted parts can be in shadow.
+        """
+        surface = self._surface
+        left, right, low, high = surface.outline
+        grid = np.meshgrid(np.linspace(left, right, _SHADOW_GRID), np.linspace(low, high, _SHADOW_GRID))
+        grid_column, grid_row, grid_irradiance, _ = self._light_geometry(position, *grid)
+        averted, averted_grid = irradiance <= 0.0, grid_irradiance <= 0.0
+        if not averted.any() and not averted_grid.any():
+            return irradiance > 0.0
+
+        touched = np.zeros([n // _SHADOW_BLOCK + 3 for n in self.projector_shape], bool)
+
+        def block(column: Map, row: Map) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+            i = np.clip(row / _SHADOW_BLOCK + 1.0, 0.0, touched.shape[0] - 1).astype(np.intp)
+            j = np.clip(column / _SHADOW_BLOCK + 1.0, 0.0, touched.shape[1] - 1).astype(np.intp)
+            return i, j
+
+        touched[block(column[averted], row[averted])] = True
+        touched[block(grid_column[averted_grid], grid_row[averted_grid])] = True
+        touched = binary_dilation(touched, np.ones((3, 3), bool))
+        lit = irradiance > 0.0
+        suspected = lit.copy()
+        suspected[lit] = touched[block(column[lit], row[lit])]
+        heights = [self._points(position, *grid)[2], self._points(position, X, Y)[2]]
+        top = max(float(np.nanmax(z)) for z in heights)
         tracing.cast_shadows(
             self._projector,
-            s.kind,
-            s.coefficients,
-            s.relief,
+            surface.kind,
+            surface.coefficients,
+            surface.relief,
             position,
-            s.outline,
+            surface.outline,
             top,
             1e-6 * self.configuration.camera.pixel_size_um,
             X,
             Y,
-            irradiance,
+            suspected,
+            lit,
         )
+        return lit
 
     def truth(self, position: float, reference_position: float = 0.0) -> xr.Dataset:
         """Exact shape and displacement of the points that the reference image's pixels see.
@@ -298,8 +318,9 @@ class VirtualRig:
         """
         reference, deformed = self.view(reference_position), self.view(position)
         rows, columns = self.shape
+        x0, y0, z0 = self._points(reference_position, reference.X, reference.Y)
         x, y, z = self._points(position, reference.X, reference.Y)
-        column, row = self._seen(reference.x, reference.y, reference.z)
+        column, row = self._seen(x0, y0, z0)
         seen_column, seen_row = self._seen(x, y, z)
         within_columns = (seen_column > -_TOLERANCE) & (seen_column < columns - 1 + _TOLERANCE)
         within_rows = (seen_row > -_TOLERANCE) & (seen_row < rows - 1 + _TOLERANCE)
@@ -309,17 +330,19 @@ class VirtualRig:
 
         return xr.Dataset(
             {
-                "x": image(reference.x, "m", "reference position to the right"),
-                "y": image(reference.y, "m", "reference position upwards"),
-                "z": image(reference.z, "m", "reference height towards the camera"),
-                "u": image(x - reference.x, "m", "displacement to the right"),
-                "v": image(y - reference.y, "m", "displacement upwards"),
-                "w": image(z - reference.z, "m", "displacement towards the camera"),
+                "x": image(x0, "m", "reference position to the right"),
+                "y": image(y0, "m", "reference position upwards"),
+                "z": image(z0, "m", "reference height towards the camera"),
+                "u": image(x - x0, "m", "displacement to the right"),
+                "v": image(y - y0, "m", "displacement upwards"),
+                "w": image(z - z0, "m", "displacement towards the camera"),
                 "displacement_x": image(seen_column - column, "px", "displacement along columns"),
                 "displacement_y": image(seen_row - row, "px", "displacement along rows, downwards"),
                 "valid": image(within_columns & within_rows, "1", "point seen in both images"),
                 "lit": image(reference.lit, "1", "lit by the projector in the reference state"),
-                "z_deformed": image(deformed.z, "m", "height at the deformed image's own pixels"),
+                "z_deformed": image(
+                    self._points(position, deformed.X, deformed.Y)[2], "m", "height at the deformed image's own pixels"
+                ),
                 "projector_column": image(
                     deformed.projector_column, "px", "projector column at the deformed image's own pixels"
                 ),

@@ -2,9 +2,9 @@
 
 A stroke is an optical density that falls off as an anisotropic Gaussian of the material coordinates. Densities add and
 the reflectance is their exponential, so the pattern is an analytic function and no image is ever interpolated. The
-widths are those seen through the camera's lens, whose blur is thereby included; with features of three pixels or more
-a pixel's area and its centre see the same pattern (a Gaussian of 3 px full width keeps less than 3e-4 of its amplitude
-at the Nyquist frequency).
+widths are those seen through the camera's lens, whose blur is thereby included: the presets' strokes are about 1.2
+pixels wide (standard deviation) or more, keep less than 1e-3 of their amplitude at the Nyquist frequency, and are
+sampled at the pixels' centres.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from fringedic.virtual_rig import tracing
 from fringedic.virtual_rig.configuration import TextureConfiguration
@@ -50,7 +51,7 @@ def make_texture(texture: TextureConfiguration, outline: NDArray[np.float64], se
 
 
 def stroke_field(strokes: Strokes, outline: NDArray[np.float64]) -> tracing.StrokeField:
-    """Sort strokes into cells a little larger than the median stroke's reach."""
+    """Sort strokes into cells of about the width of the median stroke."""
     if len(strokes) == 0:
         return tracing.StrokeField(
             strokes, np.zeros(1, np.int64), np.empty(0, np.int32), np.ones(3), np.zeros(2, np.int64)
@@ -58,7 +59,8 @@ def stroke_field(strokes: Strokes, outline: NDArray[np.float64]) -> tracing.Stro
     a, b, c = strokes[:, 2], strokes[:, 3], strokes[:, 4]
     determinant = a * c - b * b
     extent = np.sqrt(tracing.STROKE_REACH * np.stack([c, a], axis=1) / determinant[:, None])
-    edge = 0.7 * float(np.median(extent))
+    steepest = 0.5 * (a + c) + np.sqrt(0.25 * (a - c) ** 2 + b**2)
+    edge = 2.0 * float(np.median(1.0 / np.sqrt(steepest)))
     size = np.array([outline[3] - outline[2], outline[1] - outline[0]])
     cells = np.ceil(size / edge).astype(np.int64) + 1
     grid = np.array([outline[0], outline[2], edge])
@@ -124,17 +126,15 @@ def furrow_strokes(outline: NDArray[np.float64], feature: float, seed: int) -> S
 def _lines(rng: np.random.Generator, outline: NDArray[np.float64], feature: float, direction: float) -> Strokes:
     radius = 0.5 * math.hypot(outline[1] - outline[0], outline[3] - outline[2])
     centre_x, centre_y = 0.5 * (outline[0] + outline[1]), 0.5 * (outline[2] + outline[3])
-    spacing, pace = 9.0 * feature, 2.5 * feature
+    spacing, pace = 8.0 * feature, 1.6 * feature
     steps = np.arange(-radius, radius, pace)
     chains = []
     for offset in np.arange(-radius, radius, spacing):
-        turn = 0.05 * np.cumsum(rng.normal(0.0, 1.0, steps.size))
-        turn -= np.linspace(0.0, turn[-1], steps.size)
-        angle = direction + rng.normal(0.0, 0.08) + turn
+        angle = direction + lfilter([0.13], [1.0, -0.9], rng.normal(0.0, 1.0, steps.size))
         start = offset + rng.normal(0.0, 0.3) * spacing
         along = np.cumsum(np.cos(angle - direction)) * pace - radius
         across = start + np.cumsum(np.sin(angle - direction)) * pace
-        fading = np.clip(0.65 + 0.35 * np.sin(2.0 * np.pi * (steps / (20.0 * feature) + rng.uniform())), 0.0, 1.0)
+        fading = 0.65 + 0.35 * np.sin(2.0 * np.pi * (steps / (26.0 * feature) + rng.uniform()))
         chains.append(
             _gaussians(
                 centre_x + along * math.cos(direction) - across * math.sin(direction),

@@ -16,17 +16,17 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-# Elementwise only, so that results do not depend on the number of threads. A search that leaves the surface shall end in
-# NaN and not in an exception: errors as NumPy treats them.
+# Elementwise only, so that results do not depend on the number of threads. Errors as NumPy treats them: a search that
+# leaves the surface shall end in NaN and not in an exception.
 compiled = njit(cache=True, nogil=True, error_model="numpy")
 in_parallel = njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 
 RIGID, PLATE, SKIN, LEATHER = 0, 1, 2, 3
 PLANE, SPHERE, STEPPED = 0, 1, 2
 
-# A stroke ends where its Gaussian has fallen to exp(-STROKE_REACH / 2) = 8e-7 of its height; this foot is taken off
+# A stroke ends where its Gaussian has fallen to exp(-STROKE_REACH / 2) = 5e-5 of its height; this foot is taken off
 # the whole stroke, so that surface and texture stay continuous there.
-STROKE_REACH = 28.0
+STROKE_REACH = 20.0
 STROKE_FOOT = math.exp(-0.5 * STROKE_REACH)
 # Half step of the central differences [m]: truncation and rounding errors are both near 1e-10 for details of 0.2 mm.
 HALF_STEP = 1e-7
@@ -83,16 +83,27 @@ def stroke_sum(field, X, Y):
 
 @compiled
 def fill_cells(strokes, extent, grid, cells, start, items):
-    """List the strokes of every cell; with ``items`` empty only count them into ``start[cell + 1]``."""
+    """List the strokes of every cell; with ``items`` empty only count them into ``start[cell + 1]``.
+
+    A stroke is left out of the cells in the corners of its bounding box (half size ``extent``) that its ellipse does
+    not reach.
+    """
     counting = items.size == 0
     position = start[:-1].copy()
     for n in range(strokes.shape[0]):
-        first_j = max(math.floor((strokes[n, 0] - extent[n, 0] - grid[0]) / grid[2]), 0)
-        last_j = min(math.floor((strokes[n, 0] + extent[n, 0] - grid[0]) / grid[2]), cells[1] - 1)
-        first_i = max(math.floor((strokes[n, 1] - extent[n, 1] - grid[1]) / grid[2]), 0)
-        last_i = min(math.floor((strokes[n, 1] + extent[n, 1] - grid[1]) / grid[2]), cells[0] - 1)
+        x, y, a, b, c = strokes[n, 0], strokes[n, 1], strokes[n, 2], strokes[n, 3], strokes[n, 4]
+        steepest = 0.5 * (a + c) + math.sqrt(0.25 * (a - c) * (a - c) + b * b)
+        reach = math.sqrt(STROKE_REACH) + grid[2] * math.sqrt(0.5 * steepest)
+        first_j = max(math.floor((x - extent[n, 0] - grid[0]) / grid[2]), 0)
+        last_j = min(math.floor((x + extent[n, 0] - grid[0]) / grid[2]), cells[1] - 1)
+        first_i = max(math.floor((y - extent[n, 1] - grid[1]) / grid[2]), 0)
+        last_i = min(math.floor((y + extent[n, 1] - grid[1]) / grid[2]), cells[0] - 1)
         for i in range(first_i, last_i + 1):
             for j in range(first_j, last_j + 1):
+                dx = grid[0] + (j + 0.5) * grid[2] - x
+                dy = grid[1] + (i + 0.5) * grid[2] - y
+                if a * dx * dx + 2.0 * b * dx * dy + c * dy * dy > reach * reach:
+                    continue
                 cell = i * cells[1] + j
                 if counting:
                     start[cell + 1] += 1
@@ -111,7 +122,7 @@ def _rise(x):
 
 @compiled
 def _rigid_point(c, position, X, Y):
-    """A rigid shape c[0] with parameters c[1:6], moved by c[6:9] and turned by the rotation vector c[9:12] per metre."""
+    """Rigid shape c[0] with parameters c[1:6]; moved by c[6:9], turned by the rotation vector c[9:12] per metre."""
     if c[0] == PLANE:  # height, slopes along X and Y
         z = c[1] + c[2] * X + c[3] * Y
     elif c[0] == SPHERE:  # height of the apex, radius
@@ -177,7 +188,7 @@ def _leather_point(c, position, X, Y):
     fold_x, fold_y, screw_x, screw_y = c[4], c[5], c[6], c[7]
     growth, flattening, rotation, stretch, curvature, lift = c[8], c[9], c[10], c[11], c[12], c[13]
     s = (X - fold_x) * across_x + (Y - fold_y) * across_y
-    along = (X - screw_x) * across_y - (Y - screw_y) * across_x
+    along = (Y - screw_y) * across_x - (X - screw_x) * across_y
     t = math.tanh(s / width)
     initial = height * _rise(along / growth)
     present = initial * math.exp(-position / flattening)
@@ -294,52 +305,63 @@ def _on_plane(camera, column, row):
 
 @in_parallel
 def solve_pixels(camera, kind, c, relief, position, X, Y, residual):
-    """Material point (X, Y) seen by every pixel: damped Newton iteration, each pixel starting from its neighbour.
+    """Material point (X, Y) seen by every pixel.
 
-    ``residual`` [px] is the distance between the pixel and the projection of the point found.
+    Damped Newton iteration that goes along each row from pixel to pixel, extrapolating the start and keeping the
+    Jacobian while it serves. ``residual`` [px] is the distance between the pixel and the projection of the point found.
     """
     for i in prange(X.shape[0]):
-        material_x, material_y = _on_plane(camera, 0.0, float(i))
-        step_x = 0.0
-        step_y = 0.0
+        base_x, base_y = _on_plane(camera, 0.0, float(i))
+        step_x = step_y = 0.0
+        inverse_xc = inverse_xr = inverse_yc = inverse_yr = 0.0
         for j in range(X.shape[1]):
-            material_x += step_x
-            material_y += step_y
-            base_x = material_x
-            base_y = material_y
-            move_x = 0.0
-            move_y = 0.0
+            start_x, start_y = base_x, base_y
+            base_x += step_x
+            base_y += step_y
+            base_c = base_r = move_x = move_y = 0.0
             fraction = 1.0
             best = np.inf
+            here = False  # whether the Jacobian belongs to the base point
             for _ in range(80):
-                trial_x = base_x + fraction * move_x
-                trial_y = base_y + fraction * move_y
-                x, y, z = surface_point(kind, c, relief, position, trial_x, trial_y)
+                x, y, z = surface_point(
+                    kind, c, relief, position, base_x + fraction * move_x, base_y + fraction * move_y
+                )
                 column, row = project(camera, x, y, z)
                 error_c = column - j
                 error_r = row - i
                 error = math.sqrt(error_c * error_c + error_r * error_r)
-                if not error < best:
+                if error < best:
+                    base_x += fraction * move_x
+                    base_y += fraction * move_y
+                    base_c, base_r = error_c, error_r
+                    slow = error > 0.02 * best
+                    here = False
+                    best = error
+                    if best < CONVERGED:
+                        break
+                elif here:
                     fraction *= 0.5
                     continue
-                best = error
-                base_x = trial_x
-                base_y = trial_y
-                if best < CONVERGED:
-                    break
-                ax, ay, az, bx, by, bz = surface_tangents(kind, c, relief, position, base_x, base_y)
-                ca, ra = _project_tangent(camera, x, y, z, ax, ay, az)
-                cb, rb = _project_tangent(camera, x, y, z, bx, by, bz)
-                determinant = ca * rb - cb * ra
-                move_x = (cb * error_r - rb * error_c) / determinant
-                move_y = (ra * error_c - ca * error_r) / determinant
+                else:
+                    slow = True
+                if slow or inverse_xc == 0.0:
+                    x, y, z = surface_point(kind, c, relief, position, base_x, base_y)
+                    ax, ay, az, bx, by, bz = surface_tangents(kind, c, relief, position, base_x, base_y)
+                    ca, ra = _project_tangent(camera, x, y, z, ax, ay, az)
+                    cb, rb = _project_tangent(camera, x, y, z, bx, by, bz)
+                    determinant = ca * rb - cb * ra
+                    inverse_xc, inverse_xr = rb / determinant, -cb / determinant
+                    inverse_yc, inverse_yr = -ra / determinant, ca / determinant
+                    here = True
+                move_x = -inverse_xc * base_c - inverse_xr * base_r
+                move_y = -inverse_yc * base_c - inverse_yr * base_r
                 fraction = 1.0
-                step_x = rb / determinant
-                step_y = -ra / determinant
-            material_x = base_x
-            material_y = base_y
-            X[i, j] = material_x
-            Y[i, j] = material_y
+            if j == 0:
+                step_x, step_y = inverse_xc, inverse_yc
+            else:
+                step_x, step_y = base_x - start_x, base_y - start_y
+            X[i, j] = base_x
+            Y[i, j] = base_y
             residual[i, j] = best
 
 
@@ -387,15 +409,15 @@ def _material_below(kind, c, relief, position, x, y, X, Y):
 
 
 @in_parallel
-def cast_shadows(projector, kind, c, relief, position, outline, top, stride, X, Y, irradiance):
-    """Set the irradiance to zero where the specimen stands between a point and the projector.
+def cast_shadows(projector, kind, c, relief, position, outline, top, stride, X, Y, suspected, lit):
+    """Take the light from where the specimen stands between a suspected point and the projector.
 
     The light path is followed from the surface towards the projector in steps of ``stride`` [m] in plan until it is
     above ``top``, the highest point of the specimen; at each step the surface below is solved exactly.
     """
     for i in prange(X.shape[0]):
         for j in range(X.shape[1]):
-            if not irradiance[i, j] > 0.0:
+            if not suspected[i, j]:
                 continue
             material_x, material_y = X[i, j], Y[i, j]
             x, y, z = surface_point(kind, c, relief, position, material_x, material_y)
@@ -409,7 +431,7 @@ def cast_shadows(projector, kind, c, relief, position, outline, top, stride, X, 
                 )
                 on_specimen = outline[0] <= material_x <= outline[1] and outline[2] <= material_y <= outline[3]
                 if on_specimen and height > z + t * lz:
-                    irradiance[i, j] = 0.0
+                    lit[i, j] = False
                     break
 
 
