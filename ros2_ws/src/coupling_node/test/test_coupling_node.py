@@ -1,0 +1,265 @@
+"""The coupling node in a process of its own: the same clouds as the library, and one status per step."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+import rclpy
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+
+from fringedic.chain import (
+    CouplingParameters,
+    CouplingResult,
+    DicParameters,
+    DicResult,
+    DisplacementTracker,
+    PhaseParameters,
+    PhaseResult,
+    ShapeTracker,
+    phase_step,
+)
+from fringedic.rig import RigModel
+from fringedic.sequence import FrameCollector, FrameRecord
+from fringedic.virtual_rig import VirtualRig
+from fringedic_msgs.msg import Exposure, NodeStatus, Reference, RigCalibration
+from fringedic_ros.clouds import cloud_arrays
+from fringedic_ros.images import image_message
+from fringedic_ros.qos import DERIVED, EVENTS, LATCHED
+from fringedic_ros.records import calibration_message, exposure_message
+from fringedic_ros.stamps import to_msg, to_nanoseconds
+from fringedic_ros.testing import Bench, NodeProcess, fringe_step, of_stamp, white_step
+
+DOMAIN = 52
+POSITIONS = (0.0, 1.0e-4, 2.0e-4)  # crosshead of each step [m]
+SPACING = 2
+FIELDS = ["x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w", "u_t", "v_t", "w_n", "e_11", "e_22", "e_12"]
+
+
+@dataclass
+class Measured:
+    """What the coupling node needs of one step."""
+
+    last: FrameRecord
+    phase: PhaseResult
+    dic: DicResult
+
+
+def measure(rig: VirtualRig) -> list[Measured]:
+    collector, tracker = FrameCollector(), DisplacementTracker(DicParameters(spacing=SPACING))
+    steps = []
+    for step, position in enumerate(POSITIONS):
+        frames = fringe_step(rig, position, "", step)
+        stack = [collector.add(record, image) for record, image in frames][-1]
+        assert stack is not None
+        phase = phase_step(stack, PhaseParameters())
+        steps.append(Measured(frames[-1][0], phase, tracker.step("", step, stack.stamp, phase.texture)))
+    return steps
+
+
+class CouplingBench(Bench):
+    """Plays the phase and dic nodes as well, and hears the coupling node."""
+
+    def __init__(self) -> None:
+        super().__init__("coupling")
+        rig = VirtualRig.from_preset("plate", size="tiny")
+        self.calibration = RigModel(**rig.optics())
+        self.measured = measure(rig)
+        self.images = {
+            topic: self.create_publisher(Image, topic, DERIVED)
+            for topic in ("phase/map", "phase/sigma", "dic/displacement", "dic/sigma")
+        }
+        self.grid = self.create_publisher(CameraInfo, "dic/camera_info", DERIVED)
+        self.inputs = {name: self.create_publisher(NodeStatus, f"{name}/status", EVENTS) for name in ("phase", "dic")}
+        self.calibrations = self.create_publisher(RigCalibration, "calibration", LATCHED)
+        self.references = self.create_publisher(Reference, "experiment/reference", LATCHED)
+        self.shape = self.listen(PointCloud2, "coupling/shape", DERIVED)
+        self.displacement = self.listen(PointCloud2, "coupling/displacement", DERIVED)
+
+    def stamp(self, step: int) -> int:
+        return self.measured[step].last.stamp
+
+    def publish_calibration(self) -> None:
+        self.calibrations.publish(calibration_message(self.calibration, stamp_ns=1))
+        self.serve(0.2)
+
+    def send_status(self, name: str, experiment: str, step: int, error_code: int = NodeStatus.NONE) -> None:
+        status = NodeStatus(node=name, experiment=experiment, step=step, error_code=error_code, frames=16)
+        status.error_message = "scripted" if error_code else ""
+        status.header.stamp = to_msg(self.stamp(step))
+        self.inputs[name].publish(status)
+
+    def parts(self, experiment: str, step: int) -> list[Callable[[], None]]:
+        """One call for each message of a step."""
+        measured, stamp = self.measured[step], self.stamp(step)
+        arrays = (measured.phase.phase, measured.phase.sigma, measured.dic.displacement, measured.dic.sigma)
+        images = [
+            (publisher, image_message(array, stamp_ns=stamp, frame_id="camera_optical_frame"))
+            for publisher, array in zip(self.images.values(), arrays, strict=True)
+        ]
+        grid = CameraInfo(height=120, width=160, binning_x=SPACING, binning_y=SPACING)
+        grid.header.stamp = to_msg(stamp)
+        grid.roi.y_offset, grid.roi.x_offset = measured.dic.origin
+        exposure: Exposure = exposure_message(replace(measured.last, experiment=experiment), frame_id="")
+        return [
+            *(lambda publisher=publisher, image=image: publisher.publish(image) for publisher, image in images),
+            lambda: self.grid.publish(grid),
+            lambda: self._exposures.publish(exposure),
+            lambda: self.send_status("phase", experiment, step),
+            lambda: self.send_status("dic", experiment, step),
+        ]
+
+    def send_step(self, experiment: str, step: int, seed: int | None = None) -> NodeStatus:
+        """Publish everything of a step, in the usual or a random order; returns the answer."""
+        parts = self.parts(experiment, step)
+        if seed is not None:
+            random.Random(seed).shuffle(parts)
+        for part in parts:
+            part()
+            if seed is not None:
+                self.serve(0.02)
+        return self.status_of(experiment, step)
+
+    def assert_identical(self, result: CouplingResult) -> None:
+        for heard, fields in ((self.shape, result.shape), (self.displacement, result.displacement)):
+            (message,) = of_stamp(heard, result.stamp)
+            assert message.header.frame_id == "reference_plane"
+            clouds = cloud_arrays(message)
+            assert list(clouds) == list(fields)
+            for name, array in fields.items():
+                assert clouds[name].tobytes() == array.tobytes(), name
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CouplingBench]:
+    rclpy.init(domain_id=DOMAIN)
+    bench = CouplingBench()
+    with NodeProcess("coupling_node.coupling_node", DOMAIN, tmp_path_factory.mktemp("coupling")):
+        bench.connect()
+        yield bench
+    bench.destroy_node()
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def name(bench: CouplingBench, request: pytest.FixtureRequest) -> str:
+    """An experiment of its own for every test."""
+    bench.forget()
+    return request.node.name
+
+
+def expected(bench: CouplingBench, tracker: ShapeTracker, experiment: str, step: int) -> CouplingResult:
+    phase, dic = bench.measured[step].phase, bench.measured[step].dic
+    return tracker.step(
+        experiment,
+        step,
+        phase.stamp,
+        phase.phase,
+        phase.sigma,
+        dic.displacement,
+        dic.sigma,
+        pitch=phase.pitch,
+        orientation=phase.orientation,
+        spacing=dic.spacing,
+        origin=dic.origin,
+    )
+
+
+def tracker_of(bench: CouplingBench, **parameters: float) -> ShapeTracker:
+    tracker = ShapeTracker(CouplingParameters(**parameters))  # type: ignore[arg-type]
+    tracker.set_calibration(bench.calibration)
+    return tracker
+
+
+def test_calibration_is_needed(bench: CouplingBench, name: str) -> None:
+    status = bench.send_step(name, 0)
+    assert status.error_code == NodeStatus.NO_CALIBRATION and "calibration" in status.error_message
+    bench.publish_calibration()
+    assert bench.send_step(name, 1).error_code == NodeStatus.NONE
+
+
+def test_clouds_are_those_of_the_library_bit_by_bit(bench: CouplingBench, name: str) -> None:
+    bench.publish_calibration()
+    tracker = tracker_of(bench)
+    for step in range(3):
+        status = bench.send_step(name, step, seed=step)
+        result = expected(bench, tracker, name, step)
+        assert (status.node, status.error_code) == ("coupling", NodeStatus.NONE)
+        assert to_nanoseconds(status.header.stamp) == result.stamp
+        assert (status.valid_fraction, status.rms, status.frames) == (result.valid_fraction, result.rms, 16)
+        bench.assert_identical(result)
+        assert list(result.shape) == ["x", "y", "z", "sigma_z"]
+        assert list(result.displacement) == FIELDS
+    assert (bench.shape[-1].height, bench.shape[-1].width) == (120, 160)
+    assert np.nanmax(np.abs(result.displacement["u"])) > 1e-6, "the plate has moved"
+
+
+def test_fields_that_nobody_asks_for_are_left_out(bench: CouplingBench, name: str) -> None:
+    bench.publish_calibration()
+    changed = {"local_frame_window_px": 0, "strain_window_px": 0}
+    bench.change(**changed)
+    try:
+        tracker = tracker_of(bench, **changed)
+        bench.send_step(name, 0)
+        result = expected(bench, tracker, name, 0)
+        assert list(result.displacement) == FIELDS[:9]
+        bench.assert_identical(result)
+    finally:
+        bench.change(**{each: getattr(CouplingParameters(), each) for each in changed})
+
+
+def test_reference_of_the_following_steps(bench: CouplingBench, name: str) -> None:
+    bench.publish_calibration()
+    tracker = tracker_of(bench)
+    bench.send_step(name, 0)
+    expected(bench, tracker, name, 0)
+    bench.references.publish(Reference(experiment=name, step=1))
+    tracker.set_reference(name, 1)
+    bench.serve(0.1)
+    for step in (1, 2):
+        bench.send_step(name, step)
+        result = expected(bench, tracker, name, step)
+        assert result.reference_step == 1
+        bench.assert_identical(result)
+
+
+@pytest.mark.parametrize("failed", ["phase", "dic"])
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (NodeStatus.FRAME_MISSING, NodeStatus.INPUT_FAILED),
+        (NodeStatus.STEP_ABORTED, NodeStatus.STEP_ABORTED),
+    ],
+)
+def test_failed_input_fails_the_step(bench: CouplingBench, name: str, failed: str, error: int, code: int) -> None:
+    bench.publish_calibration()
+    for part in bench.parts(name, 0)[:-2]:
+        part()
+    bench.send_status(failed, name, 0, error)
+    status = bench.status_of(name, 0)
+    assert (status.error_code, status.error_message) == (code, f"{failed}: scripted")
+    bench.send_status("dic" if failed == "phase" else "phase", name, 0)
+    assert bench.status_of(name, 0) is status
+    assert bench.send_step(name, 1).error_code == NodeStatus.NONE
+
+
+def test_white_step_has_nothing_to_couple(bench: CouplingBench, name: str) -> None:
+    bench.send(white_step(VirtualRig.from_preset("plate", size="tiny"), 0.0, name, 0))
+    status = bench.status_of(name, 0)
+    assert (status.error_code, status.frames) == (NodeStatus.NONE, 0)
+    assert np.isnan(status.valid_fraction)
+
+
+def test_abort_answers_a_step_that_waits(bench: CouplingBench, name: str) -> None:
+    bench.publish_calibration()
+    for part in bench.parts(name, 0)[:-1]:
+        part()
+    bench.serve(0.1)
+    bench.abort(name, 0)
+    assert bench.status_of(name, 0).error_code == NodeStatus.STEP_ABORTED
+    bench.send_status("dic", name, 0)
+    assert bench.status_of(name, 0).error_code == NodeStatus.STEP_ABORTED
+    assert bench.send_step(name, 1).error_code == NodeStatus.NONE
