@@ -202,7 +202,7 @@ def estimate_noise(frames: np.ndarray, projections: Sequence[Projection]) -> Cam
     freedom = sum(len(period) - 3 for period in periods)
     if freedom == 0:
         return None
-    skip = max(1, math.isqrt(frames.shape[1] * frames.shape[2] // _NOISE_SAMPLES))
+    skip = math.ceil(math.sqrt(frames[0].size / _NOISE_SAMPLES))
     sample = frames[:, ::skip, ::skip].reshape(len(frames), -1)
     sample = sample[:, sample.max(axis=0) < _default_saturation(frames)].astype(float)
     if sample.shape[1] == 0:
@@ -211,10 +211,11 @@ def estimate_noise(frames: np.ndarray, projections: Sequence[Projection]) -> Cam
     first = 0
     for period in periods:
         levels = sample[first : first + len(period)]
-        angles = _angles(period.projections)
-        design = np.stack([np.ones_like(angles), np.cos(angles), np.sin(angles)], axis=1)
-        fit = design @ np.linalg.lstsq(design, levels, rcond=None)[0]
-        unexplained += np.sum((levels - fit) ** 2, axis=0)
+        # over whole cycles mean, cosine and sine are orthogonal: what they explain can be subtracted one by one
+        unexplained += np.sum(levels**2, axis=0) - len(period) * levels.mean(axis=0) ** 2
+        for wave in (np.cos, np.sin):
+            weights = wave(_angles(period.projections))[:, None]
+            unexplained -= 2 / len(period) * np.sum(weights * levels, axis=0) ** 2
         first += len(period)
     texture = sample.mean(axis=0)
     classes = np.array_split(np.argsort(texture, kind="stable"), min(_NOISE_LEVELS, sample.shape[1]))
@@ -321,7 +322,7 @@ def _absolute_phase(
                 measured &= amplitude > max(limit, minimum_modulation)
                 if not measured:
                     continue
-                wrapped = math.atan2(s, c)
+                wrapped = np.float32(math.atan2(s, c))
                 coarse = angle * ratio[period]
                 coarse_deviation = deviation * ratio[period]
                 deviation = np.float32(math.sqrt(np.float32(2) / count[period]) * noise / amplitude)

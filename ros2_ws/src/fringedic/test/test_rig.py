@@ -10,6 +10,7 @@ from numba import get_num_threads, set_num_threads
 from fringedic.errors import InvalidCalibrationError, ShapeMismatchError
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation
+from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration, preset
 
 PITCH = 10.0
 IDEAL = RigModel(
@@ -210,3 +211,38 @@ def test_bad_models_are_refused(tmp_path: Path) -> None:
         IDEAL.reconstruct(np.zeros((3, 4)), PITCH, np.zeros((4, 3)))
     with pytest.raises(ShapeMismatchError, match="image"):
         IDEAL.reconstruct(np.zeros(3), PITCH)
+
+
+AGAINST_TWIN = {
+    "misaligned": {},
+    "distorted": {"projector": {"k1": 0.3}},
+    "skew": {
+        "camera": {"tilt_x_degree": -1.0, "tilt_y_degree": 2.0, "principal_column": 70.0, "pixel_aspect": 1.03},
+        "projector": {"x_mm": -150.0, "y_mm": 40.0, "yaw_degree": 1.0, "roll_degree": -3.0, "principal_row": 20.0},
+    },
+}
+
+
+@pytest.mark.parametrize("orientation", list(Orientation))
+@pytest.mark.parametrize("changes", AGAINST_TWIN.values(), ids=AGAINST_TWIN.keys())
+def test_agrees_with_the_digital_twin(changes: dict[str, dict[str, float]], orientation: Orientation) -> None:
+    """The twin traces its own rays with its own matrices: agreement is a check of both."""
+    sections = preset("sphere", size="tiny")
+    if orientation == Orientation.HORIZONTAL:
+        changes = {**changes, "projector": {**changes.get("projector", {}), "x_mm": 10.0, "y_mm": 180.0}}
+    for name, entries in changes.items():
+        sections[name] = {**sections.get(name, {}), **entries}
+    twin = VirtualRig(VirtualRigConfiguration.from_dict(sections))
+    rig = RigModel(**twin.optics())
+    view, truth = twin.view(0.0), twin.truth(0.0)
+    if orientation == Orientation.VERTICAL:
+        coordinate = view.projector_column - (rig.projector_width - 1) / 2
+    else:
+        coordinate = (rig.projector_height - 1) / 2 - view.projector_row
+    shape = rig.reconstruct(2 * np.pi * coordinate / PITCH, PITCH, orientation=orientation)
+    assert float(truth.z.notnull().mean()) > 0.5
+    for name in "xyz":
+        error = float(np.abs(shape[name] - truth[name]).max())
+        print(f"{name} against the twin: {error:.1e} m (target 1e-9)")
+        assert error < 1e-9
+        assert np.array_equal(shape[name].isnull(), truth[name].isnull())
