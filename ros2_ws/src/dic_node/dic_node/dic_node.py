@@ -9,14 +9,13 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import CameraInfo, Image
 
 from fringedic.chain import DicParameters, DicResult, DisplacementTracker, white_texture
-from fringedic.sequence import FrameCollector, PatternKind
-from fringedic_msgs.msg import Exposure, NodeStatus, Reference
+from fringedic.sequence import PatternKind, Stack
+from fringedic_msgs.msg import NodeStatus, Reference
+from fringedic_ros.frame_steps import FrameSteps
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.main import run
-from fringedic_ros.pairing import ImageExposurePairs
 from fringedic_ros.processing import Outcome, ProcessingNode, StampJoin
 from fringedic_ros.qos import DERIVED, EVENTS, LATCHED, OVERRIDABLE
-from fringedic_ros.records import frame_record
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 
 FRAME = "camera_optical_frame"
@@ -37,14 +36,13 @@ class DicNode(ProcessingNode[DicParameters]):
         self._grid = self.create_publisher(CameraInfo, "dic/camera_info", DERIVED)
         self._tracker = DisplacementTracker(self.parameters.value)
         self._textures = StampJoin(("status", "texture"))
-        self._collector = FrameCollector()
         self.create_subscription(Reference, "experiment/reference", self._take_reference, LATCHED)
         self.subscribe_to_steps()
         self.create_subscription(NodeStatus, "phase/status", self._take_phase_status, EVENTS)
         self.create_subscription(
             Image, "phase/texture", self._take_texture, DERIVED, qos_overriding_options=OVERRIDABLE
         )
-        self._pairs = ImageExposurePairs(self, self._take_frame)
+        self._frames = FrameSteps(self, PatternKind.WHITE, self._take_white)
 
     def _image_publisher(self, name: str) -> Publisher:
         return self.create_publisher(Image, f"dic/{name}", DERIVED, qos_overriding_options=OVERRIDABLE)
@@ -77,33 +75,20 @@ class DicNode(ProcessingNode[DicParameters]):
         else:
             self._submit(status.experiment, status.step, stamp, texture, status.frames)
 
-    def _take_frame(self, image: Image, exposure: Exposure) -> None:
+    def _take_white(self, stack: Stack) -> None:
         self._report_losses()
-        if exposure.kind != PatternKind.WHITE:
-            return
-        experiment, step = exposure.experiment, exposure.step
-        stamp = to_nanoseconds(exposure.header.stamp)
-        if self.answered(experiment, step):
-            self.diagnostics.drop()
-            return
-        try:
-            stack = self._collector.add(frame_record(exposure), image_array(image))
-        except Exception as error:
-            self.abandon(experiment, step)
-            self.fail(experiment, step, stamp, error)
-            return
-        if stack is not None:
-            self._submit(experiment, step, stamp, white_texture(stack.frames[-1]), len(stack.records))
+        self._submit(stack.experiment, stack.step, stack.stamp, white_texture(stack.frames[-1]), len(stack.records))
 
     def _submit(self, experiment: str, step: int, stamp: int, texture: np.ndarray, frames: int) -> None:
         work = partial(self._measure_displacement, experiment, step, stamp, texture, frames, self.parameters.value)
         self.measure(experiment, step, stamp, work)
 
     def _report_losses(self) -> None:
-        self.report_unjoined(self._pairs.unpaired + self._textures.unjoined)
+        self.report_unjoined(self._frames.unpaired + self._textures.unjoined)
 
     def abandon(self, experiment: str, step: int) -> None:
-        self._collector.abandon(experiment, step)
+        """Forget the white frames of a step."""
+        self._frames.abandon(experiment, step)
 
     def _measure_displacement(
         self, experiment: str, step: int, stamp: int, texture: np.ndarray, frames: int, parameters: DicParameters
@@ -111,8 +96,8 @@ class DicNode(ProcessingNode[DicParameters]):
         self._tracker.parameters = parameters
         result = self._tracker.step(experiment, step, stamp, texture)
         for publisher, array in ((self._displacement, result.displacement), (self._sigma, result.sigma)):
-            publisher.publish(image_message(array, stamp_ns=stamp, frame_id=FRAME))
-        self._grid.publish(grid_message(result, texture.shape))
+            self.publish(publisher, image_message(array, stamp_ns=stamp, frame_id=FRAME))
+        self.publish(self._grid, grid_message(result, texture.shape))
         return Outcome(result.valid_fraction, result.rms, frames)
 
 

@@ -10,6 +10,7 @@ from math import nan
 from typing import Any, Generic
 
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 
 from fringedic.errors import (
     CalibrationMissingError,
@@ -49,7 +50,9 @@ ERROR_CODES: dict[type[Exception], int] = {
     CalibrationMissingError: NodeStatus.NO_CALIBRATION,
 }
 REMEMBERED_STEPS = 1000
-JOINED_STEPS = 4
+JOINED_STEPS = 4  # incomplete ones, kept until their last message comes
+QUEUED_STEPS = 16  # complete ones, waiting for the worker
+CONNECT_TIMEOUT = 2.0  # [s]
 
 
 @dataclass(frozen=True)
@@ -131,6 +134,7 @@ class ProcessingNode(Node, Generic[ModelT]):
         self.diagnostics = NodeDiagnostics(self)
         self.worker = Worker(self)
         self._answered: OrderedDict[tuple[str, int], None] = OrderedDict()
+        self._connected: set[Publisher] = set()
         self._unjoined = 0
         self._statuses = self.create_publisher(NodeStatus, f"{name}/status", EVENTS)
 
@@ -144,8 +148,22 @@ class ProcessingNode(Node, Generic[ModelT]):
 
     def measure(self, experiment: str, step: int, stamp: int, work: Callable[[], Outcome]) -> None:
         """Queue the work of a step, which publishes what it measures; the status follows."""
-        if self._close(experiment, step):
+        if self.worker.pending >= QUEUED_STEPS:
+            behind = f"{QUEUED_STEPS} steps are waiting already; give this node more time between steps"
+            self.answer(experiment, step, stamp, NodeStatus.FAILED, behind)
+        elif self._close(experiment, step):
             self.worker.submit(self._measure, experiment, step, stamp, work, time.monotonic())
+
+    def publish(self, publisher: Publisher, message: Any) -> None:
+        """Publish a result from the worker; the first one waits for readers that are there but not yet connected."""
+        if publisher not in self._connected:
+            self._connected.add(publisher)
+            deadline = time.monotonic() + CONNECT_TIMEOUT
+            while publisher.get_subscription_count() < self.count_subscribers(publisher.topic_name):
+                if time.monotonic() > deadline:
+                    break
+                time.sleep(0.005)
+        publisher.publish(message)
 
     def answer(self, experiment: str, step: int, stamp: int, error_code: int, error_message: str = "") -> None:
         """End a step without any work, unless it has been answered."""

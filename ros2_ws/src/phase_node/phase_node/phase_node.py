@@ -8,14 +8,13 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import Image
 
 from fringedic.chain import PhaseParameters, phase_step
-from fringedic.sequence import FrameCollector, PatternKind, Stack
+from fringedic.sequence import PatternKind, Stack
 from fringedic_msgs.msg import Exposure, NodeStatus
-from fringedic_ros.images import image_array, image_message
+from fringedic_ros.frame_steps import FrameSteps
+from fringedic_ros.images import image_message
 from fringedic_ros.main import run
-from fringedic_ros.pairing import ImageExposurePairs
 from fringedic_ros.processing import Outcome, ProcessingNode
 from fringedic_ros.qos import DERIVED, OVERRIDABLE
-from fringedic_ros.records import frame_record
 from fringedic_ros.stamps import to_nanoseconds
 
 
@@ -29,38 +28,25 @@ class PhaseNode(ProcessingNode[PhaseParameters]):
         self._modulation = self._image_publisher("modulation")
         self._texture = self._image_publisher("texture")
         self._preview = self._image_publisher("preview")
-        self._collector = FrameCollector()
         self.subscribe_to_steps()
-        self._pairs = ImageExposurePairs(self, self._take_frame)
+        self._frames = FrameSteps(self, PatternKind.FRINGES, self._take_stack, self._take_other)
 
     def _image_publisher(self, name: str) -> Publisher:
         return self.create_publisher(Image, f"phase/{name}", DERIVED, qos_overriding_options=OVERRIDABLE)
 
-    def _take_frame(self, image: Image, exposure: Exposure) -> None:
-        experiment, step = exposure.experiment, exposure.step
-        stamp = to_nanoseconds(exposure.header.stamp)
-        self.report_unjoined(self._pairs.unpaired)
-        if exposure.kind == PatternKind.OTHER:
-            return
-        if self.answered(experiment, step):
-            self.diagnostics.drop()
-        elif exposure.kind == PatternKind.WHITE:
-            self.answer(experiment, step, stamp, NodeStatus.NONE)
-        else:
-            self._collect(experiment, step, stamp, image, exposure)
+    def _take_stack(self, stack: Stack) -> None:
+        self.report_unjoined(self._frames.unpaired)
+        work = partial(self._measure_phase, stack, self.parameters.value)
+        self.measure(stack.experiment, stack.step, stack.stamp, work)
 
-    def _collect(self, experiment: str, step: int, stamp: int, image: Image, exposure: Exposure) -> None:
-        try:
-            stack = self._collector.add(frame_record(exposure), image_array(image))
-        except Exception as error:
-            self.abandon(experiment, step)
-            self.fail(experiment, step, stamp, error)
-            return
-        if stack is not None:
-            self.measure(experiment, step, stamp, partial(self._measure_phase, stack, self.parameters.value))
+    def _take_other(self, exposure: Exposure) -> None:
+        if exposure.kind == PatternKind.WHITE:  # there is no phase in a white step
+            stamp = to_nanoseconds(exposure.header.stamp)
+            self.answer(exposure.experiment, exposure.step, stamp, NodeStatus.NONE)
 
     def abandon(self, experiment: str, step: int) -> None:
-        self._collector.abandon(experiment, step)
+        """Forget the frames of a step."""
+        self._frames.abandon(experiment, step)
 
     def _measure_phase(self, stack: Stack, parameters: PhaseParameters) -> Outcome:
         result = phase_step(stack, parameters)
@@ -71,7 +57,7 @@ class PhaseNode(ProcessingNode[PhaseParameters]):
             (self._modulation, result.modulation),
             (self._texture, result.texture),
         ):
-            publisher.publish(image_message(array, stamp_ns=result.stamp, frame_id=frame))
+            self.publish(publisher, image_message(array, stamp_ns=result.stamp, frame_id=frame))
         return Outcome(result.valid_fraction, result.rms, len(stack.records))
 
 
