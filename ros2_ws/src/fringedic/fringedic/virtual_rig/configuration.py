@@ -168,7 +168,7 @@ class LeatherSpecimen(_Section):
     half_width_mm: float = Field(default=30.0, gt=0)
     half_height_mm: float = Field(default=40.0, gt=0)
     fold_mm: float = Field(default=6.0, description="Height of the fold before loading, far from the screw.")
-    fold_width_mm: float = Field(default=6.5, gt=0, description="Length scale a of the fold A sech^2(s/a).")
+    fold_width_mm: float = Field(default=7.5, gt=0, description="Length scale a of the fold A sech^2(s/a).")
     fold_direction_degree: float = Field(default=65.0, description="Direction along the fold against +x.")
     fold_x_mm: float = Field(default=2.0, description="A point on the crest.")
     fold_y_mm: float = Field(default=0.0, description="A point on the crest.")
@@ -180,7 +180,7 @@ class LeatherSpecimen(_Section):
     flattening_mm: float = Field(
         default=6.0, gt=0, description="Crosshead travel that flattens the fold by a factor e."
     )
-    rotation_degree_per_mm: float = Field(default=0.25, description="In-plane rotation about the screw, per travel.")
+    rotation_degree_per_mm: float = Field(default=0.2, description="In-plane rotation about the screw, per travel.")
     stretch_per_mm: float = Field(default=0.001, description="Strain along y per travel.")
     curvature_per_m: float = Field(default=0.8, description="Curvature of the whole piece before loading.")
     lift_per_m_per_mm: float = Field(default=-0.1, description="Change of that curvature per travel.")

@@ -42,12 +42,16 @@ def spread_weights(coordinate, defocus, size, first, weights):
 
 @in_parallel
 def edge_weight(coordinate, defocus, size, weight):
-    """Sum of the weights of all ``size`` projector pixels: 1 inside the image, falling to 0 across its edges."""
+    """Sum of the weights of all ``size`` projector pixels: 1 inside the image, falling to 0 across its edges.
+
+    It is 0 beside the specimen too, where the coordinate is NaN.
+    """
     k = math.sqrt(0.5) / defocus
     for i in prange(coordinate.shape[0]):
         for j in range(coordinate.shape[1]):
             c = coordinate[i, j]
-            weight[i, j] = 0.5 * (math.erf((c + 0.5) * k) - math.erf((c + 0.5 - size) * k))
+            inside = 0.5 * (math.erf((c + 0.5) * k) - math.erf((c + 0.5 - size) * k))
+            weight[i, j] = 0.0 if math.isnan(c) else inside
 
 
 @in_parallel

@@ -367,9 +367,11 @@ class VirtualRig:
         steps = []
         for position in positions:
             step = self.truth(position, reference_position)
-            steps.append(step.map(lambda values: values.astype(np.float32) if values.dtype == float else values))
+            steps.append(
+                step.map(lambda values: values.astype(np.float32) if values.dtype == float else values, keep_attrs=True)
+            )
         of_reference = ["x", "y", "z", "lit"]
-        truth = xr.concat([step.drop_vars(of_reference) for step in steps], dim="step", combine_attrs="drop")
+        truth = xr.concat([step.drop_vars(of_reference) for step in steps], dim="step", combine_attrs="drop_conflicts")
         truth = truth.merge(steps[0][of_reference])
         truth["position"] = ("step", np.asarray(positions), {"units": "m", "long_name": "crosshead position"})
         truth.attrs = {"reference_position_m": reference_position}
