@@ -7,26 +7,25 @@ step fails.
 from __future__ import annotations
 
 import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from math import nan
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any
 
 from builtin_interfaces.msg import Time
-from pydantic import BaseModel, ConfigDict, Field, model_validator
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.client import Client
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
+from experiment_node.experiment_parameters import ExperimentParameters
+from experiment_node.running_step import RunningStep, StepFailure
 from fringedic.errors import WaitTimeoutError
-from fringedic.patterns import fringe_sequence
 from fringedic.rig import RigModel
 from fringedic.sequence import PatternKind, Projection
 from fringedic_msgs.action import MeasureStep
@@ -60,96 +59,7 @@ CAPTURE_ERRORS = {
     CaptureFrame.Request.CAMERA_FAILED: Result.CAMERA_FAILED,
     CaptureFrame.Request.NO_SUBSCRIBER: Result.NO_SUBSCRIBER,
 }
-LOAD_SAMPLES = 200_000  # kept of the running step, over three minutes at 1 kHz
 LOAD_TIMEOUT = 0.5  # [s] for the load samples of the last exposure to come in
-
-
-class ExperimentParameters(BaseModel):
-    """Parameters of the experiment node."""
-
-    model_config = ConfigDict(frozen=True)
-
-    experiment: str = Field("", description="Name of the first experiment; empty names it after the time of its start.")
-    calibration_file: str = Field("", description="YAML file of the rig's pin-hole model, published on calibration.")
-    projector: bool = Field(True, description="A projector shows the patterns; without one, only WHITE steps.")
-    projector_width_px: int = Field(800, ge=1, le=16384, description="Columns of the projector [px].")
-    projector_height_px: int = Field(600, ge=1, le=16384, description="Rows of the projector [px].")
-    pitches_px: list[float] = Field(
-        [800.0, 160.0, 40.0, 10.0], description="Fringe pitches, coarse to fine [projector pixel]."
-    )
-    shifts: list[int] = Field([4, 4, 4, 8], description="Phase-shifted frames of each pitch, at least 3.")
-    orientation: Literal["vertical", "horizontal"] = Field(
-        "vertical", description="vertical: fringes along y, projector left or right; horizontal: projector above."
-    )
-    nodes: list[Literal["phase", "dic", "coupling"]] = Field(
-        ["phase", "dic", "coupling"], description="Processing nodes whose result every step waits for."
-    )
-    recording_required: bool = Field(False, description="No step without a recorder that is recording.")
-    hold_required: bool = Field(True, description="No step while a load frame that is there does not hold.")
-    settle_time_s: float = Field(0.0, ge=0, le=3600, description="From the start of a step to its first pattern [s].")
-    start_timeout_s: float = Field(
-        20.0, gt=0, le=600, description="For nodes, subscribers and recorder to be there at the first step [s]."
-    )
-    projector_timeout_s: float = Field(5.0, gt=0, le=600, description="For a pattern to be on the screen [s].")
-    camera_timeout_s: float = Field(10.0, gt=0, le=600, description="For a frame to be taken [s].")
-    processing_timeout_s: float = Field(120.0, gt=0, le=86400, description="From the last exposure to the results [s].")
-
-    @model_validator(mode="after")
-    def _showable(self) -> Self:
-        self.projections()
-        return self
-
-    def projections(self) -> tuple[Projection, ...]:
-        """Return what the frames of a FRINGES step show.
-
-        Raises
-        ------
-        InvalidPatternError
-            The pitches, shifts and size do not make a sequence.
-        """
-        sequence = fringe_sequence(
-            self.projector_width_px, self.projector_height_px, self.pitches_px, self.shifts, self.orientation
-        )
-        return sequence.projections
-
-
-class _StepFailure(Exception):
-    """Ends the running step with one of the error codes of MeasureStep."""
-
-    def __init__(self, code: int, message: str) -> None:
-        super().__init__(message)
-        self.code = code
-
-
-@dataclass
-class _RunningStep:
-    """What is known of the step that is being measured."""
-
-    goal: ServerGoalHandle
-    number: int
-    projections: tuple[Projection, ...]
-    is_reference: bool
-    cancelled: bool = False
-    started: float = field(default_factory=time.monotonic)
-    taken: int = 0
-    stamp: int = 0  # of the last exposure [ns]
-    exposed: float = 0.0  # when the last frame was reported [s], monotonic
-    answered: float = 0.0  # when the last result came [s], monotonic
-    exposures: dict[int, tuple[int, int]] = field(default_factory=dict)  # start and end of each frame [ns]
-    statuses: dict[str, NodeStatus] = field(default_factory=dict)
-    load: deque[LoadState] = field(default_factory=lambda: deque(maxlen=LOAD_SAMPLES))
-
-    def failed_node(self, nodes: list[str]) -> str | None:
-        """Return the first node of the chain that answered with an error."""
-        for name in nodes:
-            if name in self.statuses and self.statuses[name].error_code != NodeStatus.NONE:
-                return name
-        return None
-
-    def load_during_exposures(self) -> list[LoadState]:
-        """Return the samples from the start of the first exposure to the end of the last one."""
-        start, end = self.exposures[0][0], self.exposures[len(self.projections) - 1][1]
-        return [sample for sample in self.load if start <= to_nanoseconds(sample.header.stamp) <= end]
 
 
 class ExperimentNode(Node):
@@ -159,6 +69,7 @@ class ExperimentNode(Node):
         super().__init__("experiment")
         self.parameters = declare(self, ExperimentParameters)
         self.diagnostics = NodeDiagnostics(self)
+        self._changed = Condition(self)
         self._steps = self.create_publisher(StepStatus, "experiment/step", EVENTS)
         self._references = self.create_publisher(Reference, "experiment/reference", LATCHED)
         self._calibrations = self.create_publisher(RigCalibration, "calibration", LATCHED)
@@ -168,19 +79,19 @@ class ExperimentNode(Node):
         self.create_subscription(Exposure, "camera/exposure", self._take_exposure, EVENTS)
         self.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
         self.create_subscription(RecorderStatus, "recorder/status", self._take_recorder, LATCHED)
+        self._connected = dict.fromkeys(FAILED_NODE, False)
         for name in FAILED_NODE:
-            self.create_subscription(NodeStatus, f"{name}/status", self._result_taker(name), EVENTS)
+            self.create_subscription(
+                NodeStatus,
+                f"{name}/status",
+                self._result_taker(name),
+                EVENTS,
+                event_callbacks=SubscriptionEventCallbacks(matched=self._connection_taker(name)),
+            )
         self.create_service(StartExperiment, "experiment/start", self._start_experiment)
         self.create_service(SetReference, "experiment/set_reference", self._set_reference)
-        ActionServer(
-            self,
-            MeasureStep,
-            "measure_step",
-            self._measure_step,
-            cancel_callback=self._cancel,
-        )
-        self._changed = Condition(self)
-        self._running: _RunningStep | None = None
+        ActionServer(self, MeasureStep, "measure_step", self._measure_step, cancel_callback=self._cancel)
+        self._running: RunningStep | None = None
         self._recorder: RecorderStatus | None = None
         self._load: LoadState | None = None
         self._names: set[str] = set()
@@ -201,7 +112,7 @@ class ExperimentNode(Node):
 
     def _publish_calibration(self, file: Path) -> None:
         message = calibration_message(RigModel.from_yaml(file), stamp_ns=self.get_clock().now().nanoseconds)
-        message.source = str(file)
+        message.source = message.source or file.name
         self._calibrations.publish(message)
 
     def _publish_reference(self, step: int) -> None:
@@ -269,6 +180,13 @@ class ExperimentNode(Node):
 
         return take
 
+    def _connection_taker(self, name: str) -> Callable[[Any], None]:
+        def take(event: Any) -> None:
+            self._connected[name] = event.current_count > 0
+            self._changed.notify()
+
+        return take
+
     def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
         if self._running is None or goal.goal_id != self._running.goal.goal_id:
             return CancelResponse.REJECT
@@ -282,17 +200,12 @@ class ExperimentNode(Node):
         parameters = self.parameters.value
         try:
             self._check_goal(goal.request, parameters)
-        except _StepFailure as refusal:
+        except StepFailure as refusal:
             self.get_logger().warning(f"goal refused: {refusal}")
             goal.abort()
-            return MeasureStep.Result(
-                error_code=refusal.code,
-                error_message=str(refusal),
-                experiment=self._experiment,
-                step=self._running.number if self._running else self._next_step,
-            )
+            return _unmeasured(self._experiment, self._running.number if self._running else self._next_step, refusal)
         fringes = goal.request.mode == MeasureStep.Goal.FRINGES
-        step = _RunningStep(
+        step = RunningStep(
             goal=goal,
             number=self._next_step,
             projections=parameters.projections() if fringes else (Projection(PatternKind.WHITE),),
@@ -317,24 +230,24 @@ class ExperimentNode(Node):
 
     def _check_goal(self, request: MeasureStep.Goal, parameters: ExperimentParameters) -> None:
         if self._running is not None:
-            raise _StepFailure(
+            raise StepFailure(
                 Result.BUSY, f"step {self._running.number} is being measured; ask again when it has ended"
             )
         if request.mode not in (MeasureStep.Goal.FRINGES, MeasureStep.Goal.WHITE):
-            raise _StepFailure(Result.INVALID_GOAL, f"mode {request.mode} is unknown; use FRINGES or WHITE")
+            raise StepFailure(Result.INVALID_GOAL, f"mode {request.mode} is unknown; use FRINGES or WHITE")
         if request.mode == MeasureStep.Goal.FRINGES and not parameters.projector:
-            raise _StepFailure(Result.INVALID_GOAL, "fringes need a projector; set projector to true or measure WHITE")
+            raise StepFailure(Result.INVALID_GOAL, "fringes need a projector; set projector to true or measure WHITE")
 
-    async def _become_ready(self, step: _RunningStep, parameters: ExperimentParameters) -> None:
+    async def _become_ready(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         """Before the first frame of an experiment: whoever is there has to be connected, or would miss it."""
         if self._ready:
             return
 
         def absent() -> list[str]:
-            return [name for name in parameters.nodes if not self.count_publishers(f"{name}/status")]
+            return [name for name in parameters.nodes if not self._connected[name]]
 
         timeout = parameters.start_timeout_s
-        await self._wait_polling(
+        await self._wait(
             step,
             lambda: not absent(),
             timeout,
@@ -355,12 +268,12 @@ class ExperimentNode(Node):
             )
             self._check_recorder(parameters)
 
-    def _begin_step(self, step: _RunningStep) -> None:
+    def _begin_step(self, step: RunningStep) -> None:
         if step.is_reference:
             self._publish_reference(step.number)
         self._announce(step, StepStatus.BEGIN)
 
-    async def _check_hold(self, step: _RunningStep, parameters: ExperimentParameters) -> None:
+    async def _check_hold(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         if not parameters.hold_required or not self.count_publishers("load_frame/state"):
             return
         await self._wait(
@@ -373,13 +286,13 @@ class ExperimentNode(Node):
 
     def _refuse_unheld(self, sample: LoadState | None) -> None:
         if sample is not None and sample.mode not in HELD:
-            raise _StepFailure(
+            raise StepFailure(
                 Result.LOAD_NOT_HELD,
                 f"the load frame was not holding at position {sample.position * 1e3:.4f} mm, "
                 f"{sample.force:.1f} N (mode {sample.mode}); hold it before the step",
             )
 
-    async def _take_frames(self, step: _RunningStep, parameters: ExperimentParameters) -> None:
+    async def _take_frames(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         await sleep(self, parameters.settle_time_s)
         self._feed_back(step, "capture")
         for index, projection in enumerate(step.projections):
@@ -393,7 +306,7 @@ class ExperimentNode(Node):
                 return  # the rest of the sequence cannot help any more
         self._ready = True
 
-    async def _show_pattern(self, step: _RunningStep, projection: Projection, parameters: ExperimentParameters) -> Time:
+    async def _show_pattern(self, step: RunningStep, projection: Projection, parameters: ExperimentParameters) -> Time:
         request = ShowPattern.Request(
             kind=int(projection.kind),
             pitch=projection.pitch,
@@ -405,11 +318,11 @@ class ExperimentNode(Node):
             step, self._show, request, parameters.projector_timeout_s, Result.PROJECTOR_TIMEOUT, str(projection)
         )
         if response.error_code != ShowPattern.Request.NONE:
-            raise _StepFailure(Result.PROJECTOR_FAILED, f"{projection}: {response.error_message}")
+            raise StepFailure(Result.PROJECTOR_FAILED, f"{projection}: {response.error_message}")
         return response.shown
 
     async def _capture_frame(
-        self, step: _RunningStep, index: int, projection: Projection, shown: Time, parameters: ExperimentParameters
+        self, step: RunningStep, index: int, projection: Projection, shown: Time, parameters: ExperimentParameters
     ) -> None:
         request = CaptureFrame.Request(
             experiment=self._experiment,
@@ -429,12 +342,12 @@ class ExperimentNode(Node):
         )
         if response.error_code != CaptureFrame.Request.NONE:
             code = CAPTURE_ERRORS.get(response.error_code, Result.CAMERA_FAILED)
-            raise _StepFailure(code, f"frame {index}: {response.error_message}")
+            raise StepFailure(code, f"frame {index}: {response.error_message}")
         step.taken = index + 1
         step.stamp = to_nanoseconds(response.stamp)
         step.exposed = time.monotonic()
 
-    async def _await_results(self, step: _RunningStep, parameters: ExperimentParameters) -> None:
+    async def _await_results(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         self._announce(step, StepStatus.PROCESS)
         self._feed_back(step, "process")
 
@@ -449,7 +362,7 @@ class ExperimentNode(Node):
         )
         failed = step.failed_node(parameters.nodes)
         if failed is not None:
-            raise _StepFailure(FAILED_NODE[failed], f"{failed}: {step.statuses[failed].error_message}")
+            raise StepFailure(FAILED_NODE[failed], f"{failed}: {step.statuses[failed].error_message}")
         await self._wait(
             step,
             lambda: {0, len(step.projections) - 1} <= step.exposures.keys(),
@@ -463,7 +376,7 @@ class ExperimentNode(Node):
                     self._refuse_unheld(sample)
         self._check_recorder(parameters)
 
-    async def _wait_for_load(self, step: _RunningStep) -> None:
+    async def _wait_for_load(self, step: RunningStep) -> None:
         """Wait a moment for the sample after the last exposure; a machine that went silent is told by the result."""
         end = step.exposures[len(step.projections) - 1][1]
         with suppress(WaitTimeoutError):
@@ -478,16 +391,15 @@ class ExperimentNode(Node):
     def _check_recorder(self, parameters: ExperimentParameters) -> None:
         if parameters.recording_required and self._recorder_state() != RecorderStatus.RECORDING:
             said = self._recorder.error_message if self._recorder else ""
-            raise _StepFailure(
-                Result.RECORDER_FAILED, f"the recorder stopped recording: {said or 'it is gone or idle'}"
-            )
+            raise StepFailure(Result.RECORDER_FAILED, f"the recorder stopped recording: {said or 'it is gone or idle'}")
 
     # the end of a step
 
     def _end_step(
-        self, step: _RunningStep, parameters: ExperimentParameters, error: Exception | None
+        self, step: RunningStep, parameters: ExperimentParameters, error: Exception | None
     ) -> MeasureStep.Result:
-        result = MeasureStep.Result(experiment=self._experiment, step=step.number, stamp=to_msg(step.stamp))
+        result = _unmeasured(self._experiment, step.number, error)
+        result.stamp = to_msg(step.stamp)
         if error is None:
             self._measured.add(step.number)
             if step.is_reference:
@@ -495,10 +407,6 @@ class ExperimentNode(Node):
             self._fill_in(result, step, parameters)
             self.diagnostics.success(result.processing_time)
         else:
-            result.error_code = error.code if isinstance(error, _StepFailure) else Result.CAMERA_FAILED
-            result.error_message = f"experiment '{self._experiment}', step {step.number}: {error}"
-            result.valid_fraction = result.rms_displacement = nan
-            result.force_mean = result.force_range = result.position_mean = result.position_range = nan
             if step.is_reference and self._reference is not None:
                 self._publish_reference(self._reference)
             self.get_logger().error(result.error_message)
@@ -514,7 +422,7 @@ class ExperimentNode(Node):
             step.goal.abort()
         return result
 
-    def _fill_in(self, result: MeasureStep.Result, step: _RunningStep, parameters: ExperimentParameters) -> None:
+    def _fill_in(self, result: MeasureStep.Result, step: RunningStep, parameters: ExperimentParameters) -> None:
         """Fill in the figures of a step that succeeded."""
         fringes = step.projections[0].kind == PatternKind.FRINGES
         measures = "coupling" if fringes else "dic"
@@ -538,7 +446,7 @@ class ExperimentNode(Node):
 
     # messages
 
-    def _announce(self, step: _RunningStep, stage: int, result: MeasureStep.Result | None = None) -> None:
+    def _announce(self, step: RunningStep, stage: int, result: MeasureStep.Result | None = None) -> None:
         message = StepStatus(
             experiment=self._experiment,
             step=step.number,
@@ -555,13 +463,13 @@ class ExperimentNode(Node):
             message.error_code, message.error_message = result.error_code, result.error_message
         self._steps.publish(message)
 
-    def _feed_back(self, step: _RunningStep, stage: str) -> None:
+    def _feed_back(self, step: RunningStep, stage: str) -> None:
         step.goal.publish_feedback(MeasureStep.Feedback(stage=stage, frame=step.taken, frames=len(step.projections)))
 
     # waiting
 
     async def _call(
-        self, step: _RunningStep, client: Client, request: Any, timeout_s: float, code: int, what: str
+        self, step: RunningStep, client: Client, request: Any, timeout_s: float, code: int, what: str
     ) -> Any:
         """Answer of a service; the step ends with `code` when there is no such service or no answer in time."""
         name = client.srv_name
@@ -581,7 +489,7 @@ class ExperimentNode(Node):
 
     async def _wait(
         self,
-        step: _RunningStep,
+        step: RunningStep,
         predicate: Callable[[], bool],
         timeout_s: float,
         failure: Callable[[], tuple[int, str]],
@@ -593,7 +501,7 @@ class ExperimentNode(Node):
 
     async def _wait_polling(
         self,
-        step: _RunningStep,
+        step: RunningStep,
         predicate: Callable[[], bool],
         timeout_s: float,
         failure: Callable[[], tuple[int, str]],
@@ -604,11 +512,22 @@ class ExperimentNode(Node):
         _check(step, predicate, failure)
 
 
-def _check(step: _RunningStep, predicate: Callable[[], bool], failure: Callable[[], tuple[int, str]]) -> None:
+def _check(step: RunningStep, predicate: Callable[[], bool], failure: Callable[[], tuple[int, str]]) -> None:
     if step.cancelled:
-        raise _StepFailure(Result.CANCELLED, "cancelled by the caller")
+        raise StepFailure(Result.CANCELLED, "cancelled by the caller")
     if not predicate():
-        raise _StepFailure(*failure())
+        raise StepFailure(*failure())
+
+
+def _unmeasured(experiment: str, step: int, error: Exception | None) -> MeasureStep.Result:
+    """Result of a step of which nothing is known but how it ended."""
+    result = MeasureStep.Result(experiment=experiment, step=step)
+    if error is not None:
+        result.error_code = error.code if isinstance(error, StepFailure) else Result.CAMERA_FAILED
+        result.error_message = f"experiment '{experiment}', step {step}: {error}"
+    result.valid_fraction = result.rms_displacement = nan
+    result.force_mean = result.force_range = result.position_mean = result.position_range = nan
+    return result
 
 
 def _mean_and_range(values: list[float]) -> tuple[float, float]:

@@ -1,0 +1,59 @@
+"""Parameters of the experiment node: what a step shows, what it waits for, and for how long."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from fringedic.patterns import fringe_sequence
+from fringedic.sequence import Projection
+
+
+class ExperimentParameters(BaseModel):
+    """Parameters of the experiment node."""
+
+    model_config = ConfigDict(frozen=True)
+
+    experiment: str = Field("", description="Name of the first experiment; empty names it after the time of its start.")
+    calibration_file: str = Field("", description="YAML file of the rig's pin-hole model, published on calibration.")
+    projector: bool = Field(True, description="A projector shows the patterns; without one, only WHITE steps.")
+    projector_width_px: int = Field(800, ge=1, le=16384, description="Columns of the projector [px].")
+    projector_height_px: int = Field(600, ge=1, le=16384, description="Rows of the projector [px].")
+    pitches_px: list[float] = Field(
+        [800.0, 160.0, 40.0, 10.0], description="Fringe pitches, coarse to fine [projector pixel]."
+    )
+    shifts: list[int] = Field([4, 4, 4, 8], description="Phase-shifted frames of each pitch, at least 3.")
+    orientation: Literal["vertical", "horizontal"] = Field(
+        "vertical", description="vertical: fringes along y, projector left or right; horizontal: projector above."
+    )
+    nodes: list[Literal["phase", "dic", "coupling"]] = Field(
+        ["phase", "dic", "coupling"], description="Processing nodes whose result every step waits for."
+    )
+    recording_required: bool = Field(False, description="No step without a recorder that is recording.")
+    hold_required: bool = Field(True, description="No step while a load frame that is there does not hold.")
+    settle_time_s: float = Field(0.0, ge=0, le=3600, description="From the start of a step to its first pattern [s].")
+    start_timeout_s: float = Field(
+        20.0, gt=0, le=600, description="For nodes, subscribers and recorder to be there at the first step [s]."
+    )
+    projector_timeout_s: float = Field(5.0, gt=0, le=600, description="For a pattern to be on the screen [s].")
+    camera_timeout_s: float = Field(10.0, gt=0, le=600, description="For a frame to be taken [s].")
+    processing_timeout_s: float = Field(120.0, gt=0, le=86400, description="From the last exposure to the results [s].")
+
+    @model_validator(mode="after")
+    def _showable(self) -> Self:
+        self.projections()
+        return self
+
+    def projections(self) -> tuple[Projection, ...]:
+        """Return what the frames of a FRINGES step show.
+
+        Raises
+        ------
+        InvalidPatternError
+            The pitches, shifts and size do not make a sequence.
+        """
+        sequence = fringe_sequence(
+            self.projector_width_px, self.projector_height_px, self.pitches_px, self.shifts, self.orientation
+        )
+        return sequence.projections
