@@ -385,8 +385,9 @@ class ExperimentNode(Node):
             )
 
     def _recorder_state(self) -> int:
-        alive = self._recorder is not None and self.count_publishers("recorder/status") > 0
-        return self._recorder.state if alive else RecorderStatus.IDLE
+        if self._recorder is None or not self.count_publishers("recorder/status"):
+            return RecorderStatus.IDLE
+        return self._recorder.state
 
     def _check_recorder(self, parameters: ExperimentParameters) -> None:
         if parameters.recording_required and self._recorder_state() != RecorderStatus.RECORDING:

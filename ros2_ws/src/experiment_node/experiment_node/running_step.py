@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from rclpy.action.server import ServerGoalHandle
@@ -41,7 +42,7 @@ class RunningStep:
     statuses: dict[str, NodeStatus] = field(default_factory=dict)
     load: deque[LoadState] = field(default_factory=lambda: deque(maxlen=LOAD_SAMPLES))
 
-    def failed_node(self, nodes: list[str]) -> str | None:
+    def failed_node(self, nodes: Sequence[str]) -> str | None:
         """Return the first node of the chain that answered with an error."""
         for name in nodes:
             if name in self.statuses and self.statuses[name].error_code != NodeStatus.NONE:

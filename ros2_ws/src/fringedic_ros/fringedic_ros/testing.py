@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -17,6 +18,7 @@ from rcl_interfaces.srv import SetParameters
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 
@@ -170,15 +172,12 @@ class Bench(Peer):
         self.wait(lambda: self.count_publishers(f"{self._tested}/status"), f"the {self._tested} node")
         self.wait(self._set_parameters.service_is_ready, "its parameters")
         for publisher in self.publishers:
-            if publisher.topic_name.endswith(("/parameter_events", "/rosout")):
-                continue
-            self.wait(
-                lambda publisher=publisher: (
-                    publisher.get_subscription_count() >= self.count_subscribers(publisher.topic_name)
-                ),
-                f"the readers of {publisher.topic_name}",
-            )
+            if not publisher.topic_name.endswith(("/parameter_events", "/rosout")):
+                self.wait(partial(self._all_connected, publisher), f"the readers of {publisher.topic_name}")
         self.serve(0.5)
+
+    def _all_connected(self, publisher: Publisher) -> bool:
+        return publisher.get_subscription_count() >= self.count_subscribers(publisher.topic_name)
 
     def send(self, frames: Iterable[Frame], *, exposures_first: bool = False) -> None:
         """Publish frames with their records."""
