@@ -17,51 +17,19 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy.fft
 
 from fringedic.correlation import kernels
+from fringedic.correlation.images import SMALLEST_WINDOW
+from fringedic.correlation.pyramid import DERIVATIVE_NOISE, INTERPOLATION_NOISE, Level, spline_of, transferred
+from fringedic.correlation.start import WIDEST, affine_field, global_motion
 from fringedic.errors import NoCorrelationError
 
 f4 = np.float32
 
 ORDER = 4
-DERIVATIVE = np.array([3 / 4, -3 / 20, 1 / 60], dtype=f4)  # of sixth order, so exact enough up to 2 px per period
-DERIVATIVE_NOISE = 2 * float(np.sum(DERIVATIVE.astype(float) ** 2))
-
-
-def _spline_inverse(reach: int) -> np.ndarray:
-    """Taps of the inverse of the sampled quintic B-spline, from the centre to `reach` pixels, of unit sum."""
-    angle = 2 * np.pi * np.fft.fftfreq(256)
-    taps = np.fft.ifft(120 / (66 + 52 * np.cos(angle) + 2 * np.cos(2 * angle))).real[: reach + 1]
-    return np.asarray(taps / (taps[0] + 2 * taps[1:].sum()), dtype=f4)
-
-
-SPLINE_INVERSE = _spline_inverse(10)
-
-
-def _interpolation_noise(positions: int = 64) -> np.ndarray:
-    """Variance of white noise of unit variance after interpolation along one axis at k / positions, k = 0...positions.
-
-    The spline averages noise between pixels; what it averages away lies at frequencies without texture.
-    """
-    t = np.arange(positions + 1) / positions
-    spline = np.zeros((positions + 1, 6))
-    for k in range(6):
-        distance = np.abs(t - (k - 2))
-        spline[:, k] = np.where(
-            distance < 1,
-            66 - 60 * distance**2 + 30 * distance**4 - 10 * distance**5,
-            np.where(
-                distance < 2,
-                51 + 75 * distance - 210 * distance**2 + 150 * distance**3 - 45 * distance**4 + 5 * distance**5,
-                np.clip(3 - distance, 0, None) ** 5,
-            ),
-        )
-    inverse = np.concatenate([SPLINE_INVERSE[:0:-1], SPLINE_INVERSE]).astype(float)
-    return np.array([np.sum(np.convolve(row / 120, inverse) ** 2) for row in spline])
-
-
-INTERPOLATION_NOISE = _interpolation_noise()
+ITERATIONS = 6  # of the fixed point per warp; it contracts by about a half each time
+# Displacement errors [px] that may be left at each warp of the finest, a middle and the coarsest level.
+EXPECTED = ((0.2, 0.05), (0.3, 0.1, 0.1), (0.5, 0.5, 0.5, 0.3, 0.3, 0.3, 0.1, 0.1))
 
 
 @dataclass(frozen=True)
@@ -104,94 +72,6 @@ def window_of(width: int) -> Window:
     return Window(width, float(deviation), cell, taps.astype(f4), float(np.mean(gain**2)))
 
 
-@dataclass(frozen=True)
-class Level:
-    """One image size of the pyramid of a reference: grey levels (NaN where not usable) and their gradient."""
-
-    values: np.ndarray
-    along_x: np.ndarray
-    along_y: np.ndarray
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        return self.values.shape[0], self.values.shape[1]
-
-
-def pyramid_of(image: np.ndarray, width: int) -> list[np.ndarray]:
-    """The image and its halves, as long as they hold the window: finest first."""
-    levels = [image]
-    while min(levels[-1].shape) // 2 >= max(width, 24):
-        rows, columns = levels[-1].shape
-        half = np.empty((rows // 2, columns // 2), f4)
-        kernels.halved(levels[-1], half)
-        levels.append(half)
-    return levels
-
-
-def reference_level(image: np.ndarray) -> Level:
-    """Gradient of an image and the pixels where it is known."""
-    values, along_x, along_y = np.empty_like(image), np.empty_like(image), np.empty_like(image)
-    kernels.gradient(image, DERIVATIVE, values, along_x, along_y)
-    return Level(values, along_x, along_y)
-
-
-def spline_of(image: np.ndarray) -> np.ndarray:
-    """Coefficients of the quintic spline through an image, NaN around pixels that are not measured, and outside.
-
-    Missing pixels are filled with the mean of their surroundings first; what the fill changes dies out as .43 per
-    pixel, so two pixels around it are given up.
-    """
-    rows, columns = image.shape
-    border = kernels.BORDER
-    out = np.full((rows + 2 * border, columns + 2 * border), np.nan, dtype=f4)
-    missing = np.isnan(image)
-    if not missing.any():
-        kernels.spline_coefficients(image, SPLINE_INVERSE, out)
-        return out
-    filled = _filled(image[None])[0]
-    kernels.spline_coefficients(filled, SPLINE_INVERSE, out)
-    grown = missing.copy()
-    for shift in (1, 2):
-        grown[shift:] |= missing[:-shift]
-        grown[:-shift] |= missing[shift:]
-    across = grown.copy()
-    for shift in (1, 2):
-        across[:, shift:] |= grown[:, :-shift]
-        across[:, :-shift] |= grown[:, shift:]
-    out[border:-border, border:-border][across] = np.nan
-    return out
-
-
-_SPREAD = np.array([6, 4, 1], dtype=f4) / 16
-
-
-def _filled(nodes: np.ndarray) -> np.ndarray:
-    """Array (channel, row, column) whose NaN are filled from their neighbours inwards, ever coarser if need be."""
-    missing = np.isnan(nodes[0])
-    if not missing.any():
-        return nodes
-    known = np.where(missing, f4(0), f4(1))[None]
-    weighted = np.where(missing, f4(0), nodes).astype(f4)
-    spread, weight = np.empty_like(weighted), np.empty_like(known)
-    kernels.windowed(weighted, _SPREAD, spread)
-    kernels.windowed(known, _SPREAD, weight)
-    around = np.where(weight > 0, spread / np.where(weight > 0, weight, 1), f4(np.nan))
-    if np.isnan(around).any():
-        rows, columns = missing.shape
-        if min(rows, columns) < 4:
-            around = np.where(np.isnan(around), np.nanmean(nodes, axis=(1, 2), keepdims=True), around)
-        else:
-            padded = np.pad(around, ((0, 0), (0, rows % 2), (0, columns % 2)), constant_values=np.nan)
-            blocks = padded.reshape(len(nodes), padded.shape[1] // 2, 2, padded.shape[2] // 2, 2)
-            seen = ~np.isnan(blocks)
-            count = seen.sum(axis=(2, 4))
-            total = np.where(seen, blocks, 0).sum(axis=(2, 4), dtype=f4)
-            coarse = np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(f4)
-            fine = np.repeat(np.repeat(_filled(coarse), 2, axis=1), 2, axis=2)[:, :rows, :columns]
-            around = np.where(np.isnan(around), fine, around)
-    return np.where(missing, around, nodes).astype(f4)
-
-
 @dataclass
 class Field:
     """What is known at the nodes of a level: displacement and brightness, windowed sums and the noise of a pixel."""
@@ -208,9 +88,19 @@ def _solve(sums: np.ndarray, moment: np.ndarray, tau: float) -> np.ndarray:
     return np.stack([(yy * moment[0] - xy * moment[1]) * inverse, (xx * moment[1] - xy * moment[0]) * inverse])
 
 
-def _refine(
-    level: Level, spline: np.ndarray, nodes: np.ndarray, window: Window, *, expected: float, iterations: int
-) -> Field:
+def _plane(field: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Affine part of a field (2, row, column): smoothing the rest keeps it exact up to the edges of what is seen."""
+    _, rows, columns = field.shape
+    x, y = np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2
+    basis = np.stack([np.ones((rows, columns)), np.broadcast_to(x, (rows, columns)), np.repeat(y[:, None], columns, 1)])
+    weighted = basis * weight
+    normal = np.einsum("iyx,jyx->ij", weighted, basis)
+    right = np.einsum("iyx,cyx->ci", weighted, field)
+    coefficients = np.linalg.lstsq(normal, right.T, rcond=1e-9)[0]
+    return np.einsum("ic,iyx->cyx", coefficients, basis).astype(f4)
+
+
+def _refine(level: Level, spline: np.ndarray, nodes: np.ndarray, window: Window, *, expected: float) -> Field:
     """One warp of the deformed image and the fixed point around it.
 
     `expected` [px] is the displacement error that may still be there: residuals it explains are not taken for outliers.
@@ -240,11 +130,12 @@ def _refine(
     weight = np.empty_like(seen_cells)
     kernels.windowed(seen_cells[None], window.taps, weight[None])
     inverse_weight = f4(1) / weight
-    start = nodes[:2]
+    plane = _plane(nodes[:2], seen_cells)
+    start = nodes[:2] - plane
     u = start
     gxx, gxy, gyy = cells[kernels.GXX], cells[kernels.GXY], cells[kernels.GYY]
     moment, filtered = np.empty_like(start), np.empty_like(start)
-    for _ in range(iterations):
+    for _ in range(ITERATIONS):
         rest, smooth = u, np.zeros_like(u)
         for _ in range(ORDER):
             kernels.windowed(rest * seen_cells, window.taps, filtered)
@@ -257,7 +148,7 @@ def _refine(
         kernels.windowed(moment, window.taps, filtered)
         u = smooth + np.clip(_solve(sums, filtered, tau), -1, 1)
     fresh = nodes.copy()
-    fresh[:2] = u
+    fresh[:2] = u + plane
     _update_brightness(fresh, sums, noise)
     return Field(fresh, sums, noise)
 
@@ -318,53 +209,16 @@ def check_agreement(agreed: int, measurable: int) -> None:
         )
 
 
-def node_counts(shape: tuple[int, int], cell: int) -> tuple[int, int]:
-    """Cells needed to cover an image."""
-    return -(-shape[0] // cell), -(-shape[1] // cell)
-
-
-def resampled(nodes: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Node arrays at row and column positions given in nodes."""
-    lines = np.empty((nodes.shape[0], nodes.shape[1], columns.size), f4)
-    kernels.widened(np.ascontiguousarray(nodes), columns, lines)
-    out = np.empty((nodes.shape[0], rows.size, columns.size), f4)
-    kernels.heightened(lines, rows, out)
-    return out
-
-
-def _finer(nodes: np.ndarray, shape: tuple[int, int], cell: int) -> np.ndarray:
-    """Nodes of a level on the next finer one of the given image shape."""
-    centre = 0.5 * (cell - 1)
-
-    def positions(count: int) -> np.ndarray:
-        fine = np.arange(count) * cell + centre
-        return ((fine - 0.5) / 2 - centre) / cell
-
-    node_rows, node_columns = node_counts(shape, cell)
-    out = resampled(nodes, positions(node_rows), positions(node_columns))
-    out[:2] *= 2
-    return out
-
-
-def whole_pixel_translation(reference: np.ndarray, deformed: np.ndarray) -> tuple[float, float]:
-    """Whole-pixel displacement (d_x, d_y) at the peak of the cross-correlation, eq. 3."""
-    shape = [scipy.fft.next_fast_len(2 * n, real=True) for n in reference.shape]
-    f = scipy.fft.rfft2(np.nan_to_num(reference - np.nanmean(reference)), shape)
-    g = scipy.fft.rfft2(np.nan_to_num(deformed - np.nanmean(deformed)), shape)
-    peak = np.unravel_index(int(np.argmax(scipy.fft.irfft2(np.conj(f) * g, shape))), shape)
-    dy, dx = (float((p + n // 2) % n - n // 2) for p, n in zip(peak, shape, strict=True))
-    return dx, dy
-
-
-def _uniform(shape: tuple[int, int], cell: int, values: tuple[float, float, float, float]) -> np.ndarray:
-    return np.ascontiguousarray(np.broadcast_to(np.array(values, f4)[:, None, None], (4, *node_counts(shape, cell))))
+def window_at(width: int, k: int) -> Window:
+    """Window on level k: narrower where pixels are few and noise is averaged out."""
+    return window_of(width if k < 2 else max(SMALLEST_WINDOW, min(width, 2 * SMALLEST_WINDOW)))
 
 
 def displacement_nodes(
     levels: list[Level],
     reference: list[np.ndarray],
     deformed: list[np.ndarray],
-    window: Window,
+    width: int,
     initial: np.ndarray | None,
     brightness: tuple[float, float],
 ) -> Field:
@@ -373,64 +227,32 @@ def displacement_nodes(
     `initial` (2, node row, node column) at the finest level replaces the global start. `brightness` are the gain and
     offset that give the deformed image the mean and standard deviation of the reference.
     """
-    cell = window.cell
-    top = len(levels) - 1
     if initial is not None:
         # A prediction is trusted to a few pixels: two halvings find the rest.
-        top = min(top, 2)
+        top = min(len(levels) - 1, 2)
+        window = window_at(width, top)
         nodes = np.empty((4, *initial.shape[1:]), f4)
         nodes[:2], nodes[2], nodes[3] = initial, brightness[0], brightness[1]
-        for level in levels[1 : top + 1]:
-            node_rows, node_columns = node_counts(level.shape, cell)
-            centre = 0.5 * (cell - 1)
-            rows = (2 * (np.arange(node_rows) * cell + centre) + 0.5 - centre) / cell
-            columns = (2 * (np.arange(node_columns) * cell + centre) + 0.5 - centre) / cell
-            nodes = resampled(nodes, rows, columns)
-            nodes[:2] /= 2
-        starts = [nodes]
+        nodes = transferred(nodes, (0, window_of(width).cell), (top, window.cell), levels[top].shape)
     else:
-        shape = levels[top].shape
-        # Correlate where a speckle is still visible: at most about 320 pixels wide.
-        wide = next((k for k, image in enumerate(reference) if max(image.shape) <= 320), top)
-        dx, dy = whole_pixel_translation(reference[wide], deformed[wide])
-        factor = 2.0 ** (wide - top)
-        starts = [
-            _uniform(shape, cell, (dx * factor, dy * factor, *brightness)),
-            _uniform(shape, cell, (0.0, 0.0, *brightness)),
-        ]
-        if dx == dy == 0:
-            starts.pop()
-    fields = [_start(levels[top], spline_of(deformed[top]), start, window) for start in starts]
-    field = max(fields, key=_quality)
-    for k in range(top - 1, -1, -1):
-        nodes = _finer(field.nodes, levels[k].shape, cell)
+        last = len(levels) - 1
+        top = next((k for k, level in enumerate(levels) if max(level.shape) <= WIDEST), last)
+        window = window_at(width, top)
+        motion = global_motion(levels, reference, deformed, brightness)
+        nodes = affine_field(motion, top, levels[top].shape, window.cell, *brightness)
+    for k in range(top, -1, -1):
+        window = window_at(width, k)
+        if k < top:
+            nodes = transferred(nodes, (k + 1, window_at(width, k + 1).cell), (k, window.cell), levels[k].shape)
         spline = spline_of(deformed[k])
+        for expected in EXPECTED[0] if k == 0 else EXPECTED[1] if k < top else EXPECTED[2]:
+            field = _refine(levels[k], spline, nodes, window, expected=expected)
+            nodes = field.nodes
         if k:
-            for expected in (0.3, 0.1, 0.1):
-                field = _refine(levels[k], spline, nodes, window, expected=expected, iterations=5)
-                nodes = field.nodes
-            kernels.median3(nodes[:2].copy(), nodes[:2])
-        else:
-            for expected in (0.2, 0.05):
-                field = _refine(levels[k], spline, nodes, window, expected=expected, iterations=6)
-                nodes = field.nodes
+            smooth = np.empty_like(nodes[:2])
+            kernels.median3(nodes[:2], smooth)
+            nodes[:2] = smooth
     return field
-
-
-def _start(level: Level, spline: np.ndarray, nodes: np.ndarray, window: Window) -> Field:
-    for expected in (0.5, 0.5, 0.5, 0.3, 0.3, 0.3, 0.1, 0.1):
-        field = _refine(level, spline, nodes, window, expected=expected, iterations=5)
-        nodes = field.nodes
-        smooth = np.empty_like(nodes[:2])
-        kernels.median3(nodes[:2].copy(), smooth)
-        nodes[:2] = smooth
-    return field
-
-
-def _quality(field: Field) -> float:
-    """How well f and g agree over the whole image, to choose between starts."""
-    seen = field.sums[kernels.W]
-    return float(np.sum(_correlation(field.sums) * seen))
 
 
 @dataclass(frozen=True)
@@ -472,17 +294,3 @@ def judged(field: Field, window: Window) -> Nodes:
     valid = measurable & agreed
     check_agreement(int(valid.sum()), int(measurable.sum()))
     return Nodes(field.nodes[:2], sigma.astype(f4), valid)
-
-
-def initial_nodes(start: np.ndarray, shape: tuple[int, int], cell: int, spacing: int) -> np.ndarray:
-    """A displacement known at every `spacing`-th pixel (2, row, column), at the nodes; gaps are filled."""
-    counts = node_counts(shape, cell)
-    if spacing > 1:
-        centre = 0.5 * (cell - 1)
-        rows = (np.arange(counts[0]) * cell + centre) / spacing
-        columns = (np.arange(counts[1]) * cell + centre) / spacing
-        return resampled(_filled(start), rows, columns)
-    means = np.empty((2, *counts), f4)
-    for channel in range(2):
-        kernels.cell_means(start[channel], cell, means[channel])
-    return _filled(means)

@@ -385,12 +385,12 @@ def accumulated(
                 out[channel, node, j] = t
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def windowed(nodes: np.ndarray, taps: np.ndarray, out: np.ndarray) -> None:
     """Separable symmetric filter of node arrays (channel, node row, node column), zero outside."""
     channels, rows, columns = nodes.shape
     reach = taps.size - 1
-    for flat in prange(channels * rows):
+    for flat in range(channels * rows):
         channel, r = flat // rows, flat % rows
         line = np.zeros(columns + 2 * reach, f4)
         body = line[reach : reach + columns]

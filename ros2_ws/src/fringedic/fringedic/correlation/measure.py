@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from fringedic.correlation import dense, kernels, zoi
+from fringedic.correlation import dense, kernels, pyramid, zoi
 from fringedic.correlation.images import checked_image, checked_mask, checked_window, grey_range
 from fringedic.errors import CorrelationMethodError, ShapeMismatchError
 
@@ -41,8 +41,8 @@ class Reference:
         if excluded is not None:
             values[~excluded] = np.nan
         self.values = values
-        self.images = dense.pyramid_of(values, self.window)
-        self.levels = [dense.reference_level(level) for level in self.images]
+        self.images = pyramid.pyramid_of(values)
+        self.levels = [pyramid.reference_level(level) for level in self.images]
         self.rows = np.arange(0, self.shape[0], self.spacing)
         self.columns = np.arange(0, self.shape[1], self.spacing)
 
@@ -176,14 +176,15 @@ def _dense(
     window = dense.window_of(reference.window)
     initial = None
     if start is not None and np.isfinite(start).any():
-        initial = dense.initial_nodes(start, reference.shape, window.cell, reference.spacing)
-    deformed = dense.pyramid_of(values, reference.window)
-    field = dense.displacement_nodes(reference.levels, reference.images, deformed, window, initial, brightness)
+        initial = pyramid.initial_nodes(start, reference.shape, window.cell, reference.spacing)
+    field = dense.displacement_nodes(
+        reference.levels, reference.images, pyramid.pyramid_of(values), reference.window, initial, brightness
+    )
     nodes = dense.judged(field, window)
     centre = 0.5 * (window.cell - 1)
     rows, columns = (reference.rows - centre) / window.cell, (reference.columns - centre) / window.cell
-    displacement = dense.resampled(nodes.displacement, rows, columns)
-    sigma = dense.resampled(nodes.sigma, rows, columns)
+    displacement = pyramid.resampled(nodes.displacement, rows, columns)
+    sigma = pyramid.resampled(nodes.sigma, rows, columns)
     node_row = np.clip(np.rint(rows).astype(np.intp), 0, nodes.valid.shape[0] - 1)
     node_column = np.clip(np.rint(columns).astype(np.intp), 0, nodes.valid.shape[1] - 1)
     measured = ~np.isnan(reference.values[:: reference.spacing, :: reference.spacing])

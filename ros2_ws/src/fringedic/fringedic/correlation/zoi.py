@@ -10,7 +10,8 @@ import numpy as np
 import scipy.fft
 from numpy.lib.stride_tricks import sliding_window_view
 
-from fringedic.correlation.dense import SMALLEST_EXPLAINED, check_agreement, explained, whole_pixel_translation
+from fringedic.correlation.dense import SMALLEST_EXPLAINED, check_agreement, explained
+from fringedic.correlation.start import correlation_peak
 
 PASSES = 5
 BATCH = 256  # zones at a time: their spectra stay in the cache
@@ -44,7 +45,7 @@ def displacement_zones(
     """
     centres = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
     start = np.empty((len(centres), 2))
-    start[:] = whole_pixel_translation(reference, deformed)
+    start[:] = correlation_peak(reference, deformed)[:2]
     if initial is not None:
         given = initial.reshape(2, -1).T
         start = np.where(np.isfinite(given), given, start)

@@ -1,0 +1,195 @@
+"""Image sizes from full to coarse, their gradients and splines, and fields on the nodes between which they move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fringedic.correlation import kernels
+
+f4 = np.float32
+
+COARSEST = 24  # [px]: below, the borders of the gradient leave nothing
+DERIVATIVE = np.array([3 / 4, -3 / 20, 1 / 60], dtype=f4)  # of sixth order
+DERIVATIVE_NOISE = 2 * float(np.sum(DERIVATIVE.astype(float) ** 2))
+
+
+def _spline_inverse(reach: int) -> np.ndarray:
+    """Taps of the inverse of the sampled quintic B-spline, from the centre to `reach` pixels, of unit sum."""
+    angle = 2 * np.pi * np.fft.fftfreq(256)
+    taps = np.fft.ifft(120 / (66 + 52 * np.cos(angle) + 2 * np.cos(2 * angle))).real[: reach + 1]
+    return np.asarray(taps / (taps[0] + 2 * taps[1:].sum()), dtype=f4)
+
+
+SPLINE_INVERSE = _spline_inverse(10)
+
+
+def _interpolation_noise(positions: int = 64) -> np.ndarray:
+    """Variance of white noise of unit variance after interpolation along one axis at k / positions, k = 0...positions.
+
+    The spline averages noise between pixels; what it averages away lies at frequencies without texture.
+    """
+    t = np.arange(positions + 1) / positions
+    spline = np.zeros((positions + 1, 6))
+    for k in range(6):
+        distance = np.abs(t - (k - 2))
+        spline[:, k] = np.where(
+            distance < 1,
+            66 - 60 * distance**2 + 30 * distance**4 - 10 * distance**5,
+            np.where(
+                distance < 2,
+                51 + 75 * distance - 210 * distance**2 + 150 * distance**3 - 45 * distance**4 + 5 * distance**5,
+                np.clip(3 - distance, 0, None) ** 5,
+            ),
+        )
+    inverse = np.concatenate([SPLINE_INVERSE[:0:-1], SPLINE_INVERSE]).astype(float)
+    return np.array([np.sum(np.convolve(row / 120, inverse) ** 2) for row in spline])
+
+
+INTERPOLATION_NOISE = _interpolation_noise()
+
+
+@dataclass(frozen=True)
+class Level:
+    """One image size of the pyramid of a reference: grey levels (NaN where not usable) and their gradient."""
+
+    values: np.ndarray
+    along_x: np.ndarray
+    along_y: np.ndarray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.values.shape[0], self.values.shape[1]
+
+
+def pyramid_of(image: np.ndarray) -> list[np.ndarray]:
+    """The image and its halves down to COARSEST: finest first."""
+    levels = [image]
+    while min(levels[-1].shape) // 2 >= COARSEST:
+        rows, columns = levels[-1].shape
+        half = np.empty((rows // 2, columns // 2), f4)
+        kernels.halved(levels[-1], half)
+        levels.append(half)
+    return levels
+
+
+def reference_level(image: np.ndarray) -> Level:
+    """Gradient of an image and the pixels where it is known."""
+    values, along_x, along_y = np.empty_like(image), np.empty_like(image), np.empty_like(image)
+    kernels.gradient(image, DERIVATIVE, values, along_x, along_y)
+    return Level(values, along_x, along_y)
+
+
+def spline_of(image: np.ndarray) -> np.ndarray:
+    """Coefficients of the quintic spline through an image, NaN around pixels that are not measured, and outside.
+
+    Missing pixels are filled with the mean of their surroundings first; what the fill changes dies out as .43 per
+    pixel, so two pixels around it are given up.
+    """
+    rows, columns = image.shape
+    border = kernels.BORDER
+    out = np.full((rows + 2 * border, columns + 2 * border), np.nan, dtype=f4)
+    missing = np.isnan(image)
+    if not missing.any():
+        kernels.spline_coefficients(image, SPLINE_INVERSE, out)
+        return out
+    kernels.spline_coefficients(filled(image[None])[0], SPLINE_INVERSE, out)
+    grown = missing.copy()
+    for shift in (1, 2):
+        grown[shift:] |= missing[:-shift]
+        grown[:-shift] |= missing[shift:]
+    across = grown.copy()
+    for shift in (1, 2):
+        across[:, shift:] |= grown[:, :-shift]
+        across[:, :-shift] |= grown[:, shift:]
+    out[border:-border, border:-border][across] = np.nan
+    return out
+
+
+_SPREAD = np.array([6, 4, 1], dtype=f4) / 16
+
+
+def filled(nodes: np.ndarray) -> np.ndarray:
+    """Array (channel, row, column) whose NaN are filled from their neighbours inwards, ever coarser if need be."""
+    missing = np.isnan(nodes[0])
+    if not missing.any():
+        return nodes
+    known = np.where(missing, f4(0), f4(1))[None]
+    weighted = np.where(missing, f4(0), nodes).astype(f4)
+    spread, weight = np.empty_like(weighted), np.empty_like(known)
+    kernels.windowed(weighted, _SPREAD, spread)
+    kernels.windowed(known, _SPREAD, weight)
+    around = np.where(weight > 0, spread / np.where(weight > 0, weight, 1), f4(np.nan))
+    if np.isnan(around).any():
+        rows, columns = missing.shape
+        if min(rows, columns) < 4:
+            around = np.where(np.isnan(around), np.nanmean(nodes, axis=(1, 2), keepdims=True), around)
+        else:
+            padded = np.pad(around, ((0, 0), (0, rows % 2), (0, columns % 2)), constant_values=np.nan)
+            blocks = padded.reshape(len(nodes), padded.shape[1] // 2, 2, padded.shape[2] // 2, 2)
+            seen = ~np.isnan(blocks)
+            count = seen.sum(axis=(2, 4))
+            total = np.where(seen, blocks, 0).sum(axis=(2, 4), dtype=f4)
+            coarse = np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(f4)
+            fine = np.repeat(np.repeat(filled(coarse), 2, axis=1), 2, axis=2)[:, :rows, :columns]
+            around = np.where(np.isnan(around), fine, around)
+    return np.where(missing, around, nodes).astype(f4)
+
+
+def blurred(image: np.ndarray) -> np.ndarray:
+    """Image seen through a blur of about one pixel; its missing pixels stay missing."""
+    out = np.empty_like(image[None])
+    kernels.windowed(filled(image[None]), _SPREAD, out)
+    return np.where(np.isnan(image), f4(np.nan), out[0])
+
+
+def node_counts(shape: tuple[int, int], cell: int) -> tuple[int, int]:
+    """Cells needed to cover an image."""
+    return -(-shape[0] // cell), -(-shape[1] // cell)
+
+
+def resampled(nodes: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Node arrays at row and column positions given in nodes."""
+    lines = np.empty((nodes.shape[0], nodes.shape[1], columns.size), f4)
+    kernels.widened(np.ascontiguousarray(nodes), columns, lines)
+    out = np.empty((nodes.shape[0], rows.size, columns.size), f4)
+    kernels.heightened(lines, rows, out)
+    return out
+
+
+def node_pixels(count: int, cell: int) -> np.ndarray:
+    """Pixel positions of nodes along one axis."""
+    return np.arange(count) * cell + 0.5 * (cell - 1)
+
+
+def transferred(
+    nodes: np.ndarray, source: tuple[int, int], target: tuple[int, int], shape: tuple[int, int]
+) -> np.ndarray:
+    """Nodes (4, ...) of one level and cell (`source`) at those of another (`target`), whose image has `shape`.
+
+    Pixel p of level k stands at 2^k (p + 1/2) - 1/2 in the full image.
+    """
+    (source_level, source_cell), (target_level, target_cell) = source, target
+    ratio = 2.0 ** (target_level - source_level)
+
+    def positions(count: int) -> np.ndarray:
+        pixels = ratio * (node_pixels(count, target_cell) + 0.5) - 0.5
+        return (pixels - 0.5 * (source_cell - 1)) / source_cell
+
+    rows, columns = node_counts(shape, target_cell)
+    out = resampled(nodes, positions(rows), positions(columns))
+    out[:2] /= f4(ratio)
+    return out
+
+
+def initial_nodes(start: np.ndarray, shape: tuple[int, int], cell: int, spacing: int) -> np.ndarray:
+    """A displacement known at every `spacing`-th pixel (2, row, column), at the nodes; gaps are filled."""
+    counts = node_counts(shape, cell)
+    if spacing > 1:
+        rows, columns = (node_pixels(count, cell) / spacing for count in counts)
+        return resampled(filled(start), rows, columns)
+    means = np.empty((2, *counts), f4)
+    for channel in range(2):
+        kernels.cell_means(start[channel], cell, means[channel])
+    return filled(means)
