@@ -17,6 +17,7 @@ from fringedic.rig import RigModel, pixel_positions
 
 JUMP = 6.0  # standard deviations of a third difference beyond which a surface is torn
 _REACH = 3.0  # half-width of the Gaussian filter in standard deviations
+_GAIN_STEPS = 64  # of a pixel, in which the noise of interpolated values is tabulated
 _BLOCK = 64  # rows that share running sums; fixed, so that results do not depend on the number of threads
 _MINIMUM_COVERAGE = 0.5  # of a window, measured
 
@@ -101,7 +102,7 @@ def couple(
         point_columns,
         rows[0],
         columns[0],
-        _autocorrelation(kernel),
+        _noise_gain(kernel),
         ray_matrix,
         camera_distance,
         result,
@@ -285,11 +286,17 @@ def _gaussian(width: float) -> np.ndarray:
     return np.exp(-0.5 * (np.arange(math.ceil(_REACH * width) + 1) / width) ** 2)
 
 
-def _autocorrelation(kernel: np.ndarray) -> np.ndarray:
-    """Return the correlation of filtered white noise at distances of 0 to 3 pixels."""
+def _noise_gain(kernel: np.ndarray) -> np.ndarray:
+    """Return what filtering does to the variance of interpolated noise, at fractions from 0 to 1 of a pixel.
+
+    Neighbours of a filtered map err alike, so that their weighted sum is noisier than one of independent values with
+    the same variances.
+    """
     both_sides = np.pad(np.concatenate([kernel[:0:-1], kernel]), (0, 3))
     overlap = np.array([both_sides[: len(both_sides) - lag] @ both_sides[lag:] for lag in range(4)])
-    return overlap / overlap[0]
+    correlation = overlap[np.abs(np.subtract.outer(range(4), range(4)))] / overlap[0]
+    weights = np.array([_cubic(fraction) for fraction in np.linspace(0.0, 1.0, _GAIN_STEPS + 1)])
+    return np.einsum("fi,ij,fj->f", weights, correlation, weights) / np.sum(weights**2, axis=1)
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -325,28 +332,40 @@ def _filter_rows(
 
 
 @njit(cache=True, nogil=True)
-def _cubic(f: float, weight: np.ndarray, slope: np.ndarray) -> None:
-    """Set the weights of cubic convolution (Keys 1981, a = -1/2) at the fraction f, and their derivatives."""
-    weight[0] = f * (-0.5 + f * (1.0 - 0.5 * f))
-    weight[1] = 1.0 + f * f * (-2.5 + 1.5 * f)
-    weight[2] = f * (0.5 + f * (2.0 - 1.5 * f))
-    weight[3] = f * f * (-0.5 + 0.5 * f)
-    slope[0] = -0.5 + f * (2.0 - 1.5 * f)
-    slope[1] = f * (-5.0 + 4.5 * f)
-    slope[2] = 0.5 + f * (4.0 - 4.5 * f)
-    slope[3] = f * (-1.0 + 1.5 * f)
+def _cubic(f: float) -> tuple[float, float, float, float]:
+    """Return the weights of cubic convolution (Keys 1981, a = -1/2) at the fraction f."""
+    return (
+        f * (-0.5 + f * (1.0 - 0.5 * f)),
+        1.0 + f * f * (-2.5 + 1.5 * f),
+        f * (0.5 + f * (2.0 - 1.5 * f)),
+        f * f * (-0.5 + 0.5 * f),
+    )
 
 
 @njit(cache=True, nogil=True)
-def _noise_gain(weight: np.ndarray, correlation: np.ndarray) -> float:
-    """Return the variance of a weighted sum of correlated noise over that of independent noise."""
-    independent = 0.0
-    correlated = 0.0
-    for i in range(4):
-        independent += weight[i] * weight[i]
-        for j in range(4):
-            correlated += weight[i] * weight[j] * correlation[abs(i - j)]
-    return correlated / independent
+def _cubic_slope(f: float) -> tuple[float, float, float, float]:
+    """Return the derivatives of `_cubic` by f."""
+    return (
+        -0.5 + f * (2.0 - 1.5 * f),
+        f * (-5.0 + 4.5 * f),
+        0.5 + f * (4.0 - 4.5 * f),
+        f * (-1.0 + 1.5 * f),
+    )
+
+
+@njit(cache=True, nogil=True)
+def _squares(weight: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+    return weight[0] ** 2, weight[1] ** 2, weight[2] ** 2, weight[3] ** 2
+
+
+@njit(cache=True, nogil=True)
+def _dot(weight: tuple[float, float, float, float], a: float, b: float, c: float, d: float) -> float:
+    return weight[0] * a + weight[1] * b + weight[2] * c + weight[3] * d
+
+
+@njit(cache=True, nogil=True)
+def _along_row(image: np.ndarray, i: int, j: int, weight: tuple[float, float, float, float]) -> float:
+    return _dot(weight, image[i, j - 1], image[i, j], image[i, j + 1], image[i, j + 2])
 
 
 @njit(cache=True, nogil=True)
@@ -355,11 +374,10 @@ def _interpolate(
     variance: np.ndarray,
     right: np.ndarray,
     down: np.ndarray,
-    correlation: np.ndarray,
+    noise_gain: np.ndarray,
     s: float,
     r: float,
     slopes: bool,
-    weights: np.ndarray,
 ) -> tuple[float, float, float, float]:
     """Return z, its variance and its derivatives by column and row at row s, column r; NaN beside holes and tears.
 
@@ -376,31 +394,35 @@ def _interpolate(
         return z[i, j], variance[i, j], nan, nan
     whole = 1 <= i < rows - 2 and 1 <= j < columns - 2
     if whole:
-        for k in range(-1, 3):
-            whole = whole and right[i + k, j] and down[i, j + k]
+        whole = right[i - 1, j] and right[i, j] and right[i + 1, j] and right[i + 2, j]
+        whole = whole and down[i, j - 1] and down[i, j] and down[i, j + 1] and down[i, j + 2]
     if not whole:
         return (z[i, j], variance[i, j], nan, nan) if on_pixel else (nan, nan, nan, nan)
-    across, across_slope, along, along_slope = weights[0], weights[1], weights[2], weights[3]
-    _cubic(r - j, across, across_slope)
-    _cubic(s - i, along, along_slope)
-    value = 0.0
-    spread = 0.0
-    by_column = 0.0
-    by_row = 0.0
-    for k in range(4):
-        line = 0.0
-        line_slope = 0.0
-        line_spread = 0.0
-        for m in range(4):
-            here = z[i + k - 1, j + m - 1]
-            line += across[m] * here
-            line_slope += across_slope[m] * here
-            line_spread += across[m] * across[m] * variance[i + k - 1, j + m - 1]
-        value += along[k] * line
-        by_row += along_slope[k] * line
-        by_column += along[k] * line_slope
-        spread += along[k] * along[k] * line_spread
-    return value, spread * _noise_gain(across, correlation) * _noise_gain(along, correlation), by_column, by_row
+    f, g = r - j, s - i
+    across, along = _cubic(f), _cubic(g)
+    a, b = _along_row(z, i - 1, j, across), _along_row(z, i, j, across)
+    c, d = _along_row(z, i + 1, j, across), _along_row(z, i + 2, j, across)
+    value = _dot(along, a, b, c, d)
+    by_row = _dot(_cubic_slope(g), a, b, c, d)
+    slope = _cubic_slope(f)
+    by_column = _dot(
+        along,
+        _along_row(z, i - 1, j, slope),
+        _along_row(z, i, j, slope),
+        _along_row(z, i + 1, j, slope),
+        _along_row(z, i + 2, j, slope),
+    )
+    square = _squares(across)
+    spread = _dot(
+        _squares(along),
+        _along_row(variance, i - 1, j, square),
+        _along_row(variance, i, j, square),
+        _along_row(variance, i + 1, j, square),
+        _along_row(variance, i + 2, j, square),
+    )
+    fine = len(noise_gain) - 1
+    gain = noise_gain[int(f * fine + 0.5)] * noise_gain[int(g * fine + 0.5)]
+    return value, spread * gain, by_column, by_row
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -421,17 +443,16 @@ def _couple(
     columns: np.ndarray,
     first_row: float,
     first_column: float,
-    correlation: np.ndarray,
+    noise_gain: np.ndarray,
     rays: np.ndarray,
     h0: float,
     result: np.ndarray,
 ) -> None:
     for i in prange(len(rows)):
-        weights = np.empty((4, 4))
         for j in range(len(columns)):
             s, r = rows[i], columns[j]
             height, spread, _, _ = _interpolate(
-                z, variance, right, down, correlation, s - first_row, r - first_column, False, weights
+                z, variance, right, down, noise_gain, s - first_row, r - first_column, False
             )
             depth = rays[2, 0] * r + rays[2, 1] * s + rays[2, 2]
             ray_x = (rays[0, 0] * r + rays[0, 1] * s + rays[0, 2]) / depth
@@ -444,11 +465,10 @@ def _couple(
                 variance_after,
                 right_after,
                 down_after,
-                correlation,
+                noise_gain,
                 s - first_row,
                 r - first_column,
                 True,
-                weights,
             )
             depth = rays[2, 0] * r + rays[2, 1] * s + rays[2, 2]
             ray_x_after = (rays[0, 0] * r + rays[0, 1] * s + rays[0, 2]) / depth
