@@ -12,7 +12,6 @@ import json
 import os
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -21,6 +20,7 @@ import h5netcdf
 import h5py
 import numpy as np
 import xarray as xr
+from pydantic import ValidationError
 
 from fringedic import __version__
 from fringedic.chain import (
@@ -503,8 +503,11 @@ class _RecordedParameters:
     def _set(self, node: str, recorded: Mapping[str, Any]) -> None:
         try:
             setattr(self, node, self._model(node)(**{**recorded, **self._overrides[node]}))
-        except ValueError as error:
-            raise ParameterError(f"parameters of {node}: {error}") from error
+        except ValidationError as error:
+            problems = "; ".join(
+                f"{node}.{each['loc'][0]} = {each['input']!r}: {each['msg']}" for each in error.errors()
+            )
+            raise ParameterError(problems) from error
 
 
 def _value(value: Any) -> Any:
@@ -672,18 +675,17 @@ class _DatasetWriter:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        try:
-            if kind is None and self._grid is None:
-                raise DatasetError(f"{self._target}: no step could be measured: {self._last_error or 'no frames'}")
-            if kind is None:
-                for name, value in self._attributes.items():
-                    self._file.attrs[name] = value
-        finally:
-            self._file.close()
-            if kind is not None or self._grid is None:
-                with suppress(OSError):
-                    self._temporary.unlink()
-        self._temporary.replace(self._target)
+        whole = kind is None and self._grid is not None
+        if whole:
+            for name, value in self._attributes.items():
+                self._file.attrs[name] = value
+        self._file.close()
+        if whole:
+            self._temporary.replace(self._target)
+            return
+        self._temporary.unlink()
+        if kind is None:
+            raise DatasetError(f"{self._target}: no step could be measured: {self._last_error or 'no frames'}")
 
     def add(self, row: _Row, settings: _Settings) -> None:
         """Append one step."""

@@ -20,6 +20,7 @@ from fringedic.errors import FringedicError, RigFileError
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation, PatternKind, Projection
 from fringedic.virtual_rig import VirtualRigConfiguration
+from fringedic.virtual_rig.optics import camera_optics, projector_optics
 
 MILLI = 1e-3
 FINEST_DEFAULT_PITCH_PX = 8.0
@@ -397,32 +398,8 @@ def load_calibration(rig: RigFile, path: str | os.PathLike[str]) -> RigModel | N
 
 def calibration_of(virtual_rig: VirtualRigConfiguration) -> RigModel:
     """Return the exact parameters of a virtual rig as a calibration."""
-    camera, projector = virtual_rig.camera, virtual_rig.projector
-    section = CalibrationSection(
-        identifier="virtual rig",
-        camera=CalibratedCamera(
-            width_px=camera.columns,
-            height_px=camera.rows,
-            distance_mm=camera.distance_mm,
-            pixel_size_mm=camera.pixel_size_um * MILLI,
-            pixel_aspect=camera.pixel_aspect,
-            principal_column_px=camera.principal_column,
-            principal_row_px=camera.principal_row,
-            tilt_x_degree=camera.tilt_x_degree,
-            tilt_y_degree=camera.tilt_y_degree,
-        ),
-        projector=CalibratedProjector(
-            width_px=projector.columns,
-            height_px=projector.rows,
-            position_mm=[projector.x_mm, projector.y_mm, projector.z_mm],
-            yaw_pitch_roll_degree=[projector.yaw_degree, projector.pitch_degree, projector.roll_degree],
-            focal_length_px=projector.focal_length_px,
-            principal_column_px=projector.principal_column,
-            principal_row_px=projector.principal_row,
-            k1=projector.k1,
-        ),
-    )
-    return section.rig_model(VIRTUAL_RIG)
+    optics: dict[str, Any] = {**camera_optics(virtual_rig.camera), **projector_optics(virtual_rig.projector)}
+    return RigModel(**optics, identifier="virtual rig", source=VIRTUAL_RIG)
 
 
 def _load(path: Path, model: type[Model]) -> Model:
