@@ -50,8 +50,9 @@ def couple(
     calibration
         Where the lines of sight come from; without, from the attributes of `deformed_shape`.
     z_filter
-        Standard deviation [px] of a Gaussian that smooths both z first; 0 for none. The filter is narrowed to what is
-        symmetrically measured around each pixel, so that it neither shifts slopes nor crosses tears.
+        Standard deviation [px] of a Gaussian that smooths both z first; 0 for none. Its weights are divided by the
+        variances of z, and it takes only pairs of points on opposite sides of a pixel, as far as both are measured:
+        so it neither shifts slopes nor crosses tears.
 
     Returns
     -------
@@ -246,10 +247,13 @@ def _prepare(
     z_turned, variance_turned = np.ascontiguousarray(z.T), np.ascontiguousarray(variance.T)
     down = _runs_on(z_turned, variance_turned, roughness)
     if len(kernel) > 1:
-        z, variance = _filter_rows(z, variance, right, kernel)
-        z_turned, variance_turned = np.ascontiguousarray(z.T), np.ascontiguousarray(variance.T)
-        z_turned, variance_turned = _filter_rows(z_turned, variance_turned, down, kernel)
-        z, variance = np.ascontiguousarray(z_turned.T), np.ascontiguousarray(variance_turned.T)
+        sample = variance[::8, ::8][np.isfinite(z[::8, ::8])]
+        typical = np.float32(np.median(sample)) if len(sample) else np.float32(np.nan)
+        # close to 1, or the squares of the weights leave the range of float32
+        relative = variance / typical if typical > 0 else np.ones_like(z)
+        z, relative = _filter_rows(z, relative, right, kernel)
+        z_turned, relative = _filter_rows(np.ascontiguousarray(z.T), np.ascontiguousarray(relative.T), down, kernel)
+        z, variance = np.ascontiguousarray(z_turned.T), np.ascontiguousarray(relative.T) * typical
     return z, variance, right, np.ascontiguousarray(down.T)
 
 
@@ -303,14 +307,14 @@ def _noise_gain(kernel: np.ndarray) -> np.ndarray:
 def _filter_rows(
     z: np.ndarray, variance: np.ndarray, runs_on: np.ndarray, kernel: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Smooth along rows with the part of the kernel that is measured on both sides of each pixel."""
+    """Smooth along rows by pairs at equal distances from each pixel, as far as both sides run on.
+
+    A pair weighs as much as its noise allows: the mean of two has the variance (v1 + v2)/4, and dark speckles have many
+    times the variance of their surroundings. Being weighed together the two keep any slope.
+    """
     rows, columns = z.shape
     radius = len(kernel) - 1
     smooth, noise = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
-    weights = np.zeros((radius + 1, radius + 1), np.float32)
-    for reach in range(radius + 1):
-        total = kernel[0] + 2.0 * np.sum(kernel[1 : reach + 1])
-        weights[reach, : reach + 1] = kernel[: reach + 1] / total
     for i in prange(rows):
         reach_left = np.zeros(columns, np.int64)
         for j in range(1, columns):
@@ -320,14 +324,18 @@ def _filter_rows(
         for j in range(columns - 1, -1, -1):
             reach_right = min(reach_right + 1, radius) if runs_on[i, j] else 0
             reach = min(reach_left[j], reach_right)
-            weight = weights[reach]
-            mean = weight[0] * z[i, j]
-            spread = weight[0] * weight[0] * variance[i, j]
+            share = kernel[0] / variance[i, j]
+            total = share
+            mean = share * z[i, j]
+            spread = share * share * variance[i, j]
             for k in range(1, reach + 1):
-                mean += weight[k] * (z[i, j - k] + z[i, j + k])
-                spread += weight[k] * weight[k] * (variance[i, j - k] + variance[i, j + k])
-            smooth[i, j] = mean
-            noise[i, j] = spread
+                both = variance[i, j - k] + variance[i, j + k]
+                share = np.float32(2) * kernel[k] / both
+                total += np.float32(2) * share
+                mean += share * (z[i, j - k] + z[i, j + k])
+                spread += share * share * both
+            smooth[i, j] = mean / total
+            noise[i, j] = spread / (total * total)
     return smooth, noise
 
 

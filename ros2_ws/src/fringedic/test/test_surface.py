@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from numba import get_num_threads, set_num_threads
+from scipy.ndimage import gaussian_filter
 
 from fringedic.errors import InvalidWindowError, RaysMissingError, ShapeMismatchError
 from fringedic.rig import RigModel
@@ -215,6 +216,43 @@ def test_filter_keeps_slopes_beside_holes() -> None:
     print(f"largest bias of z beside holes {error:.3f} µm")
     assert error < 0.05
     assert np.array_equal(measured.z.isnull(), shape.z.isnull())
+
+
+def test_filter_trusts_the_less_noisy_pixels() -> None:
+    """Dark speckles, five times as noisy: less noise than the Gaussian alone would leave, and still unbiased."""
+    flat = Case(lambda x, y: 0.4 * x + 0.2 * y, lambda x, y, z: (x * 0, x * 0, x * 0))
+    shape, _, displacement = flat.measured(0, 0)
+    rng = np.random.default_rng(8)
+    sigma = np.where(rng.random(shape.z.shape) < 0.4, 25e-6, 5e-6)
+    error = rng.normal(size=sigma.shape) * sigma
+    shape["z"][:] = flat.z + error
+    shape["sigma_z"][:] = sigma
+    inner = np.s_[20:-20, 20:-20]
+    remaining = (couple(shape, shape, displacement, z_filter=2.0).z - flat.z).values[inner]
+    plain = gaussian_filter(error, 2.0)[inner]
+    print(f"noise of z {1e6 * rms(remaining):.2f} µm, with the Gaussian alone {1e6 * rms(plain):.2f} µm")
+    assert rms(remaining) < 0.7 * rms(plain)
+    assert abs(remaining.mean()) < 0.1e-6
+    after = shape.copy(deep=True)
+    after["z"][:] = flat.z + rng.normal(size=sigma.shape) * sigma
+    displacement["displacement_x"][:] = 0.37
+    displacement["displacement_y"][:] = -0.21
+    measured = couple(shape, after, displacement, z_filter=2.0)
+    moved = seen_point(lambda x, y: 0.4 * x + 0.2 * y, COLUMN + 0.37, ROW - 0.21)[2] - flat.z
+    score = rms(((measured.w - moved) / measured.sigma_w).values[inner])
+    print(f"w z-score {score:.3f} (0.9 to 1.1)")
+    assert 0.9 < score < 1.1
+
+
+def test_unknown_noise_leaves_unknown_sigmas(case: Case) -> None:
+    shape, after, displacement = case.measured(0.002, 0.0026)
+    known = couple(shape, after, displacement, z_filter=2.0)
+    for each in (shape, after):
+        each["sigma_z"][:] = np.nan
+    unknown = couple(shape, after, displacement, z_filter=2.0)
+    assert bool(unknown.sigma_w.isnull().all())
+    assert float(np.abs(unknown.w - known.w).max()) < 1e-6
+    assert float(unknown.w.notnull().mean()) > 0.93
 
 
 def test_points_on_a_coarser_grid_are_the_same_points(case: Case) -> None:
