@@ -56,6 +56,24 @@ def test_light_is_the_whole_sum_over_projector_pixels(orientation, gamma):
     assert (expected[view.lit] > 0.5).any()
 
 
+@pytest.mark.parametrize("name", ["plate", "skin", "leather"])
+def test_fringes_carry_the_projector_column_of_the_truth(name):
+    rig = rig_of(preset=name, size="small", sensor=EXACT)
+    (rows, columns), pitch, shifts = rig.projector_shape, 10, 8
+    phase = 2 * np.pi * (np.arange(columns) - (columns - 1) / 2) / pitch
+    total = np.zeros(rig.shape, complex)
+    for k in range(shifts):
+        turn = 2 * np.pi * k / shifts
+        pattern = np.round(127.5 + 120 * np.cos(phase - turn)).astype(np.uint8)
+        total += rig.expose(np.tile(pattern, (rows, 1)), rig.maximum_position, k) * np.exp(1j * turn)
+    column = rig.truth(rig.maximum_position).projector_column.values
+    expected = 2 * np.pi * (column - (columns - 1) / 2) / pitch
+    error = np.angle(total * np.exp(-1j * expected))[np.isfinite(expected)] / (2 * np.pi)
+    print(f"{name}: mean {error.mean():.1e}, rms {error.std():.1e} fringe (8-bit patterns of {pitch} px)")
+    assert abs(error.mean()) < 5e-5
+    assert error.std() < 3e-4
+
+
 def test_lambert_cosine_and_distance_on_a_sphere():
     rig = rig_of(preset="sphere", sensor={**EXACT, "ambient_light": 0.5})
     truth, view = rig.truth(0.0), rig.view(0.0)

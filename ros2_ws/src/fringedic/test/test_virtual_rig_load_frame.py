@@ -82,6 +82,26 @@ def test_a_new_goal_behind_the_crosshead_turns_it_back():
     assert np.abs(np.diff(speeds)).max() <= 4e-3 * 0.01 * 1.001  # never more than the machine's ramp
 
 
+def test_any_sequence_of_commands_stays_in_range_and_ends_on_the_last_goal():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        frame = machine()
+        for _ in range(12):
+            if rng.uniform() < 0.7:
+                goal = rng.choice([0.0, 10e-3, rng.uniform(0, 10e-3), frame.sample().position])
+                frame.move_to(goal, rng.choice([5e-3, 1e-6, rng.uniform(1e-4, 5e-3)]))
+            else:
+                frame.hold()
+            before, interval = frame.sample().position, rng.choice([0.0, 1e-6, 0.01, rng.uniform(0, 2)])
+            frame.advance(interval)
+            after = frame.sample().position
+            assert 0.0 <= after <= 10e-3
+            assert abs(after - before) <= 5e-3 * interval + 1e-12
+        frame.move_to(2e-3, 5e-3)
+        frame.advance(30.0)
+        assert frame.sample()[::2] == (LoadMode.HOLD, 2e-3)
+
+
 def test_the_position_stands_still_in_hold_while_the_force_relaxes():
     frame = machine(relaxation=0.3, relaxation_time_s=2.0)
     frame.move_to(2e-3, 5e-3)

@@ -88,7 +88,7 @@ class SimulatedLoadFrame:
     def hold(self) -> None:
         """Stop with the machine's ramp and hold."""
         ramp = 1e-3 * self._configuration.acceleration_mm_per_s2
-        self._target = self._position + math.copysign(self._speed**2 / (2.0 * ramp), self._speed)
+        self._target = self._within_range(self._position + math.copysign(self._speed**2 / (2.0 * ramp), self._speed))
         self._mode = LoadMode.MOVING if self._speed else LoadMode.HOLD
 
     def advance(self, time_s: float) -> None:
@@ -129,12 +129,16 @@ class SimulatedLoadFrame:
         step = min(duration, time_s)
         travelled = speed * step + 0.5 * change * step * step
         self._speed = sign * (speed + change * step)
-        position = self._position + sign * travelled
+        position = self._within_range(self._position + sign * travelled)
         if last and abs(position - self._target) < 1e-9 and abs(self._speed) < 1e-9:
             position, self._speed, self._mode = self._target, 0.0, LoadMode.HOLD
         self._pass(step, position - self._position)
         self._position = position
         return step
+
+    def _within_range(self, position: float) -> float:
+        """Position without the rounding error by which a ramp may end beyond the machine's range."""
+        return min(max(position, 0.0), self.maximum_position)
 
     def _pass(self, time_s: float, travel: float) -> None:
         """Strain and relax the specimen while the crosshead goes on by `travel` in `time_s`."""

@@ -74,7 +74,8 @@ class VirtualRig:
 
     Every camera pixel looks at exactly one material point, found by solving the projection of the deformed surface;
     light and texture are analytic functions at that point. The crosshead position [m] is the load; the specimen is
-    undeformed at 0.
+    undeformed at 0. A camera ray is taken to meet the specimen once, so the specimen must not hide itself from the
+    camera; it may hide itself from the projector, and throws shadows.
 
     Parameters
     ----------

@@ -14,6 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
+from scipy.spatial import Voronoi
 
 from fringedic.virtual_rig import tracing
 from fringedic.virtual_rig.configuration import TextureConfiguration
@@ -181,19 +182,25 @@ def _patch_strokes(outline: NDArray[np.float64], size: float, height: float, see
 
 
 def _grain_strokes(outline: NDArray[np.float64], feature: float, seed: int) -> Strokes:
-    """Leather: crowded short creases in all directions, pores, and patches of another tone."""
+    """Leather: pebbles between creases (the edges of Voronoi cells), pores, and patches of another tone."""
     rng = np.random.default_rng([seed, _FURROWS])
-    x, y = _scattered(rng, outline, 1.0 / (1.9 * feature) ** 2)
+    cells = Voronoi(np.stack(_scattered(rng, outline, 1.0 / (3.0 * feature) ** 2), axis=1))
+    edges = np.array(cells.ridge_vertices)
+    first, last = (cells.vertices[edges[(edges >= 0).all(axis=1), end]] for end in (0, 1))
+    along = last - first
+    length = np.hypot(*along.T)
+    # edges shorter than a crease is wide would make blots, those at the rim of the diagram are endless
+    drawn = (length > 0.3 * feature) & (length < 10.0 * feature)
+    count = int(drawn.sum())
     creases = _gaussians(
-        x,
-        y,
-        feature * rng.uniform(0.6, 1.5, x.size),
-        feature / _FULL_WIDTH * rng.uniform(0.8, 1.15, x.size),
-        rng.uniform(0.0, math.pi, x.size),
-        rng.uniform(0.3, 1.3, x.size),
+        *(0.5 * (first + last)[drawn].T),
+        0.5 * length[drawn] + 0.2 * feature,
+        feature / _FULL_WIDTH * rng.uniform(0.75, 1.1, count),
+        np.arctan2(along[drawn, 1], along[drawn, 0]),
+        rng.uniform(0.25, 1.2, count),
     )
     rng = np.random.default_rng([seed, _GRAIN])
-    x, y = _scattered(rng, outline, 1.0 / (3.5 * feature) ** 2)
-    width = feature / _FULL_WIDTH * rng.uniform(0.9, 1.6, x.size)
-    pores = _gaussians(x, y, width, width, np.zeros(x.size), rng.uniform(0.3, 1.6, x.size))
-    return np.concatenate([creases, pores, _patch_strokes(outline, 25.0 * feature, 0.3, seed)])
+    x, y = _scattered(rng, outline, 1.0 / (2.8 * feature) ** 2)
+    width = feature / _FULL_WIDTH * rng.uniform(0.75, 1.3, x.size)
+    pores = _gaussians(x, y, width, width, np.zeros(x.size), rng.uniform(0.1, 1.5, x.size))
+    return np.concatenate([_inside(creases, outline), pores, _patch_strokes(outline, 25.0 * feature, 0.3, seed)])
