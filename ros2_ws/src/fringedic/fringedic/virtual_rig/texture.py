@@ -192,8 +192,10 @@ def _grain_strokes(outline: NDArray[np.float64], feature: float, seed: int) -> S
     # edges shorter than a crease is wide would make blots, those at the rim of the diagram are endless
     drawn = (length > 0.3 * feature) & (length < 10.0 * feature)
     count = int(drawn.sum())
+    middle = 0.5 * (first + last)[drawn]
     creases = _gaussians(
-        *(0.5 * (first + last)[drawn].T),
+        middle[:, 0],
+        middle[:, 1],
         0.5 * length[drawn] + 0.2 * feature,
         feature / _FULL_WIDTH * rng.uniform(0.75, 1.1, count),
         np.arctan2(along[drawn, 1], along[drawn, 0]),
