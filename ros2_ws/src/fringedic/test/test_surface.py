@@ -9,8 +9,11 @@ from numba import get_num_threads, set_num_threads
 from scipy.ndimage import gaussian_filter
 
 from fringedic.errors import InvalidWindowError, RaysMissingError, ShapeMismatchError
+from fringedic.patterns import fringe_sequence
+from fringedic.phase import absolute_phase
 from fringedic.rig import RigModel
 from fringedic.surface import couple, surface_strain, to_local_frame
+from fringedic.virtual_rig import VirtualRig
 
 WIDTH, HEIGHT = 240, 180
 H0 = 0.6
@@ -139,6 +142,35 @@ def test_noise_of_the_displacement(case: Case, z_filter: float, targets: tuple[f
         print(f"z_filter {z_filter} px: {name} {1e6 * rms(error):.3f} µm RMS (target {target}), z-score {score:.3f}")
         assert 1e6 * rms(error) < target
         assert 0.97 < score < 1.03
+
+
+@pytest.mark.parametrize("specimen", ["rigid", "leather"])
+def test_rendered_frames_of_the_digital_twin(specimen: str) -> None:
+    """From rendered fringes to u, v, w, with the twin's own displacement in the image."""
+    twin = VirtualRig.from_preset(specimen, size="small")
+    position = 0.2 * twin.maximum_position
+    rig = RigModel(**twin.optics())
+    sequence = fringe_sequence(rig.projector_width, rig.projector_height, [rig.projector_width, 40, 10], [4, 4, 8])
+    shapes = []
+    for step, crosshead in enumerate((0.0, position)):
+        frames = np.array([twin.expose(image, crosshead, 100 * step + k) for k, image in enumerate(sequence)])
+        measured = absolute_phase(frames, list(sequence.projections))
+        shapes.append(rig.reconstruct(measured.phase, 10.0, measured.sigma))
+    truth = twin.truth(position)
+    displacement = truth[["displacement_x", "displacement_y"]].assign(
+        sigma_x=0 * truth.displacement_x, sigma_y=0 * truth.displacement_y
+    )
+    for z_filter in (0.0, 2.0):
+        cloud = couple(*shapes, displacement, z_filter=z_filter)
+        error = {name: cloud[name] - truth[name] for name in "uvw"}
+        scores = {name: float((error[name] / cloud[f"sigma_{name}"]).std()) for name in "uvw"}
+        print(
+            f"{specimen}, 200 µm/px, z_filter {z_filter} px: "
+            + ", ".join(f"{name} {1e6 * rms(error[name]):.2f} µm RMS, z-score {scores[name]:.2f}" for name in "uvw")
+        )
+        assert float(cloud.w.notnull().sum()) > 0.95 * float((truth.valid & truth.lit).sum())
+        assert all(0.9 < score < 1.1 for score in scores.values())
+        assert abs(float(error["w"].median())) < 0.1 * rms(error["w"])
 
 
 def test_noise_that_comes_from_the_displacement(case: Case) -> None:
