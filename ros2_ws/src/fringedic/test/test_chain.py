@@ -1,0 +1,312 @@
+"""The step functions: parameters, references and what the trackers keep."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+from scipy.ndimage import gaussian_filter
+
+from fringedic.chain import (
+    CouplingParameters,
+    DicParameters,
+    DisplacementTracker,
+    PhaseParameters,
+    ShapeTracker,
+    phase_step,
+    white_texture,
+)
+from fringedic.errors import (
+    CalibrationMissingError,
+    FrameMismatchError,
+    FringedicError,
+    ReferenceMissingError,
+    TooFewValidError,
+)
+from fringedic.rig import RigModel
+from fringedic.sequence import FrameRecord, Orientation, PatternKind, Projection, Stack
+
+MODELS = (PhaseParameters, DicParameters, CouplingParameters)
+PITCHES = (80.0, 20.0)
+RIG = RigModel(
+    camera_width=72,
+    camera_height=60,
+    camera_distance=0.4,
+    pixel_size=2e-4,
+    pixel_aspect=1.0,
+    principal_column=35.5,
+    principal_row=29.5,
+    projector_width=80,
+    projector_height=60,
+    projector_position=(0.15, 0.0, 0.38),
+    projector_focal_length=900.0,
+    projector_principal_column=39.5,
+    projector_principal_row=29.5,
+)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_every_parameter_is_bounded_and_described(model):
+    for name, field in model.model_fields.items():
+        assert len(field.description) > 20, name
+        if isinstance(field.default, float):
+            for value in (math.nan, math.inf, -math.inf):
+                with pytest.raises(ValidationError):
+                    model(**{name: value})
+        if not isinstance(field.default, str):
+            for value in (-1, 1e9, "many", True, None):
+                with pytest.raises(ValidationError):
+                    model(**{name: value})
+    with pytest.raises(ValidationError):
+        model(unheard_of=1)
+
+
+def stack(step=0, phase=None, kind=PatternKind.FRINGES, shape=(60, 72), mean=100.0, amplitude=60.0):
+    """Frames of a surface whose phase at the finest pitch is given."""
+    if phase is None:
+        phase = np.broadcast_to(np.linspace(-6.0, 6.5, shape[1]), shape)
+    projections = [Projection(kind, Orientation.VERTICAL, pitch, k, 4) for pitch in PITCHES for k in (1, 2, 3, 4)]
+    noise = np.random.default_rng(step)
+    frames = [
+        mean
+        + amplitude * np.cos(phase * PITCHES[-1] / p.pitch - 2 * np.pi * p.shift / 4)
+        + noise.normal(0, 1, phase.shape)
+        for p in projections
+    ]
+    records = [FrameRecord("e", step, i, len(frames), p, 100 * step + i, 0.01) for i, p in enumerate(projections)]
+    return Stack("e", step, records, np.rint(frames).astype(np.uint8), records[-1].stamp)
+
+
+def test_phase_step_says_what_it_measured():
+    whole = stack(3)
+    result = phase_step(whole, PhaseParameters())
+    assert (result.experiment, result.step, result.stamp) == ("e", 3, 307)
+    assert (result.pitch, result.orientation) == (20.0, Orientation.VERTICAL)
+    assert {each.dtype.name for each in (result.phase, result.sigma, result.modulation, result.texture)} == {"float32"}
+    assert result.valid_fraction > 0.99
+    assert np.nanmax(np.abs(result.phase - np.linspace(-6.0, 6.5, 72))) < 0.1
+    assert result.rms == pytest.approx(np.sqrt(2 / 4) * np.hypot(1, 1 / np.sqrt(12)) / 60, rel=0.1)
+    assert result.texture.mean() == pytest.approx(100, abs=0.2)
+
+
+def test_phase_parameters_have_an_effect():
+    whole = stack()
+    known = phase_step(whole, PhaseParameters(read_noise_grey_level=3.0))
+    assert known.rms == pytest.approx(np.sqrt(2 / 4) * 3.0 / 60, rel=0.02)
+    shot = phase_step(whole, PhaseParameters(read_noise_grey_level=3.0, shot_noise_grey_level=0.16))
+    assert shot.rms == pytest.approx(np.sqrt(2 / 4) * 5.0 / 60, rel=0.02)
+    with pytest.raises(TooFewValidError, match=r"step 0: only 0\.0% of the image has a phase"):
+        phase_step(whole, PhaseParameters(saturation_grey_level=90.0))
+    with pytest.raises(TooFewValidError):
+        phase_step(whole, PhaseParameters(minimum_modulation_grey_level=65.0))
+    half = stack(amplitude=np.where(np.arange(72) < 36, 0.0, 60.0))
+    with pytest.raises(TooFewValidError, match=r"only 50\.0% .* asks for 60\.0%"):
+        phase_step(half, PhaseParameters(minimum_valid_fraction=0.6))
+
+
+def test_a_phase_needs_fringes():
+    white = Stack("e", 1, [FrameRecord("e", 1, 0, 1, Projection(PatternKind.WHITE), 5, 0.01)], np.ones((1, 4, 5)), 5)
+    with pytest.raises(FrameMismatchError, match="step 1: shows WHITE"):
+        phase_step(white, PhaseParameters())
+    assert white_texture(np.full((2, 3), 65535, np.uint16)).dtype == np.float32
+
+
+@pytest.fixture(scope="module")
+def surface():
+    """A random texture, larger than the images of it."""
+    pattern = gaussian_filter(np.random.default_rng(7).normal(size=(200, 400)), 1.5)
+    return (100 + 30 * pattern / pattern.std()).astype(np.float32)
+
+
+def seen(surface, dx, dy, shape=(96, 128)):
+    """An image in which the material has moved by whole pixels: dx to the right, dy downwards."""
+    return np.ascontiguousarray(surface[40 - dy : 40 - dy + shape[0], 200 - dx : 200 - dx + shape[1]])
+
+
+def median(result):
+    return np.nanmedian(result.displacement.reshape(-1, 2), axis=0)
+
+
+def test_displacement_is_measured_against_the_first_step(surface):
+    tracker = DisplacementTracker(DicParameters(window=24, spacing=4))
+    first = tracker.step("e", 5, 50, seen(surface, 0, 0))
+    assert first.reference_step == 5 and first.rms == 0
+    assert set(np.unique(first.displacement[np.isfinite(first.displacement)])) == {0.0}
+    assert first.displacement.shape == (24, 32, 2) and first.displacement.dtype == np.float32
+    moved = tracker.step("e", 6, 60, seen(surface, 3, -2))
+    assert (moved.reference_step, moved.origin, moved.spacing) == (5, (0, 0), 4)
+    assert median(moved) == pytest.approx([3, -2], abs=0.01)
+    assert moved.rms == pytest.approx(np.hypot(3, 2), abs=0.02)
+
+
+def test_an_earlier_step_can_become_the_reference(surface):
+    tracker = DisplacementTracker(DicParameters(window=24, spacing=4))
+    for step, moved in enumerate((0, 2, 5)):
+        tracker.step("e", step, step, seen(surface, moved, 0))
+    tracker.set_reference("e", 1)
+    later = tracker.step("e", 3, 3, seen(surface, 6, 1))
+    assert later.reference_step == 1
+    assert median(later) == pytest.approx([4, 1], abs=0.01)
+    tracker.set_reference("e", 0)
+    assert median(tracker.step("e", 4, 4, seen(surface, 6, 1))) == pytest.approx([6, 1], abs=0.01)
+
+
+def test_a_step_to_come_can_be_the_reference(surface):
+    tracker = DisplacementTracker(DicParameters(window=24, spacing=4))
+    tracker.step("e", 0, 0, seen(surface, 0, 0))
+    tracker.set_reference("e", 2)
+    with pytest.raises(ReferenceMissingError, match="step 1: its reference, step 2, was not measured") as caught:
+        tracker.step("e", 1, 1, seen(surface, 1, 0))
+    assert (caught.value.experiment, caught.value.step) == ("e", 1)
+    assert tracker.step("e", 2, 2, seen(surface, 2, 0)).rms == 0
+    assert median(tracker.step("e", 3, 3, seen(surface, 5, 0))) == pytest.approx([3, 0], abs=0.01)
+
+
+def test_textures_kept_are_limited_and_the_reference_stays(surface):
+    tracker = DisplacementTracker(DicParameters(window=24, spacing=8, kept_steps=2))
+    for step in range(5):
+        tracker.step("e", step, step, seen(surface, step, 0))
+    assert len(tracker._textures) <= 3
+    assert median(tracker.step("e", 5, 5, seen(surface, 4, 0))) == pytest.approx([4, 0], abs=0.01)
+    tracker.set_reference("e", 1)
+    with pytest.raises(ReferenceMissingError, match="no longer kept; set another reference or raise kept_steps"):
+        tracker.step("e", 6, 6, seen(surface, 4, 0))
+
+
+def test_a_failed_step_leaves_the_next_one_alone(surface):
+    texture = np.random.default_rng(3).normal(100, 20, (96, 128)).astype(np.float32)
+    steps = [(step, seen(surface, 2 * step, 0)) for step in (0, 1, 2, 4)]
+    untouched, disturbed = (DisplacementTracker(DicParameters(window=24, spacing=4)) for _ in range(2))
+    for step, image in steps[:3]:
+        untouched.step("e", step, step, image)
+        disturbed.step("e", step, step, image)
+    with pytest.raises(FringedicError):
+        disturbed.step("e", 3, 3, texture)
+    with pytest.raises(FrameMismatchError, match="is 64x48 px, its reference step 0 has 128x96 px"):
+        disturbed.step("e", 3, 3, texture[:48, :64])
+    expected, result = (each.step("e", *steps[3][:1], 4, steps[3][1]) for each in (untouched, disturbed))
+    assert np.array_equal(result.displacement, expected.displacement, equal_nan=True)
+
+
+def test_a_first_step_that_fails_is_no_reference(surface):
+    tracker = DisplacementTracker(DicParameters(window=24, spacing=4, minimum_valid_fraction=0.5))
+    mostly_hidden = np.full((96, 128), np.nan, np.float32)
+    mostly_hidden[:, :40] = seen(surface, 0, 0)[:, :40]
+    with pytest.raises(TooFewValidError, match="minimum_valid_fraction asks for 50"):
+        tracker.step("e", 0, 0, mostly_hidden)
+    assert tracker.step("e", 1, 1, seen(surface, 1, 0)).reference_step == 1
+
+
+def test_each_experiment_has_its_own_reference(surface):
+    tracker = DisplacementTracker(DicParameters(window=24, spacing=4))
+    tracker.step("one", 0, 0, seen(surface, 0, 0))
+    assert tracker.step("two", 0, 1, seen(surface, 5, 0)).rms == 0
+    assert median(tracker.step("two", 1, 2, seen(surface, 6, 0))) == pytest.approx([1, 0], abs=0.01)
+    assert median(tracker.step("one", 1, 3, seen(surface, 6, 0))) == pytest.approx([6, 0], abs=0.01)
+
+
+def test_a_long_way_is_followed_in_small_steps(surface):
+    """70 px in all, more than half of the image, always against the first one."""
+    tracker = DisplacementTracker(DicParameters(window=24, spacing=4))
+    for step in range(11):
+        result = tracker.step("e", step, step, seen(surface, 7 * step, -step))
+    assert result.reference_step == 0
+    assert median(result) == pytest.approx([70, -10], abs=0.01)
+    there = np.isfinite(result.displacement[..., 0])
+    assert there[:, : (128 - 70) // 4 - 4].mean() > 0.7
+
+
+def test_parameters_change_between_steps(surface):
+    tracker = DisplacementTracker(DicParameters(window=24, spacing=4))
+    tracker.step("e", 0, 0, seen(surface, 0, 0))
+    narrow = tracker.step("e", 1, 1, seen(surface, 3, 1))
+    tracker.parameters = DicParameters(window=48, spacing=8)
+    wide = tracker.step("e", 2, 2, seen(surface, 3, 1))
+    assert wide.displacement.shape == (12, 16, 2)
+    assert median(wide) == pytest.approx([3, 1], abs=0.01)
+    assert np.nanmedian(wide.sigma) < np.nanmedian(narrow.sigma)
+
+
+def plane(height, slope=0.0):
+    """Phase and exact z of the plane z = height + slope x, as the camera sees it."""
+    column, row = np.meshgrid(np.arange(72), np.arange(60))
+    x_ray = RIG.pixel_size * (column - RIG.principal_column) / RIG.camera_distance
+    z = (height + slope * x_ray * RIG.camera_distance) / (1 + slope * x_ray)
+    x = x_ray * (RIG.camera_distance - z)
+    y = -RIG.pixel_size * (row - RIG.principal_row) / RIG.camera_distance * (RIG.camera_distance - z)
+    return RIG.phase(x, y, z, PITCHES[-1]).astype(np.float32), z
+
+
+def couple_step(tracker, step, height, dx=0.0, dy=0.0, slope=0.0):
+    displacement = np.zeros((60, 72, 2), np.float32)
+    displacement[..., 0], displacement[..., 1] = dx, dy
+    small = np.full((60, 72), 1e-3, np.float32)
+    sigma = np.full((60, 72, 2), 1e-3, np.float32)
+    return tracker.step("e", step, step, plane(height, slope)[0], small, displacement, sigma, pitch=PITCHES[-1])
+
+
+def test_a_plane_that_moves_gives_its_motion_with_the_right_signs():
+    tracker = ShapeTracker(CouplingParameters())
+    with pytest.raises(CalibrationMissingError, match="step 0: no calibration yet"):
+        couple_step(tracker, 0, 0.0)
+    tracker.set_calibration(RIG)
+    first = couple_step(tracker, 0, 0.0, slope=0.1)
+    assert first.reference_step == 0
+    assert np.nanmax(np.abs(first.displacement["w"])) == 0
+    np.testing.assert_allclose(first.shape["z"], plane(0.0, 0.1)[1], atol=2e-6)
+    assert list(first.shape) == ["x", "y", "z", "sigma_z"]
+    level = ShapeTracker(CouplingParameters())
+    level.set_calibration(RIG)
+    couple_step(level, 0, 0.0)
+    # 5 px to the right and 3 px down at 0.2 mm/px: u = 1 mm, v = -0.6 mm
+    moved = couple_step(level, 1, 0.0, dx=5, dy=3).displacement
+    assert list(moved) == (
+        ["x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w", "u_t", "v_t", "w_n", "e_11", "e_22", "e_12"]
+    )
+    assert np.nanmedian(moved["u"]) == pytest.approx(1e-3, abs=2e-6)
+    assert np.nanmedian(moved["v"]) == pytest.approx(-0.6e-3, abs=2e-6)
+    assert np.nanmedian(moved["w"]) == pytest.approx(0, abs=2e-6)
+    lifted = couple_step(level, 2, 1e-3)
+    assert np.nanmedian(lifted.displacement["w"]) == pytest.approx(1e-3, rel=1e-3)
+    assert lifted.rms == pytest.approx(1e-3, rel=0.02)
+
+
+def test_the_shape_of_an_earlier_step_can_become_the_reference():
+    tracker = ShapeTracker(CouplingParameters(strain_window_px=0, local_frame_window_px=0))
+    tracker.set_calibration(RIG)
+    for step, height in enumerate((0.0, 1e-3, 3e-3)):
+        couple_step(tracker, step, height)
+    tracker.set_reference("e", 1)
+    result = couple_step(tracker, 3, 3e-3)
+    assert result.reference_step == 1
+    assert np.nanmedian(result.displacement["w"]) == pytest.approx(2e-3, rel=1e-3)
+    assert "u_t" not in result.displacement and "e_11" not in result.displacement
+    tracker.set_reference("e", 7)
+    with pytest.raises(ReferenceMissingError, match="step 4: its reference, step 7"):
+        couple_step(tracker, 4, 0.0)
+
+
+def test_a_new_calibration_holds_for_the_reference_too():
+    tracker = ShapeTracker(CouplingParameters())
+    tracker.set_calibration(RIG)
+    couple_step(tracker, 0, 1e-3)
+    tracker.set_calibration(replace(RIG, projector_k1=0.5))
+    again = couple_step(tracker, 1, 1e-3)
+    assert np.nanmax(np.abs(again.displacement["w"])) < 1e-9
+
+
+def test_smoothing_lessens_the_noise_of_w_and_leaves_the_shape():
+    noise = np.random.default_rng(5).normal(0, 0.02, (60, 72)).astype(np.float32)
+    sigma, nothing = np.full((60, 72), 0.02, np.float32), np.zeros((60, 72, 2), np.float32)
+    spread, shapes = [], []
+    for filter_px in (0.0, 2.0):
+        tracker = ShapeTracker(CouplingParameters(z_filter_px=filter_px))
+        tracker.set_calibration(RIG)
+        couple_step(tracker, 0, 0.0)
+        phase = plane(0.0)[0] + noise
+        result = tracker.step("e", 1, 1, phase, sigma, nothing, nothing, pitch=PITCHES[-1])
+        spread.append(np.nanstd(result.displacement["w"]))
+        shapes.append(result.shape["z"])
+    assert spread[1] < 0.3 * spread[0]
+    assert np.array_equal(*shapes)
