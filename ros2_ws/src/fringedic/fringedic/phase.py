@@ -87,6 +87,8 @@ def demodulate(
     InvalidSequenceError
         When q < 3 or the frames are not n cycles of q.
     """
+    if shifts < 3 or len(frames) == 0 or len(frames) % shifts:
+        raise InvalidSequenceError(f"{len(frames)} frames are not whole cycles of {shifts} shifts, of at least 3")
     projections = [
         Projection(PatternKind.FRINGES, Orientation.VERTICAL, 1.0, k, shifts) for k in range(1, len(frames) + 1)
     ]
@@ -176,7 +178,9 @@ def unwrap_hierarchical(wrapped: Sequence[np.ndarray | xr.DataArray], pitches: S
     )
 
 
-def estimate_noise(frames: np.ndarray, projections: Sequence[Projection]) -> CameraNoise | None:
+def estimate_noise(
+    frames: np.ndarray, projections: Sequence[Projection], *, saturation: float | None = None
+) -> CameraNoise | None:
     """Estimate the noise of grey levels from what the sinusoids leave unexplained.
 
     The variance of the residuals is sorted by brightness; medians keep edges and moving things out, a line through
@@ -184,13 +188,13 @@ def estimate_noise(frames: np.ndarray, projections: Sequence[Projection]) -> Cam
 
     Parameters
     ----------
-    frames, projections
-        See `absolute_phase`.
+    frames, projections, saturation
+        See `absolute_phase`; pixels that saturate are left out.
 
     Returns
     -------
     CameraNoise or None
-        None when no pitch has more than 3 frames.
+        None when no pitch has more than 3 frames, or all pixels saturate.
 
     Raises
     ------
@@ -204,7 +208,7 @@ def estimate_noise(frames: np.ndarray, projections: Sequence[Projection]) -> Cam
         return None
     skip = math.ceil(math.sqrt(frames[0].size / _NOISE_SAMPLES))
     sample = frames[:, ::skip, ::skip].reshape(len(frames), -1)
-    sample = sample[:, sample.max(axis=0) < _default_saturation(frames)].astype(float)
+    sample = sample[:, sample.max(axis=0) < _ceiling(frames, saturation)].astype(float)
     if sample.shape[1] == 0:
         return None
     unexplained = np.zeros(sample.shape[1])
@@ -234,7 +238,7 @@ def _measure(
 ) -> xr.Dataset:
     periods = _periods(projections)
     _check_frames(frames, projections)
-    known = noise if noise is not None else estimate_noise(frames, projections)
+    known = noise if noise is not None else estimate_noise(frames, projections, saturation=saturation)
     camera = known if isinstance(known, CameraNoise) else CameraNoise(ROUNDING_NOISE if known is None else known)
     angles = _angles(projections)
     pitches = [period.pitch for period in periods]
@@ -250,7 +254,7 @@ def _measure(
         np.float32(camera.read**2),
         np.float32(camera.shot),
         np.float32(minimum_modulation),
-        np.float32(_default_saturation(frames) if saturation is None else saturation),
+        np.float32(_ceiling(frames, saturation)),
         phase,
         sigma,
         modulation,
@@ -376,7 +380,10 @@ def _check_frames(frames: np.ndarray, projections: Sequence[Projection]) -> None
         )
 
 
-def _default_saturation(frames: np.ndarray) -> float:
+def _ceiling(frames: np.ndarray, saturation: float | None) -> float:
+    """Return the grey level from which a pixel counts as saturated."""
+    if saturation is not None:
+        return saturation
     return float(np.iinfo(frames.dtype).max) if frames.dtype.kind == "u" else math.inf
 
 

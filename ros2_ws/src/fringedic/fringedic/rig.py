@@ -464,8 +464,12 @@ _YAML: dict[str, dict[str, tuple[str, float]]] = {
 
 
 def _to_people(value: float | tuple[float, ...], unit: float) -> float | list[float]:
-    return [each / unit for each in value] if isinstance(value, tuple) else value if unit == _ONE else value / unit
+    if isinstance(value, tuple):
+        return [each / unit for each in value]
+    return value if unit == _ONE else value / unit
 
 
 def _from_people(value: float | list[float], unit: float) -> float | tuple[float, ...]:
-    return tuple(each * unit for each in value) if isinstance(value, list) else value if unit == _ONE else value * unit
+    if isinstance(value, list):
+        return tuple(each * unit for each in value)
+    return value if unit == _ONE else value * unit

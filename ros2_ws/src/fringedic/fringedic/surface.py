@@ -510,7 +510,8 @@ def _gradients(displacement_3d: xr.Dataset, names: tuple[str, ...], window: int)
     fields[:, ~measured] = 0.0
     # sums of squares keep their digits around the middle; slopes do not depend on it
     middle = fields.sum(axis=(1, 2)) / max(1, np.count_nonzero(measured))
-    fields = np.where(measured, fields - middle[:, None, None], 0.0)
+    fields -= middle[:, None, None]
+    fields[:, ~measured] = 0.0
     result = np.empty((len(names), 2, *measured.shape))
     _fit_planes(fields, measured, half[0], half[1], result)
     return result

@@ -249,6 +249,8 @@ def test_bad_input_is_refused() -> None:
         demodulate(frames, 4)
     with pytest.raises(InvalidSequenceError, match="at least 3"):
         demodulate(frames[:2], 2)
+    with pytest.raises(InvalidSequenceError, match="0 frames"):
+        demodulate(frames[:0], 4)
     projections = list(fringe_sequence(64, 48, [64, 8], 4).projections)
     with pytest.raises(ShapeMismatchError, match="8 projections"):
         absolute_phase(frames, projections)
