@@ -1,7 +1,75 @@
-"""Shape and 3D displacement of a surface with one camera and one fringe projector."""
+"""Shape and 3D displacement of a surface with one camera and one fringe projector.
+
+The public functions are listed here and loaded when they are first used: most nodes need only a few of them.
+"""
+
+from __future__ import annotations
 
 import os
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 os.environ.setdefault("NUMBA_THREADING_LAYER", "omp")
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from fringedic.correlation import Reference, measure_displacement
+    from fringedic.errors import FringedicError
+    from fringedic.patterns import fringe_sequence
+    from fringedic.phase import absolute_phase, demodulate, unwrap_hierarchical
+    from fringedic.pictures import save_pictures
+    from fringedic.results import compare_with_truth, open_experiment, process_bag
+    from fringedic.rig import RigModel
+    from fringedic.rig_file import load_programme, load_rig_file
+    from fringedic.surface import couple, surface_strain, to_local_frame
+
+_HOMES = {
+    "FringedicError": "errors",
+    "Reference": "correlation",
+    "RigModel": "rig",
+    "absolute_phase": "phase",
+    "compare_with_truth": "results",
+    "couple": "surface",
+    "demodulate": "phase",
+    "fringe_sequence": "patterns",
+    "load_programme": "rig_file",
+    "load_rig_file": "rig_file",
+    "measure_displacement": "correlation",
+    "open_experiment": "results",
+    "process_bag": "results",
+    "save_pictures": "pictures",
+    "surface_strain": "surface",
+    "to_local_frame": "surface",
+    "unwrap_hierarchical": "phase",
+}
+
+__all__ = [
+    "FringedicError",
+    "Reference",
+    "RigModel",
+    "absolute_phase",
+    "compare_with_truth",
+    "couple",
+    "demodulate",
+    "fringe_sequence",
+    "load_programme",
+    "load_rig_file",
+    "measure_displacement",
+    "open_experiment",
+    "process_bag",
+    "save_pictures",
+    "surface_strain",
+    "to_local_frame",
+    "unwrap_hierarchical",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'fringedic' has no attribute '{name}'")
+    return getattr(import_module(f"fringedic.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_HOMES])

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NOT_MEASURED = (128, 128, 128)
+_NOT_MEASURED_COLOUR = f"#{bytes(NOT_MEASURED).hex()}"
 _WIDEST = 900  # points of a map along its longer side in a picture
 _TAIL = 0.5  # per cent of the values beyond either end of a colour scale
 
@@ -120,7 +121,7 @@ def maps_figure(maps: xr.Dataset, panels: tuple[Panel, ...], *, title: str) -> F
         raise DatasetError(f"the dataset has no {', '.join(missing)}")
     lines = (len(panels) + 1) // 2
     extent, across, along = _axes_of(maps)
-    height = 4.6 * abs((extent[3] - extent[2]) / (extent[1] - extent[0])) + 0.9
+    height = 4.7 * abs((extent[3] - extent[2]) / (extent[1] - extent[0])) + 0.8
     figure = Figure(figsize=(12.5, lines * height + 0.5), dpi=100, layout="constrained")
     figure.suptitle(title)
     for place, panel in enumerate(panels):
@@ -164,7 +165,7 @@ def _draw(axes: Axes, values: np.ndarray, panel: Panel, extent: tuple[float, flo
 
     thin = max(1, max(values.shape) // _WIDEST)
     shown = values[::thin, ::thin]
-    finite = shown[np.isfinite(shown)]
+    finite = values[np.isfinite(values)]
     low, high = np.percentile(finite, (_TAIL, 100 - _TAIL)) if finite.size else (0.0, 1.0)
     if panel.symmetric:
         high = max(abs(low), abs(high))
@@ -174,14 +175,15 @@ def _draw(axes: Axes, values: np.ndarray, panel: Panel, extent: tuple[float, flo
     name = "gray" if panel.name == "texture" else "RdBu_r" if panel.symmetric else "viridis"
     image = axes.imshow(
         shown,
-        cmap=colormaps[name].with_extremes(bad=tuple(level / 255 for level in NOT_MEASURED)),
+        cmap=colormaps[name].with_extremes(bad=_NOT_MEASURED_COLOUR),
         vmin=low,
         vmax=high,
         extent=extent,
         origin="upper",
         interpolation="nearest",
     )
-    axes.get_figure().colorbar(image, ax=axes, label=f"{panel.title} [{panel.units}]", extend="both")
+    bar = axes.inset_axes((1.03, 0.0, 0.04, 1.0))
+    axes.figure.colorbar(image, cax=bar, label=panel.units, extend="both", extendfrac=0.03)
     spread = f"RMS {np.sqrt(np.mean(finite**2)):.3g} {panel.units}" if panel.symmetric and finite.size else ""
     axes.set_title(f"{panel.title}   {spread}".rstrip())
 

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import h5netcdf
-import h5py
 import numpy as np
 import xarray as xr
 from pydantic import ValidationError
@@ -669,7 +668,7 @@ class _DatasetWriter:
         self._variable("step", ("step",), "i8", "1", "load step")
         self._variable("time", ("step",), "i8", "nanoseconds since 1970-01-01", "stamp of the last exposure")
         self._variable("reference_step", ("step",), "i8", "1", "step that the displacement is measured against")
-        self._variable("error", ("step",), h5py.string_dtype(), "", "why the step failed, empty when it did not")
+        self._variable("error", ("step",), str, "", "why the step failed, empty when it did not")
         for name, quantity in SCALARS.items():
             self._variable(name, ("step",), "f8", *quantity)
         return self
@@ -805,15 +804,11 @@ def cloud_arrays(message: Any) -> dict[str, np.ndarray]:
 
 def rig_model(message: Any) -> RigModel:
     """Return the calibration of a decoded ``fringedic_msgs/RigCalibration``."""
-    values = {each.name: getattr(message, each.name) for each in dataclasses.fields(RigModel)}
-    return RigModel(
-        **{
-            name: tuple(value.tolist() if isinstance(value, np.ndarray) else value)
-            if isinstance(value, np.ndarray | list)
-            else value
-            for name, value in values.items()
-        }
-    )
+    values: dict[str, Any] = {each.name: getattr(message, each.name) for each in dataclasses.fields(RigModel)}
+    for name, value in values.items():
+        if isinstance(value, np.ndarray | list):
+            values[name] = tuple(np.asarray(value).tolist())
+    return RigModel(**values)
 
 
 # ---------------------------------------------------------------------------------------------------------- comparison
@@ -899,7 +894,7 @@ def compare_with_truth(dataset: xr.Dataset, truth_path: str | os.PathLike[str]) 
     DatasetError
         The truth lacks steps or pixels of the dataset.
     """
-    table: dict[str, list[float]] = {f"error_{name}": [] for name in "uvwz"} | {"measured_fraction": []}
+    table: dict[str, list[float]] = {name: [] for name in (*(f"error_{each}" for each in "uvwz"), "measured_fraction")}
     with open_truth(truth_path) as truth:
         for step in dataset.step.values:
             errors = truth_errors(dataset, truth, int(step))

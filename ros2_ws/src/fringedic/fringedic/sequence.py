@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
@@ -178,7 +179,7 @@ class FrameCollector:
         """
         key = (record.experiment, record.step)
         where = f"experiment '{record.experiment}', step {record.step}"
-        identity = {"experiment": record.experiment, "step": record.step, "index": record.index}
+        identity: dict[str, Any] = {"experiment": record.experiment, "step": record.step, "index": record.index}
         if key in self._ended:
             raise FrameLateError(f"{where}: frame {record.index} arrived after the step had ended", **identity)
         if key in self._failed:

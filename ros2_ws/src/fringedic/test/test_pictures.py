@@ -61,12 +61,8 @@ def test_axes_are_millimetres_with_y_upwards():
     assert bottom < 0 < top
     shown = v.images[0].get_array()
     assert shown[0, 0] == pytest.approx(120) and shown[-1, 0] == pytest.approx(4)  # µm; the first row is drawn on top
-    assert [axes.get_ylabel() for axes in figure.axes if not axes.images] == [
-        "height z [mm]",
-        "displacement u along x [µm]",
-        "displacement v along y [µm]",
-        "displacement w along z [µm]",
-    ]
+    assert [axes.child_axes[0].get_ylabel() for axes in panel_axes(figure)] == ["mm", "µm", "µm", "µm"]
+    assert v.get_title() == "displacement v along y"
 
 
 def test_what_is_not_measured_is_grey():
