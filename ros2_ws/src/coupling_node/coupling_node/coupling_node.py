@@ -75,6 +75,10 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         elif not self.answered(message.experiment, message.step):
             self._join(f"{name}/status", message)
 
+    def abandon(self, experiment: str, step: int, stamp: int) -> str:
+        """Forget what has arrived of a step."""
+        return self._parts.discard(stamp)
+
     def _join(self, topic: str, message: Any) -> None:
         stamp = to_nanoseconds(message.header.stamp)
         parts = self._parts.add(topic, stamp, message)

@@ -258,8 +258,10 @@ def test_abort_answers_a_step_that_waits(bench: CouplingBench, name: str) -> Non
     for part in bench.parts(name, 0)[:-1]:
         part()
     bench.serve(0.1)
-    bench.abort(name, 0)
-    assert bench.status_of(name, 0).error_code == NodeStatus.STEP_ABORTED
+    bench.abort(name, 0, bench.stamp(0))
+    status = bench.status_of(name, 0)
+    assert status.error_code == NodeStatus.STEP_ABORTED
+    assert "the camera stopped (here: waiting for dic/status)" in status.error_message
     bench.send_status("dic", name, 0)
     assert bench.status_of(name, 0).error_code == NodeStatus.STEP_ABORTED
     assert bench.send_step(name, 1).error_code == NodeStatus.NONE

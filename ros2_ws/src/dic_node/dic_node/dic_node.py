@@ -35,7 +35,7 @@ class DicNode(ProcessingNode[DicParameters]):
         self._preview = self._image_publisher("preview")
         self._grid = self.create_publisher(CameraInfo, "dic/camera_info", DERIVED)
         self._tracker = DisplacementTracker(self.parameters.value)
-        self._textures = StampJoin(("status", "texture"))
+        self._textures = StampJoin(("phase/status", "phase/texture"))
         self.create_subscription(Reference, "experiment/reference", self._take_reference, LATCHED)
         self.subscribe_to_steps()
         self.create_subscription(NodeStatus, "phase/status", self._take_phase_status, EVENTS)
@@ -57,19 +57,19 @@ class DicNode(ProcessingNode[DicParameters]):
             self._textures.discard(stamp)
             self.refuse_input("phase", message)
         elif message.frames:  # a white step has none for the phase node
-            self._join("status", stamp, message)
+            self._join("phase/status", stamp, message)
 
     def _take_texture(self, message: Image) -> None:
-        self._join("texture", to_nanoseconds(message.header.stamp), message)
+        self._join("phase/texture", to_nanoseconds(message.header.stamp), message)
 
     def _join(self, topic: str, stamp: int, message: NodeStatus | Image) -> None:
         joined = self._textures.add(topic, stamp, message)
         self._report_losses()
         if joined is None:
             return
-        status: NodeStatus = joined["status"]
+        status: NodeStatus = joined["phase/status"]
         try:
-            texture = image_array(joined["texture"])
+            texture = image_array(joined["phase/texture"])
         except Exception as error:
             self.fail(status.experiment, status.step, stamp, error)
         else:
@@ -86,9 +86,9 @@ class DicNode(ProcessingNode[DicParameters]):
     def _report_losses(self) -> None:
         self.report_unjoined(self._frames.unpaired + self._textures.unjoined)
 
-    def abandon(self, experiment: str, step: int) -> None:
-        """Forget the white frames of a step."""
-        self._frames.abandon(experiment, step)
+    def abandon(self, experiment: str, step: int, stamp: int) -> str:
+        """Forget what has arrived of a step."""
+        return self._textures.discard(stamp) or self._frames.abandon(experiment, step)
 
     def _measure_displacement(
         self, experiment: str, step: int, stamp: int, texture: np.ndarray, frames: int, parameters: DicParameters

@@ -49,9 +49,10 @@ class FrameSteps:
         """Images and records that lost their partner."""
         return self._pairs.unpaired
 
-    def abandon(self, experiment: str, step: int) -> None:
-        """Forget the frames of a step."""
-        self._collector.abandon(experiment, step)
+    def abandon(self, experiment: str, step: int) -> str:
+        """Forget the frames of a step, and say which have not arrived; empty when none has."""
+        missing = self._collector.abandon(experiment, step)
+        return str(missing) if missing else ""
 
     def _take(self, image: Image, exposure: Exposure) -> None:
         experiment, step, stamp = exposure.experiment, exposure.step, to_nanoseconds(exposure.header.stamp)

@@ -106,9 +106,11 @@ class StampJoin:
             self.unjoined += len(self._waiting.popitem(last=False)[1])
         return None
 
-    def discard(self, stamp: int) -> None:
-        """Give up what has arrived with this stamp."""
-        self.unjoined += len(self._waiting.pop(stamp, {}))
+    def discard(self, stamp: int) -> str:
+        """Give up what has arrived with this stamp, and say what has not; empty when nothing has."""
+        parts = self._waiting.pop(stamp, {})
+        self.unjoined += len(parts)
+        return f"waiting for {', '.join(sorted(self._topics - parts.keys()))}" if parts else ""
 
 
 class ProcessingNode(Node, Generic[ModelT]):
@@ -197,17 +199,16 @@ class ProcessingNode(Node, Generic[ModelT]):
 
     def _take_step(self, message: StepStatus) -> None:
         if message.stage == StepStatus.ERROR:
-            self.abandon(message.experiment, message.step)
-            self.answer(
-                message.experiment,
-                message.step,
-                to_nanoseconds(message.header.stamp),
-                NodeStatus.STEP_ABORTED,
-                f"the experiment ended the step: {message.error_message}",
-            )
+            stamp = to_nanoseconds(message.header.stamp)
+            missing = self.abandon(message.experiment, message.step, stamp)
+            reason = f"the experiment ended the step: {message.error_message}"
+            if missing:
+                reason += f" (here: {missing})"
+            self.answer(message.experiment, message.step, stamp, NodeStatus.STEP_ABORTED, reason)
 
-    def abandon(self, experiment: str, step: int) -> None:
-        """Forget what has arrived of a step that the experiment ended; for subclasses."""
+    def abandon(self, experiment: str, step: int, stamp: int) -> str:
+        """Forget what has arrived of a step that the experiment ended, and say what has not; for subclasses."""
+        return ""
 
     def _close(self, experiment: str, step: int) -> bool:
         key = (experiment, step)

@@ -29,7 +29,7 @@ from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, StepStatus
 from fringedic_ros.images import image_message
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED_BY_MANY
 from fringedic_ros.records import exposure_message
-from fringedic_ros.stamps import to_nanoseconds
+from fringedic_ros.stamps import to_msg, to_nanoseconds
 
 PITCHES = (100.0, 20.0, 5.0)
 SHIFTS = (4, 4, 8)
@@ -201,11 +201,12 @@ class Bench(Peer):
         self._images.publish(image)
         self._exposures.publish(exposure_message(record, frame_id="camera_optical_frame"))
 
-    def abort(self, experiment: str, step: int) -> None:
+    def abort(self, experiment: str, step: int, stamp: int = 0) -> None:
         """Let the experiment end a step with an error."""
-        self._steps.publish(
-            StepStatus(experiment=experiment, step=step, stage=StepStatus.ERROR, error_message="the camera stopped")
-        )
+        message = StepStatus(experiment=experiment, step=step, stage=StepStatus.ERROR)
+        message.error_message = "the camera stopped"
+        message.header.stamp = to_msg(stamp)
+        self._steps.publish(message)
 
     def status_of(self, experiment: str, step: int) -> NodeStatus:
         """The one status of a step; a second one would come at once."""

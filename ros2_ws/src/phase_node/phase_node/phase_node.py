@@ -44,9 +44,9 @@ class PhaseNode(ProcessingNode[PhaseParameters]):
             stamp = to_nanoseconds(exposure.header.stamp)
             self.answer(exposure.experiment, exposure.step, stamp, NodeStatus.NONE)
 
-    def abandon(self, experiment: str, step: int) -> None:
+    def abandon(self, experiment: str, step: int, stamp: int) -> str:
         """Forget the frames of a step."""
-        self._frames.abandon(experiment, step)
+        return self._frames.abandon(experiment, step)
 
     def _measure_phase(self, stack: Stack, parameters: PhaseParameters) -> Outcome:
         result = phase_step(stack, parameters)

@@ -169,9 +169,11 @@ def test_dark_frames_have_too_little_phase(bench: PhaseBench, name: str) -> None
 def test_abort_answers_an_unfinished_step_once(bench: PhaseBench, name: str) -> None:
     frames = fringe_step(bench.rig, 0.0, name, 0)
     bench.send(frames[:4])
+    bench.serve(0.3)
     bench.abort(name, 0)
     status = bench.status_of(name, 0)
     assert status.error_code == NodeStatus.STEP_ABORTED and "the camera stopped" in status.error_message
+    assert "frames 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15 of 16 never arrived" in status.error_message
     bench.send(frames[4:])
     bench.abort(name, 0)
     assert bench.status_of(name, 0) is status
