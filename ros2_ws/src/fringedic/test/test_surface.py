@@ -295,6 +295,18 @@ def test_points_on_a_coarser_grid_are_the_same_points(case: Case) -> None:
     xr.testing.assert_equal(couple(shape, after, nodes), every.sel(row=rows, column=columns))
 
 
+def test_points_between_pixels(case: Case) -> None:
+    shape, _, displacement = case.measured(0, 0)
+    nodes = (displacement * 0).sel(row=slice(20, 150, 5), column=slice(20, 200, 5))
+    nodes = nodes.assign_coords(row=nodes.row + 0.5, column=nodes.column + 0.25)
+    measured = couple(shape, shape, nodes)
+    x, y, z = seen_point(relief, *np.meshgrid(nodes.column, nodes.row))
+    for name, truth in (("x", x), ("y", y), ("z", z)):
+        assert rms(measured[name] - truth) < 5e-9
+    for name in "uvw":
+        assert not measured[name].any()
+
+
 def test_crops_know_their_place(case: Case) -> None:
     shape, after, displacement = case.measured(0.0021, 0.0026)
     whole = couple(shape, after, displacement)
