@@ -1,1 +1,3 @@
-"""The node that shows patterns on the projector."""
+"""Shows patterns on the projector and publishes what it shows."""
+
+import fringedic_ros  # noqa: F401  (first: it sets the threads of linear algebra before NumPy is loaded)

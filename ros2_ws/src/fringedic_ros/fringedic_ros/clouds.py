@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from fringedic.errors import CloudMessageError
 from sensor_msgs.msg import PointCloud2, PointField
 
+from fringedic.errors import CloudMessageError
 from fringedic_ros.images import as_bytes
 from fringedic_ros.stamps import to_msg
 
@@ -31,7 +31,9 @@ def cloud_message(fields: Mapping[str, np.ndarray], *, stamp_ns: int, frame_id: 
     """
     shapes = {np.shape(values) for values in fields.values()}
     if len(shapes) != 1 or len(next(iter(shapes))) != 2:
-        raise CloudMessageError(f"a cloud needs at least one field, all (row, column) of one shape; got {shapes or 'none'}")
+        raise CloudMessageError(
+            f"a cloud needs at least one field, all (row, column) of one shape; got {shapes or 'none'}"
+        )
     rows, columns = shapes.pop()
     points = np.empty((rows, columns, len(fields)), dtype="<f4")
     for channel, values in enumerate(fields.values()):

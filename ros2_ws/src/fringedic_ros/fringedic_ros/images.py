@@ -8,9 +8,9 @@ from __future__ import annotations
 import array
 
 import numpy as np
-from fringedic.errors import ImageMessageError
 from sensor_msgs.msg import Image
 
+from fringedic.errors import ImageMessageError
 from fringedic_ros.stamps import to_msg
 
 _LAYOUTS: dict[str, tuple[type[np.generic], int]] = {
@@ -88,7 +88,7 @@ def image_array(message: Image) -> np.ndarray:
     if message.step < row_bytes or len(message.data) != message.step * message.height:
         raise ImageMessageError(
             f"image of {message.width} x {message.height} pixels ({message.encoding}) has rows of {message.step} bytes "
-            f"and {len(message.data)} bytes in all; rows of at least {row_bytes} bytes and step x height bytes are needed"
+            f"and {len(message.data)} bytes in all; rows need at least {row_bytes} bytes, and step x height in all"
         )
     shape = (message.height, message.width, channels)
     strides = (message.step, channels * dtype.itemsize, dtype.itemsize)

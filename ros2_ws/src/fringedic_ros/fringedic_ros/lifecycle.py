@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Self, TypeVar
 
-from fringedic.errors import FringedicError, StartError
 from pydantic import BaseModel, Field
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from typing_extensions import Self
 
+from fringedic.errors import FringedicError, StartError
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.parameters import declare
 
@@ -16,7 +15,9 @@ from fringedic_ros.parameters import declare
 class HardwareParameters(BaseModel):
     """What every hardware node has."""
 
-    autostart: bool = Field(True, description="Configure and activate at start; otherwise wait for a lifecycle manager.")
+    autostart: bool = Field(
+        True, description="Configure and activate at start; otherwise wait for a lifecycle manager."
+    )
 
 
 ParametersT = TypeVar("ParametersT", bound=HardwareParameters)

@@ -7,9 +7,10 @@ import traceback
 from collections.abc import Callable
 
 import rclpy
-from fringedic.errors import FringedicError
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
+
+from fringedic.errors import FringedicError
 
 
 def run(make_node: Callable[[], Node]) -> int:
@@ -31,8 +32,10 @@ def run(make_node: Callable[[], Node]) -> int:
         print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
         return 1
     except Exception:
-        traceback.print_exc()
-        return 1
+        if node is None or rclpy.ok():
+            traceback.print_exc()
+            return 1
+        # a signal ended the context between two steps of the executor, which then fails with an RCLError
     finally:
         if node is not None:
             node.destroy_node()

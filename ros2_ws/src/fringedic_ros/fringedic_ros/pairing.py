@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable
 
-from fringedic_msgs.msg import Exposure
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from sensor_msgs.msg import Image
 
+from fringedic_msgs.msg import Exposure
 from fringedic_ros.qos import IMAGES, OVERRIDABLE
 from fringedic_ros.stamps import to_nanoseconds
 

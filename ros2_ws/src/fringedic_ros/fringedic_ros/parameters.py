@@ -1,10 +1,10 @@
 """Node parameters from one declaration: a pydantic model gives names, types, defaults, ranges, words and documentation.
 
-    class FilterParameters(BaseModel):
-        window: int = Field(32, ge=8, le=128, description="Width of the window [px].")
+class FilterParameters(BaseModel):
+    window: int = Field(32, ge=8, le=128, description="Width of the window [px].")
 
-    parameters = declare(node, FilterParameters)
-    parameters.value.window
+parameters = declare(node, FilterParameters)
+parameters.value.window
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar
 
 from annotated_types import Ge, Gt, Le, Lt
-from fringedic.errors import ParameterError
-from fringedic_msgs.msg import NodeParameters
 from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from fringedic.errors import ParameterError
+from fringedic_msgs.msg import NodeParameters
 from fringedic_ros.qos import LATCHED
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
@@ -88,7 +88,9 @@ class Parameters(Generic[ModelT]):
     def _publish(self) -> None:
         message = NodeParameters(node=self._node.get_name())
         message.header.stamp = self._node.get_clock().now().to_msg()
-        message.parameters = [self._node.get_parameter(name).to_parameter_msg() for name in type(self.value).model_fields]
+        message.parameters = [
+            self._node.get_parameter(name).to_parameter_msg() for name in type(self.value).model_fields
+        ]
         self._publisher.publish(message)
 
 
@@ -118,7 +120,9 @@ def declare(node: Node, model: type[ModelT], on_change: Callable[[ModelT], None]
     for name, field in model.model_fields.items():
         # declared with any type first: the model's words are better than the middleware's
         start = ParameterDescriptor(description=field.description or "", dynamic_typing=True)
-        raw[name] = node.declare_parameter(name, _plain_value(field.get_default(call_default_factory=True)), start).value
+        raw[name] = node.declare_parameter(
+            name, _plain_value(field.get_default(call_default_factory=True)), start
+        ).value
     value = _validated(node.get_name(), model, raw)
     plain = _plain(value)
     for name, field in model.model_fields.items():
@@ -132,7 +136,13 @@ def parameter_table(model: type[BaseModel]) -> str:
     lines = ["| parameter | type | default | range | what |", "|---|---|---|---|---|"]
     for name, field in model.model_fields.items():
         default = _plain_value(field.get_default(call_default_factory=True))
-        shown = f'"{default}"' if isinstance(default, str) else str(default).lower() if isinstance(default, bool) else str(default)
+        shown = (
+            f'"{default}"'
+            if isinstance(default, str)
+            else str(default).lower()
+            if isinstance(default, bool)
+            else str(default)
+        )
         kind = _ros_type(field).name.lower().replace("_", " ")
         lines.append(f"| `{name}` | {kind} | `{shown}` | {_range_words(field)} | {field.description or ''} |")
     return "\n".join(lines)
@@ -243,7 +253,8 @@ def _fits(value: Any, field: FieldInfo) -> bool:
     if is_array is (isinstance(value, bool | int | float | str) or value is None):
         return False
     return all(
-        isinstance(element, accepted) and (scalar is bool or not isinstance(element, bool)) for element in _elements(value)
+        isinstance(element, accepted) and (scalar is bool or not isinstance(element, bool))
+        for element in _elements(value)
     )
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+from array import array
 from typing import Any
 
 import numpy as np
+
 from fringedic.rig import RigModel
 from fringedic.sequence import FrameRecord, Orientation, PatternKind, Projection
 from fringedic_msgs.msg import Exposure, RigCalibration
-
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 
 
@@ -87,6 +88,4 @@ def rig_model(message: RigCalibration) -> RigModel:
 
 
 def _plain(value: Any) -> Any:
-    return [element.item() if isinstance(element, np.generic) else element for element in np.asarray(value).ravel()] if (
-        isinstance(value, np.ndarray | list | tuple)
-    ) else value
+    return [_plain(element) for element in value] if isinstance(value, np.ndarray | list | tuple | array) else value

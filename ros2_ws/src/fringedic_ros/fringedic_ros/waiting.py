@@ -11,13 +11,14 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from fringedic.errors import WaitTimeoutError
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.client import Client
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.task import Future
+
+from fringedic.errors import WaitTimeoutError
 
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 _POLL_S = 0.01

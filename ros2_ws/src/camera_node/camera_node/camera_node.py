@@ -1,0 +1,302 @@
+"""Exposes frames and publishes each with its exposure record, under exactly equal stamps."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.timer import Timer
+from sensor_msgs.msg import CameraInfo, Image
+
+from camera_node.drivers import Driver, FilesDriver, Frame, Scene, VirtualDriver
+from camera_node.drivers.virtual import TruthFile
+from fringedic.errors import CameraError, FringedicError, WaitTimeoutError
+from fringedic.sequence import FrameRecord, PatternKind, Projection
+from fringedic_msgs.msg import Exposure, LoadState
+from fringedic_msgs.srv import CaptureFrame
+from fringedic_ros.images import image_array, image_message
+from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
+from fringedic_ros.main import run
+from fringedic_ros.qos import IMAGES, LATCHED, OVERRIDABLE, STATE
+from fringedic_ros.records import exposure_message
+from fringedic_ros.records import projection as projection_of
+from fringedic_ros.stamps import to_msg, to_nanoseconds
+from fringedic_ros.virtual import VirtualRigText, virtual_configuration
+from fringedic_ros.waiting import Condition, sleep, until, wait_for
+from fringedic_ros.work import Worker
+
+FRAME_ID = "camera_optical_frame"
+Request = CaptureFrame.Request
+
+
+class CameraParameters(HardwareParameters):
+    """Parameters of the camera node."""
+
+    source: Literal["virtual", "files"] = Field("virtual", description="Where frames come from.")
+    exposure_time_s: float = Field(0.01, gt=0, le=60, description="Exposure time [s].")
+    settle_time_s: float = Field(
+        0.0, ge=0, le=60, description="From the pattern on the screen to the start of the exposure [s]."
+    )
+    timeout_s: float = Field(
+        10.0, gt=0, le=600, description="For subscribers, the scene and the frame, each; then the capture fails [s]."
+    )
+    frame_rate_hz: float = Field(
+        0.0,
+        ge=0,
+        le=1000,
+        description="Free run: frames per second; 0: only on `camera/capture` [Hz].",
+    )
+    virtual_rig: VirtualRigText = "{preset: plate}"
+    truth_folder: str = Field(
+        "", description="Folder for the virtual rig's `truth.nc`, one entry per completed step; empty: none."
+    )
+    files: str = Field("", description="Images of the source `files`: a folder, or a pattern such as `folder/*.tif`.")
+    repeat: bool = Field(False, description="Source `files`: begin again after the last image.")
+
+    @model_validator(mode="after")
+    def _files_are_named(self) -> Self:
+        if self.source == "files" and not self.files:
+            raise ValueError("source files needs the parameter files: a folder of images")
+        return self
+
+
+class NoSubscriberError(FringedicError, LookupError):
+    """A frame would reach fewer subscribers than expected."""
+
+
+class CameraNode(HardwareNode[CameraParameters]):
+    """Service `camera/capture`; topics `camera/image_raw`, `camera/camera_info` and `camera/exposure`."""
+
+    def __init__(self) -> None:
+        super().__init__("camera", CameraParameters)
+        self._driver: Driver | None = None
+        self._worker = Worker(self)
+        self._truth: TruthFile | None = None
+        self._truth_experiment = ""
+        self._free_run: Timer | None = None
+        self._free_run_index = 0
+        self._dropped = 0
+        self._stamp_ns = 0
+        self._pattern: Image | None = None
+        self._load: LoadState | None = None
+        self._scene_changed = Condition(self)
+        self._images = self.create_publisher(Image, "camera/image_raw", IMAGES, qos_overriding_options=OVERRIDABLE)
+        self._infos = self.create_publisher(CameraInfo, "camera/camera_info", IMAGES)
+        self._exposures = self.create_publisher(Exposure, "camera/exposure", IMAGES)
+        self.create_subscription(Image, "projector/image", self._take_pattern, LATCHED)
+        self.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
+        # a capture waits for the scene: it needs a group of its own, which also serves one capture after the other
+        self.create_service(
+            CaptureFrame, "camera/capture", self._capture, callback_group=MutuallyExclusiveCallbackGroup()
+        )
+
+    # lifecycle
+
+    def open(self) -> None:
+        """Open the camera that the parameters name."""
+        parameters = self.parameters.value
+        if parameters.source == "files":
+            self._driver = FilesDriver(parameters.files, repeat=parameters.repeat)
+        else:
+            self._driver = VirtualDriver(virtual_configuration(parameters.virtual_rig))
+
+    def activate(self) -> None:
+        """Begin the free run, when one is asked for."""
+        self._free_run_index = 0
+        if self.parameters.value.frame_rate_hz > 0:
+            self._free_run = self.create_timer(
+                1 / self.parameters.value.frame_rate_hz,
+                self._expose_freely,
+                callback_group=MutuallyExclusiveCallbackGroup(),
+            )
+
+    def deactivate(self) -> None:
+        """End the free run."""
+        if self._free_run is not None:
+            self.destroy_timer(self._free_run)
+            self._free_run = None
+
+    def close(self) -> None:
+        """Give the camera back."""
+        self._worker.stop()
+        self._worker = Worker(self)
+        if self._driver is not None:
+            self._driver.close()
+            self._driver = None
+
+    def destroy_node(self) -> None:
+        """End the background thread, too."""
+        super().destroy_node()
+        self._worker.stop()
+
+    # the scene of a virtual camera
+
+    def _take_pattern(self, message: Image) -> None:
+        self._pattern = message
+        self._scene_changed.notify()
+
+    def _take_load(self, message: LoadState) -> None:
+        self._load = message
+        self._scene_changed.notify()
+
+    async def _scene(self, shown_ns: int) -> Scene:
+        """What the camera sees now: the pattern that was shown and the specimen at the middle of the exposure."""
+        timeout = self.parameters.value.timeout_s
+        stamp = self.get_clock().now().nanoseconds + round(self.parameters.value.exposure_time_s * 1e9 / 2)
+        if not self._needs_scene():
+            return Scene(stamp, None, 0.0)
+        if shown_ns:
+            await self._scene_changed.wait(
+                lambda: self._pattern is not None and to_nanoseconds(self._pattern.header.stamp) >= shown_ns,
+                timeout,
+                f"the pattern shown at {shown_ns} ns on projector/image",
+            )
+        if shown_ns and self._pattern is not None and to_nanoseconds(self._pattern.header.stamp) != shown_ns:
+            raise CameraError(f"the projector shows another pattern already than that of {shown_ns} ns")
+        if self.count_publishers("load_frame/state"):
+            await self._scene_changed.wait(
+                lambda: self._load is not None and to_nanoseconds(self._load.header.stamp) >= stamp,
+                timeout,
+                "a sample of load_frame/state during the exposure",
+            )
+        pattern = None if self._pattern is None else image_array(self._pattern)
+        return Scene(stamp, pattern, 0.0 if self._load is None else self._load.position)
+
+    def _needs_scene(self) -> bool:
+        return self._driver is not None and self._driver.needs_scene
+
+    # one frame on request
+
+    async def _capture(self, request: Request, response: CaptureFrame.Response) -> CaptureFrame.Response:
+        started = time.monotonic()
+        try:
+            self._check(request)
+            await self._await_subscribers(request.minimum_subscribers)
+            await self._settle(to_nanoseconds(request.shown))
+            scene = await self._scene(to_nanoseconds(request.shown))
+            frame = await self._expose(scene)
+            response.stamp = to_msg(self._publish(frame, _record(request)))
+            self._save_truth(request, scene)
+            self.diagnostics.success(time.monotonic() - started)
+        except NoSubscriberError as error:
+            self._fail(request, response, Request.NO_SUBSCRIBER, error)
+        except WaitTimeoutError as error:
+            self._fail(request, response, Request.CAMERA_TIMEOUT, error)
+        except FringedicError as error:
+            self._fail(request, response, Request.CAMERA_FAILED, error)
+        response.subscribers = self._subscribers()
+        return response
+
+    def _check(self, request: Request) -> None:
+        if not self.active:
+            raise CameraError("the camera is not active; configure and activate it")
+        if self._free_run is not None:
+            raise CameraError("the camera runs freely; set frame_rate_hz to 0 and activate it again")
+        if request.index >= request.count:
+            raise CameraError(f"index {request.index} is not below the count {request.count}")
+        _record(request)
+
+    def _subscribers(self) -> int:
+        return min(self._images.get_subscription_count(), self._exposures.get_subscription_count())
+
+    async def _await_subscribers(self, needed: int) -> None:
+        try:
+            await until(self, lambda: self._subscribers() >= needed, self.parameters.value.timeout_s)
+        except WaitTimeoutError:
+            raise NoSubscriberError(
+                f"camera/image_raw has {self._images.get_subscription_count()} and camera/exposure "
+                f"{self._exposures.get_subscription_count()} subscribers, {needed} are expected"
+            ) from None
+
+    async def _settle(self, shown_ns: int) -> None:
+        if shown_ns:
+            passed = 1e-9 * (self.get_clock().now().nanoseconds - shown_ns)
+            await sleep(self, self.parameters.value.settle_time_s - passed)
+
+    async def _expose(self, scene: Scene) -> Frame:
+        assert self._driver is not None, "an active camera has a driver"
+        try:
+            return await wait_for(
+                self, self._worker.run(self._driver.expose, scene), self.parameters.value.timeout_s, "the frame"
+            )
+        except WaitTimeoutError:
+            # the thread hangs in the driver and is left to itself; the next capture gets a new one
+            self._worker.stop(0.0)
+            self._worker = Worker(self)
+            raise
+
+    def _fail(self, request: Request, response: CaptureFrame.Response, code: int, error: Exception) -> None:
+        response.error_code = code
+        response.error_message = f"step {request.step}, frame {request.index}: {error}"
+        self.get_logger().error(response.error_message)
+        self.diagnostics.failure(response.error_message)
+
+    def _publish(self, frame: Frame, record: FrameRecord) -> int:
+        """Publish image, camera information and record under one stamp, later than every stamp before [ns]."""
+        self._stamp_ns = max(frame.stamp_ns, self._stamp_ns + 1)
+        image = image_message(frame.image, stamp_ns=self._stamp_ns, frame_id=FRAME_ID)
+        exposure = exposure_message(record, frame_id=FRAME_ID)
+        exposure.header = image.header
+        exposure.exposure_time = self.parameters.value.exposure_time_s
+        exposure.dropped = self._dropped
+        self._images.publish(image)
+        self._infos.publish(CameraInfo(header=image.header, height=image.height, width=image.width))
+        self._exposures.publish(exposure)
+        return self._stamp_ns
+
+    def _save_truth(self, request: Request, scene: Scene) -> None:
+        """Write the truth of a step when its last frame is taken."""
+        folder = self.parameters.value.truth_folder
+        if not folder or not isinstance(self._driver, VirtualDriver) or request.index + 1 < request.count:
+            return
+        if self._truth is None or self._truth_experiment != request.experiment:
+            self._truth = TruthFile(Path(folder) / "truth.nc", self._driver.rig)
+            self._truth_experiment = request.experiment
+        self._worker.submit(self._truth.add, request.step, scene.position)
+
+    # free run
+
+    def _expose_freely(self) -> None:
+        if self._worker.pending:
+            self._dropped += 1
+            self.diagnostics.drop()
+            return
+        self._worker.submit(self._take_free_frame, self._free_run_index)
+        self._free_run_index += 1
+
+    def _take_free_frame(self, index: int) -> None:
+        """Take and publish one frame of the free run; in the worker's thread."""
+        assert self._driver is not None, "an active camera has a driver"
+        pattern = None if self._pattern is None else image_array(self._pattern)
+        position = 0.0 if self._load is None else self._load.position
+        try:
+            frame = self._driver.expose(Scene(self.get_clock().now().nanoseconds, pattern, position))
+        except FringedicError as error:
+            self._dropped += 1
+            self.diagnostics.drop()
+            self.diagnostics.failure(str(error))
+            self.get_logger().error(str(error), throttle_duration_sec=1.0)
+            return
+        self._publish(frame, FrameRecord("", 0, index, 0, Projection(PatternKind.OTHER), 0, 0.0, 0))
+        self.diagnostics.success()
+
+
+def _record(request: Request) -> FrameRecord:
+    """Record of the frame that a request asks for; stamp and exposure time are filled in when it is published."""
+    try:
+        projection = projection_of(request)
+    except ValueError as error:
+        raise CameraError(f"no such pattern: {error}") from None
+    return FrameRecord(request.experiment, request.step, request.index, request.count, projection, 0, 0.0, 0)
+
+
+def main() -> int:
+    """Run the camera node."""
+    return run(CameraNode.started)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,69 @@
+"""What the camera node needs of a camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is in front of a virtual camera; real cameras see for themselves.
+
+    Attributes
+    ----------
+    stamp_ns
+        Middle of the exposure [ns].
+    pattern
+        Image on the projector, uint8 (row, column); None: the projector is dark.
+    position
+        Crosshead position [m].
+    """
+
+    stamp_ns: int
+    pattern: np.ndarray | None
+    position: float
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One exposure.
+
+    Attributes
+    ----------
+    image
+        uint8 or uint16, (row, column).
+    stamp_ns
+        Middle of the exposure [ns].
+    """
+
+    image: np.ndarray
+    stamp_ns: int
+
+
+class Driver(Protocol):
+    """A camera. Its methods are called in one background thread, one call at a time, and may block.
+
+    Attributes
+    ----------
+    needs_scene
+        The camera is virtual: the scene has to be put together before the exposure.
+    """
+
+    needs_scene: bool
+
+    def expose(self, scene: Scene) -> Frame:
+        """Take one frame that begins now.
+
+        Raises
+        ------
+        FringedicError
+            There is no frame; the message says why. The next call may succeed.
+        """
+        ...
+
+    def close(self) -> None:
+        """Give the camera back."""
+        ...

@@ -1,0 +1,89 @@
+"""Images from files instead of a camera: each exposure takes the next one."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from camera_node.drivers.driver import Frame, Scene
+from fringedic.errors import CameraError
+
+SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
+# luminance weights of ITU-R 601 in 16 binary digits; they add up to 1, so that grey stays grey
+_BLUE_GREEN_RED = (7471, 38470, 19595)
+
+
+class FilesDriver:
+    """Camera that reads image files in the order of their names.
+
+    Parameters
+    ----------
+    files
+        A folder, or a pattern such as `folder/*.tif`.
+    repeat
+        Begin again after the last image.
+
+    Raises
+    ------
+    CameraError
+        There is no such image.
+    """
+
+    needs_scene = False
+
+    def __init__(self, files: str, *, repeat: bool) -> None:
+        place = Path(files)
+        found = place.iterdir() if place.is_dir() else place.parent.glob(place.name)
+        self._paths = sorted(path for path in found if path.suffix.lower() in SUFFIXES)
+        if not files or not self._paths:
+            raise CameraError(f"no images ({', '.join(SUFFIXES)}) at '{files}'; set files to a folder of images")
+        self._files = files
+        self._repeat = repeat
+        self._next = 0
+
+    def expose(self, scene: Scene) -> Frame:
+        """Read the next image; an image that cannot be read is passed over by the next call.
+
+        Raises
+        ------
+        CameraError
+            The image cannot be read, or all have been taken.
+        """
+        if self._next == len(self._paths) and self._repeat:
+            self._next = 0
+        if self._next == len(self._paths):
+            raise CameraError(
+                f"all {len(self._paths)} images of '{self._files}' have been taken; set repeat to begin again"
+            )
+        path = self._paths[self._next]
+        self._next += 1
+        return Frame(read_grey(path), time.time_ns())
+
+    def close(self) -> None:
+        """Nothing is kept open."""
+
+
+def read_grey(path: Path) -> np.ndarray:
+    """Grey levels of an image file, uint8 or uint16 (row, column); colours and palettes become their luminance.
+
+    Raises
+    ------
+    CameraError
+        The file is missing, no image, or of another pixel type.
+    """
+    try:
+        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    except OSError as error:
+        raise CameraError(f"{path} cannot be read: {error.strerror}") from error
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    if image is None:
+        raise CameraError(f"{path} is not an image that can be read")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise CameraError(f"{path} has pixels of type {image.dtype}; 8 or 16 bits are needed")
+    if image.ndim == 2:
+        return image
+    weighted = sum(image[:, :, channel].astype(np.uint64) * weight for channel, weight in enumerate(_BLUE_GREEN_RED))
+    return ((weighted + 0x8000) >> 16).astype(image.dtype)

@@ -1,0 +1,95 @@
+"""The camera of a virtual rig, and the truth behind what it sees."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5netcdf
+import numpy as np
+import xarray as xr
+
+from camera_node.drivers.driver import Frame, Scene
+from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
+
+
+class VirtualDriver:
+    """Camera of the digital twin. Frames are numbered from 0 on; the number and the rig's seed decide the noise."""
+
+    needs_scene = True
+
+    def __init__(self, configuration: VirtualRigConfiguration) -> None:
+        self.rig = VirtualRig(configuration)
+        self._frames = 0
+        # the first call compiles, or loads what was compiled: before the first frame is asked for
+        self.rig.expose(self._dark(), 0.0, 0)
+
+    def expose(self, scene: Scene) -> Frame:
+        """Render what the camera sees of a scene."""
+        pattern = self._dark() if scene.pattern is None else scene.pattern
+        image = self.rig.expose(pattern, scene.position, self._frames)
+        self._frames += 1
+        return Frame(image, scene.stamp_ns)
+
+    def close(self) -> None:
+        """Nothing is kept open."""
+
+    def _dark(self) -> np.ndarray:
+        return np.zeros(self.rig.projector_shape, np.uint8)
+
+
+class TruthFile:
+    """Ground truth of one experiment, as NetCDF with the dimension `step`, which grows step by step.
+
+    Shape and displacement are those of `VirtualRig.truth`, against the position of the first step that is added.
+
+    Parameters
+    ----------
+    path
+        The file; an older one is replaced when the first step is added.
+    rig
+        The twin.
+    """
+
+    def __init__(self, path: Path, rig: VirtualRig) -> None:
+        self._path = path
+        self._rig = rig
+        self._reference_position: float | None = None
+
+    def add(self, step: int, position: float) -> None:
+        """Write the truth of a step at a crosshead position [m]; steps left out stay NaN, and invalid."""
+        if self._reference_position is None:
+            self._reference_position = position
+            self._create(self._rig.truth(position, position))
+        truth = self._rig.truth(position, self._reference_position)
+        with h5netcdf.File(self._path, "a") as file:
+            file.resize_dimension("step", max(step + 1, file.dimensions["step"].size))
+            for name in _of_step(truth):
+                file.variables[name][step] = truth[name].values
+            file.variables["position"][step] = position
+
+    def _create(self, truth: xr.Dataset) -> None:
+        """Write what belongs to the reference, and no step yet."""
+        empty = truth[_of_step(truth)].expand_dims(step=0)
+        file = xr.merge([truth.drop_vars(_of_step(truth)), empty], combine_attrs="drop")
+        file["position"] = ("step", np.empty(0), {"units": "m", "long_name": "crosshead position"})
+        file.attrs = {"reference_position_m": truth.attrs["reference_position_m"]}
+        shape = (1, *self._rig.shape)
+        encoding = {
+            name: {"dtype": "f4", "_FillValue": np.float32(np.nan), "zlib": True, "complevel": 1}
+            | ({"chunksizes": shape} if "step" in file[name].dims else {})
+            for name in file.data_vars
+            if file[name].ndim > 1 and file[name].dtype != bool
+        }
+        encoding |= {
+            name: {"dtype": "i1", "zlib": True, "complevel": 1}
+            | ({"chunksizes": shape} if "step" in file[name].dims else {})
+            for name in file.data_vars
+            if file[name].dtype == bool
+        }
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        file.to_netcdf(self._path, engine="h5netcdf", encoding=encoding, unlimited_dims=["step"])
+
+
+def _of_step(truth: xr.Dataset) -> list[str]:
+    """Variables that change from step to step; the others are of the reference surface."""
+    return [str(name) for name in truth.data_vars if name not in ("x", "y", "z", "lit")]

@@ -1,0 +1,42 @@
+"""Screens that a projector node can show its patterns on."""
+
+from __future__ import annotations
+
+import time
+from typing import Protocol
+
+import numpy as np
+
+
+class Screen(Protocol):
+    """Where patterns appear."""
+
+    def show(self, image: np.ndarray) -> int:
+        """Put an image, uint8 (height, width), on the screen.
+
+        Returns
+        -------
+        int
+            When it was there [ns].
+
+        Raises
+        ------
+        ScreenError
+            The screen does not show it.
+        """
+        ...
+
+    def close(self) -> None:
+        """Give the screen back."""
+        ...
+
+
+class VirtualScreen:
+    """The projector of a virtual rig: its camera sees whatever the node publishes."""
+
+    def show(self, image: np.ndarray) -> int:
+        """Appear at once."""
+        return time.time_ns()
+
+    def close(self) -> None:
+        """Nothing to give back."""

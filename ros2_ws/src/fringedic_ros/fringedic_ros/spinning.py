@@ -1,0 +1,74 @@
+"""Nodes spun in a thread beside a program that goes on: for scripts, notebooks and tests."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+from collections.abc import Callable, Coroutine
+from typing import Any, TypeVar
+
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+
+from fringedic.errors import WaitTimeoutError
+
+NodeT = TypeVar("NodeT", bound=Node)
+ResultT = TypeVar("ResultT")
+
+
+class Spinning:
+    """A context in which nodes are spun by one executor in a thread of its own; at its end they are destroyed."""
+
+    def __init__(self) -> None:
+        self._executor = SingleThreadedExecutor()
+        self._thread = threading.Thread(target=self._spin, name="spinning", daemon=True)
+        self._nodes: list[Node] = []
+
+    def __enter__(self) -> Spinning:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.shutdown()
+        self._thread.join()
+        for node in self._nodes:
+            node.destroy_node()
+
+    def add(self, node: NodeT) -> NodeT:
+        """Spin one more node; it belongs to this context from now on."""
+        self._nodes.append(node)
+        self._executor.add_node(node)
+        return node
+
+    def run(
+        self, function: Callable[..., Coroutine[Any, Any, ResultT]], *arguments: Any, timeout_s: float = 10.0
+    ) -> ResultT:
+        """Result of a coroutine function that the executor runs.
+
+        Raises
+        ------
+        WaitTimeoutError
+            It had not finished after `timeout_s`.
+        """
+        outcome: queue.SimpleQueue[tuple[Any, BaseException | None]] = queue.SimpleQueue()
+
+        async def report() -> None:
+            # an exception is the caller's: it must not end the executor
+            try:
+                outcome.put((await function(*arguments), None))
+            except BaseException as error:
+                outcome.put((None, error))
+
+        self._executor.create_task(report)
+        try:
+            result, error = outcome.get(timeout=timeout_s)
+        except queue.Empty:
+            raise WaitTimeoutError(f"{function.__name__} did not finish within {timeout_s:g} s") from None
+        if error is not None:
+            raise error
+        return result
+
+    def _spin(self) -> None:
+        with contextlib.suppress(ExternalShutdownException):  # the context ended first
+            self._executor.spin()

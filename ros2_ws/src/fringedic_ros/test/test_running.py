@@ -1,0 +1,254 @@
+"""Waiting, background work, pairing and diagnostics of running nodes."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.node import Node
+from rclpy.task import Future
+from sensor_msgs.msg import Image
+from std_srvs.srv import Trigger
+
+from fringedic.errors import WaitTimeoutError
+from fringedic_msgs.msg import Exposure
+from fringedic_ros.diagnostics import NodeDiagnostics
+from fringedic_ros.images import image_message
+from fringedic_ros.pairing import ImageExposurePairs
+from fringedic_ros.qos import DIAGNOSTICS, IMAGES
+from fringedic_ros.spinning import Spinning
+from fringedic_ros.stamps import to_msg, to_nanoseconds
+from fringedic_ros.waiting import Condition, call, sleep, until, wait_for
+from fringedic_ros.work import Worker
+
+
+def test_waiting_is_exact_and_leaves_nothing(spinning: Spinning) -> None:
+    node = spinning.add(Node("waiter"))
+    timers_before = len(list(node.timers))
+
+    async def wait_for_each() -> list[float]:
+        durations = []
+        start = time.monotonic()
+        await sleep(node, 0.1)
+        durations.append(time.monotonic() - start)
+        with pytest.raises(WaitTimeoutError, match=r"the pattern did not come within 0\.1 s"):
+            await wait_for(node, Future(), 0.1, "the pattern")
+        durations.append(time.monotonic() - start)
+        late: Future = Future()
+        threading.Timer(0.1, late.set_result, ["from another thread"]).start()
+        assert await wait_for(node, late, 5.0) == "from another thread"
+        durations.append(time.monotonic() - start)
+        with pytest.raises(WaitTimeoutError):
+            await until(node, lambda: False, 0.1)
+        durations.append(time.monotonic() - start)
+        return durations
+
+    durations = spinning.run(wait_for_each)
+    print("durations [s], each 0.1 later:", durations)
+    assert all(later >= 0.0999 * n for n, later in enumerate(durations, 1))
+    assert len(list(node.timers)) == timers_before
+
+
+def test_condition_wakes_at_the_change(spinning: Spinning) -> None:
+    node = spinning.add(Node("waiter"))
+    condition = Condition(node)
+    seen: list[int] = []
+
+    def arrive() -> None:
+        seen.append(len(seen))
+        condition.notify()
+
+    node.create_timer(0.02, arrive, callback_group=ReentrantCallbackGroup())
+
+    async def wait_for_three() -> int:
+        await condition.wait(lambda: len(seen) >= 3, 5.0)
+        at_once = len(seen)
+        with pytest.raises(WaitTimeoutError, match="the tenth thousand"):
+            await condition.wait(lambda: len(seen) > 10_000, 0.1, "the tenth thousand")
+        return at_once
+
+    assert spinning.run(wait_for_three) == 3
+
+
+def test_call_answers_or_gives_up(spinning: Spinning) -> None:
+    node = spinning.add(Node("caller"))
+    server = spinning.add(Node("server"))
+    hang = Future()
+
+    async def serve(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        await sleep(server, 0.01)
+        response.success, response.message = True, "done"
+        return response
+
+    async def never(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        await hang
+        return response
+
+    server.create_service(Trigger, "serve", serve, callback_group=ReentrantCallbackGroup())
+    server.create_service(Trigger, "never", never, callback_group=ReentrantCallbackGroup())
+    clients = {name: node.create_client(Trigger, name) for name in ("serve", "never", "nobody")}
+
+    async def calls() -> None:
+        for _ in range(20):
+            assert (await call(node, clients["serve"], Trigger.Request(), 5.0)).message == "done"
+        with pytest.raises(WaitTimeoutError, match="the answer of service never"):
+            await call(node, clients["never"], Trigger.Request(), 0.3)
+        with pytest.raises(WaitTimeoutError, match="service nobody"):
+            await call(node, clients["nobody"], Trigger.Request(), 0.1)
+
+    spinning.run(calls)
+    hang.set_result(None)
+    assert list(node.timers) == []
+    gc.collect()
+
+
+def test_worker_keeps_order_and_survives_errors(spinning: Spinning) -> None:
+    node = spinning.add(Node("worker"))
+    errors: list[Exception] = []
+    done: list[int] = []
+    worker = Worker(node, errors.append)
+
+    def job(number: int) -> int:
+        if number == 2:
+            raise ValueError("job 2")
+        done.append(number)
+        return number
+
+    for number in range(5):
+        worker.submit(job, number)
+
+    async def results() -> int:
+        with pytest.raises(ValueError, match="job 2"):
+            await wait_for(node, worker.run(job, 2), 5.0)
+        return await wait_for(node, worker.run(job, 7), 5.0)
+
+    assert spinning.run(results) == 7
+    assert done == [0, 1, 3, 4, 7]
+    assert [str(error) for error in errors] == ["job 2"]
+    assert worker.pending == 0
+    begun, release = threading.Event(), threading.Event()
+    worker.submit(lambda: (begun.set(), release.wait()))
+    assert begun.wait(5.0)
+    worker.submit(job, 8)
+    assert not worker.stop(0.05)
+    release.set()
+    assert worker.stop(5.0)
+    assert 8 not in done
+
+
+def test_pairs_by_equal_stamps_and_counts_the_rest(spinning: Spinning) -> None:
+    node, camera = spinning.add(Node("reader")), Node("camera")
+    pairs: list[tuple[int, int]] = []
+    joined = ImageExposurePairs(
+        node, lambda image, exposure: pairs.append((to_nanoseconds(image.header.stamp), exposure.index))
+    )
+    images = camera.create_publisher(Image, "camera/image_raw", IMAGES)
+    exposures = camera.create_publisher(Exposure, "camera/exposure", IMAGES)
+
+    async def matched() -> None:
+        await until(node, lambda: images.get_subscription_count() + exposures.get_subscription_count() == 2, 10.0)
+
+    spinning.run(matched)
+    picture = np.zeros((4, 4), dtype=np.uint8)
+    for index in (1, 2, 4, 5):
+        exposure = Exposure(index=index)
+        exposure.header.stamp = to_msg(10 * index)
+        exposures.publish(exposure)
+    for index in (1, 3, 4, 5):
+        images.publish(image_message(picture, stamp_ns=10 * index, frame_id=""))
+
+    async def paired() -> None:
+        await until(node, lambda: len(pairs) == 3, 10.0)
+
+    spinning.run(paired)
+    assert pairs == [(10, 1), (40, 4), (50, 5)]
+    assert joined.unpaired == 2  # exposure 2 and image 3
+    assert joined.waiting == 0
+    camera.destroy_node()
+
+
+def test_diagnostics_once_a_second(spinning: Spinning) -> None:
+    node = spinning.add(Node("busy"))
+    reports: list[DiagnosticArray] = []
+    node.create_subscription(DiagnosticArray, "/diagnostics", reports.append, DIAGNOSTICS)
+    diagnostics = NodeDiagnostics(node)
+    for _ in range(10):
+        diagnostics.success(0.25)
+    diagnostics.drop(3)
+
+    async def reported(count: int) -> None:
+        await until(node, lambda: len(reports) >= count, 5.0)
+
+    spinning.run(reported, 1)
+    first = reports[0].status[0]
+    values = {entry.key: entry.value for entry in first.values}
+    assert (first.name, first.level, values["drops"], values["latency_s"]) == (
+        "/busy",
+        DiagnosticStatus.WARN,
+        "3",
+        "0.25",
+    )
+    assert 5 < float(values["rate_hz"]) <= 10
+    diagnostics.failure("no light")
+    spinning.run(reported, 2)
+    assert (reports[1].status[0].level, reports[1].status[0].message) == (DiagnosticStatus.ERROR, "no light")
+
+
+NODE_PROGRAM = """
+import sys
+from rclpy.node import Node
+from fringedic.errors import StartError
+from fringedic_ros.main import run
+
+class Failing(Node):
+    def __init__(self):
+        super().__init__("failing")
+        self.create_timer(0.01, self.fail)
+    def fail(self):
+        raise ZeroDivisionError("a bug")
+
+def refuse():
+    raise StartError("there is no camera")
+
+print("ready", flush=True)
+sys.exit(run({"good": lambda: Node("good"), "failing": Failing, "refused": refuse}[sys.argv[1]]))
+"""
+
+
+@pytest.mark.parametrize(
+    ("which", "sent", "code", "words"),
+    [
+        ("good", signal.SIGINT, 0, ""),
+        ("good", signal.SIGTERM, 0, ""),
+        ("failing", None, 1, "ZeroDivisionError: a bug"),
+        ("refused", None, 1, "StartError: there is no camera"),
+    ],
+)
+def test_process_ends_as_it_should(which: str, sent: signal.Signals | None, code: int, words: str) -> None:
+    environment = {**os.environ, "ROS_DOMAIN_ID": "40"}
+    with subprocess.Popen(
+        [sys.executable, "-c", NODE_PROGRAM, which],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout is not None and process.stderr is not None
+        assert process.stdout.readline() == "ready\n"
+        if sent is not None:
+            time.sleep(1.0)
+            process.send_signal(sent)
+        _, log = process.communicate(timeout=20)
+    assert process.returncode == code, log
+    assert words in log
+    assert which != "refused" or "Traceback" not in log
+    assert which != "good" or log == ""
