@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import h5netcdf
+import h5py  # type: ignore[import-untyped]
 import numpy as np
 import xarray as xr
 from pydantic import ValidationError
@@ -668,7 +669,7 @@ class _DatasetWriter:
         self._variable("step", ("step",), "i8", "1", "load step")
         self._variable("time", ("step",), "i8", "nanoseconds since 1970-01-01", "stamp of the last exposure")
         self._variable("reference_step", ("step",), "i8", "1", "step that the displacement is measured against")
-        self._variable("error", ("step",), str, "", "why the step failed, empty when it did not")
+        self._variable("error", ("step",), h5py.string_dtype(), "", "why the step failed, empty when it did not")
         for name, quantity in SCALARS.items():
             self._variable(name, ("step",), "f8", *quantity)
         return self
