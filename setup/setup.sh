@@ -129,8 +129,10 @@ fi
 
 kernels="$root $(find ros2_ws/src/fringedic/fringedic -name '*.py' -print0 | fingerprint)"
 if ! current kernels "$kernels"; then
+    set +u # colcon's files read variables that need not be there
     # shellcheck source=/dev/null
     . "$root/setup/environment.sh"
+    set -u
     run "compiled kernels" "$venv/bin/python" -m fringedic.warm_up
     done_for kernels "$kernels"
 fi

@@ -1,0 +1,251 @@
+"""Starts the node processes of a graph, watches them and ends them together."""
+
+from __future__ import annotations
+
+import ctypes
+import fcntl
+import os
+import re
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+
+import yaml
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+
+from fringedic.errors import NodeDiedError, NodeNotInstalledError, NoFreeDomainError
+from fringedic_bringup.graph import Graph, NodeEntry
+
+# A node that is told to end finishes what it has in hand; a recorder still has a bag to close.
+PATIENCE_S = {signal.SIGINT: 15.0, signal.SIGTERM: 5.0, signal.SIGKILL: 5.0}
+SHARED_MEMORY = Path("/dev/shm")
+# Domains above 101 would collide with the ports that Linux gives to outgoing connections.
+PRIVATE_DOMAINS = range(90, 102)
+
+
+class RunningGraph:
+    """The processes of one graph: a context manager that leaves none of them behind.
+
+    Parameters
+    ----------
+    graph
+        What to start, in the order given; it is ended in the opposite order, so that what is listed first (the
+        recorder) sees everything the others still say.
+    logs
+        Folder for one ``<node>.log`` and one ``<node>.yaml`` with its parameters per node.
+    domain
+        ROS_DOMAIN_ID of all nodes; None takes the one of the environment.
+    environment
+        Further environment variables.
+
+    Raises
+    ------
+    NodeNotInstalledError
+        A node's executable is not installed; nothing has been started.
+    """
+
+    def __init__(
+        self, graph: Graph, logs: Path, *, domain: int | None = None, environment: Mapping[str, str] | None = None
+    ) -> None:
+        self.graph = graph
+        self.logs = Path(logs)
+        self.environment = node_environment(domain) | dict(environment or {})
+        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._may_end: set[str] = set()
+
+    def __enter__(self) -> RunningGraph:
+        self.logs.mkdir(parents=True, exist_ok=True)
+        executables = {entry.name: _executable(entry) for entry in self.graph.nodes}
+        try:
+            for entry in self.graph.nodes:
+                self._start(entry, executables[entry.name])
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def pid(self, name: str) -> int:
+        """Return the process id of a node."""
+        return self._processes[name].pid
+
+    def log(self, name: str) -> Path:
+        """Return the path of a node's log."""
+        return self.logs / f"{name}.log"
+
+    def expect_end(self, name: str) -> None:
+        """Allow a node to end by itself with exit code 0."""
+        self._may_end.add(name)
+
+    def exit_code(self, name: str) -> int | None:
+        """Return how a node ended, None while it runs."""
+        return self._processes[name].poll()
+
+    def check(self) -> None:
+        """Raise `NodeDiedError` with the end of its log when a node has ended that should run."""
+        for name, process in self._processes.items():
+            code = process.poll()
+            if code is not None and not (code == 0 and name in self._may_end):
+                raise NodeDiedError(f"{name} {_how(code)}. The end of {self.log(name)}:\n{self.log_tail(name)}")
+
+    def log_tail(self, name: str, lines: int = 20) -> str:
+        """Return the last lines of a node's log."""
+        path = self.log(name)
+        text = path.read_text(errors="replace") if path.exists() else ""
+        return "\n".join(f"  {line}" for line in text.splitlines()[-lines:])
+
+    def restart(self, name: str) -> None:
+        """Start a node again that has ended; its log goes on in the same file."""
+        entry = next(each for each in self.graph.nodes if each.name == name)
+        self._start(entry, _executable(entry))
+
+    def stop(self, names: Iterable[str] | None = None) -> None:
+        """End the named nodes, or all of them: SIGINT, then SIGTERM, then SIGKILL, one node after the other's kind.
+
+        The first node of the graph is told last, when the others have ended.
+        """
+        chosen = [entry.name for entry in self.graph.nodes if names is None or entry.name in set(names)]
+        running = {name: self._processes.pop(name) for name in chosen if name in self._processes}
+        first = self.graph.nodes[0].name
+        _end([process for name, process in running.items() if name != first])
+        _end([process for name, process in running.items() if name == first])
+        if any(process.returncode < 0 for process in running.values()):
+            remove_stale_segments()
+
+    def _start(self, entry: NodeEntry, executable: Path) -> None:
+        parameters = self.logs / f"{entry.name}.yaml"
+        parameters.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(entry.parameters)}}))
+        arguments = ["--ros-args", "-r", f"__node:={entry.name}", "--params-file", str(parameters)]
+        if self.graph.namespace:
+            arguments += ["-r", f"__ns:=/{self.graph.namespace}"]
+        with self.log(entry.name).open("ab") as log:
+            self._processes[entry.name] = subprocess.Popen(
+                [str(executable), *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                env=self.environment,
+                start_new_session=True,  # Ctrl-C reaches the command alone, which ends its nodes in order
+                preexec_fn=_die_with_parent,
+            )
+
+
+def node_environment(domain: int | None = None) -> dict[str, str]:
+    """Return the environment in which nodes run: this process's own with what reproducible results need."""
+    environment = dict(os.environ)
+    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    environment |= {
+        "OPENBLAS_NUM_THREADS": "1",
+        "MKL_NUM_THREADS": "1",
+        "PYTHONUNBUFFERED": "1",
+        "RCUTILS_COLORIZED_OUTPUT": "0",
+    }
+    if domain is not None:
+        environment["ROS_DOMAIN_ID"] = str(domain)
+    return environment
+
+
+@contextmanager
+def private_domain() -> Iterator[int]:
+    """Set aside a ROS domain that no other replay on this machine uses.
+
+    Raises
+    ------
+    NoFreeDomainError
+        All of them are taken.
+    """
+    for domain in PRIVATE_DOMAINS:
+        if str(domain) == os.environ.get("ROS_DOMAIN_ID"):
+            continue
+        path = Path(tempfile.gettempdir()) / f"fringedic-domain-{domain}.{os.getuid()}.lock"
+        with path.open("a") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError:
+                continue
+            yield domain
+            return
+    raise NoFreeDomainError(
+        f"all ROS domains from {PRIVATE_DOMAINS[0]} to {PRIVATE_DOMAINS[-1]} are taken by other replays: wait for one"
+    )
+
+
+def remove_stale_segments() -> list[str]:
+    """Remove this user's Fast DDS shared memory whose owner has died, and return the names.
+
+    Every segment and port comes with a file that its owner keeps locked (``_el``: by one, ``_sl``: by several), so
+    that nothing in use is touched.
+    """
+    removed = []
+    for lock in SHARED_MEMORY.glob("fastrtps_*_[es]l"):
+        name = lock.name[:-3]
+        if not re.fullmatch(r"fastrtps_(port\d+|[0-9a-f]{16})", name) or not _is_abandoned(lock):
+            continue
+        for each in (SHARED_MEMORY / name, SHARED_MEMORY / f"sem.{name}_mutex", lock):
+            each.unlink(missing_ok=True)
+        removed.append(name)
+    return removed
+
+
+def _is_abandoned(lock: Path) -> bool:
+    try:
+        if lock.stat().st_uid != os.getuid():
+            return False
+        with lock.open("ab") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+def _executable(entry: NodeEntry) -> Path:
+    try:
+        path = Path(get_package_prefix(entry.package)) / "lib" / entry.package / entry.executable
+    except PackageNotFoundError:
+        path = None
+    if path is None or not path.exists():
+        raise NodeNotInstalledError(
+            f"{entry.package} {entry.executable} is not installed: build the workspace with `make build` and source it"
+        )
+    return path
+
+
+def _end(processes: list[subprocess.Popen[bytes]]) -> None:
+    for number, patience in PATIENCE_S.items():
+        for process in processes:
+            if process.poll() is None:
+                process.send_signal(number)
+        end = time.monotonic() + patience
+        for process in processes:
+            try:
+                process.wait(max(0.0, end - time.monotonic()))
+            except subprocess.TimeoutExpired:
+                continue
+        if all(process.poll() is not None for process in processes):
+            return
+
+
+def _how(code: int) -> str:
+    if code >= 0:
+        return f"ended with exit code {code}"
+    return f"was ended by {signal.Signals(-code).name}"
+
+
+_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
+_PR_SET_PDEATHSIG = 1
+
+
+def _die_with_parent() -> None:
+    """Ask Linux to end this node when the command that started it is gone, however that ended."""
+    if _LIBC is not None:
+        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
