@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import re
 import sys
-import sysconfig
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +16,12 @@ NUMPY_INCLUDE = re.compile(r"/opt/python/cp\d+-cp\d+/lib/python\d+\.\d+/site-pac
 
 
 def main() -> None:
-    """Rewrite ``share/**/*.cmake`` of the environment this Python belongs to."""
+    """Rewrite ``share/**/*.cmake`` of the environment this Python belongs to; the argument is Python's include folder."""
+    python_include = sys.argv[1]
     changed = 0
     for file in Path(sys.prefix, "share").rglob("*.cmake"):
         text = file.read_text()
-        relocated = NUMPY_INCLUDE.sub(np.get_include(), PYTHON_INCLUDE.sub(sysconfig.get_path("include"), text))
+        relocated = NUMPY_INCLUDE.sub(np.get_include(), PYTHON_INCLUDE.sub(python_include, text))
         if relocated != text:
             file.write_text(relocated)
             changed += 1

@@ -9,7 +9,7 @@ cd "$root"
 venv=$root/.venv
 stamps=$venv/stamps
 log=$root/setup.log
-needed_mib=4500 # environment, build and compiled kernels, with what pip needs meanwhile
+needed_mb=3000 # 1.4 GB stay; pip downloads and unpacks beside them
 
 stop() {
     printf 'set-up: %s\n' "$1" >&2
@@ -18,29 +18,25 @@ stop() {
 
 # Runs one long command quietly; its output goes to the log, a failure is told in one sentence.
 run() {
-    local what=$1 started=$SECONDS
+    local what=$1 started=$SECONDS from said
     shift
     printf 'set-up: %s ... ' "$what"
-    printf '\n== %s: %s\n' "$what" "$*" >>"$log"
-    local from
-    from=$(wc -l <"$log")
+    from=$(($(wc -l <"$log") + 1))
+    printf '== %s: %s\n' "$what" "$*" >>"$log"
     if "$@" >>"$log" 2>&1 </dev/null; then
         printf '%s s\n' "$((SECONDS - started))"
         return
     fi
     printf 'failed\n'
-    local said
     said=$(tail -n +"$from" "$log")
     case $said in
     *"No space left on device"* | *"Disk quota exceeded"*)
-        stop "the disk is full; free $((needed_mib / 1000)) GB where the checkout and $TMPDIR lie and start again" ;;
-    *"Temporary failure in name resolution"* | *"Failed to establish a new connection"* | *"Network is unreachable"* | \
-        *"Connection refused"* | *"Read timed out"* | *"ProxyError"* | *"Max retries exceeded"*)
-        stop "PyPI cannot be reached; connect this computer to the network (or set PIP_INDEX_URL to a mirror) and start again" ;;
-    *"Python.h"*)
-        stop "the headers of Python are missing; install them (Debian, Ubuntu: apt install python3-dev) and start again" ;;
+        stop "the disk is full: free $needed_mb MB where $root and ${TMPDIR:-/tmp} lie and start again (details: $log)" ;;
+    *"name resolution"* | *"Failed to resolve"* | *"Failed to establish a new connection"* | *"Network is unreachable"* | \
+        *"Connection refused"* | *"timed out"* | *"ProxyError"* | *"Max retries exceeded"*)
+        stop "the Python package index cannot be reached: connect this computer to the network, or set PIP_INDEX_URL to a mirror, and start again (details: $log)" ;;
     esac
-    stop "$what failed; the reason stands at the end of $log"
+    stop "$what failed: read the reason at the end of $log, mend it and start again"
 }
 
 suits() {
@@ -50,20 +46,30 @@ suits() {
 find_python() {
     local candidate
     if [ -n "${PYTHON:-}" ]; then
-        suits "$PYTHON" || stop "PYTHON=$PYTHON is not Python 3.11, 3.12 or 3.13; name one that is, or unset PYTHON"
+        suits "$PYTHON" || stop "PYTHON=$PYTHON is not Python 3.11, 3.12 or 3.13: name one that is, or unset PYTHON"
         printf '%s' "$PYTHON"
         return
     fi
-    for candidate in python3 python3.13 python3.12 python3.11; do
+    for candidate in python3 python3.12 python3.13 python3.11; do
         if suits "$candidate"; then
             printf '%s' "$candidate"
             return
         fi
     done
-    stop "Python 3.11, 3.12 or 3.13 is needed and $(python3 --version 2>/dev/null || echo 'no Python') was found; install one (Debian, Ubuntu: apt install python3 python3-venv) or name it with PYTHON=..."
+    stop "Python 3.11, 3.12 or 3.13 is needed and $(python3 --version 2>/dev/null || echo 'no Python') was found: install one (Debian, Ubuntu: sudo apt install python3 python3-venv) or name it with PYTHON=..."
 }
 
-# One number for the contents of the named files.
+# Debian keeps the headers of Python in a package of their own; unpacked inside the environment they need no root.
+unpack_headers() {
+    mkdir -p "$venv/headers"
+    cd "$venv/headers"
+    apt-get download "lib$version-dev"
+    dpkg-deb --extract "lib$version"-dev_*.deb .
+    rm "lib$version"-dev_*.deb
+    [ -f "usr/include/$version/Python.h" ]
+}
+
+# One number for the contents of the files whose names come in.
 fingerprint() {
     sort -z | xargs -0 sha256sum | sha256sum | cut -d' ' -f1
 }
@@ -76,63 +82,81 @@ done_for() {
     printf '%s' "$2" >"$stamps/$1"
 }
 
-: "${TMPDIR:=/tmp}"
 python=$(find_python)
-command -v g++ >/dev/null || stop "the C++ compiler g++ is missing; install it (Debian, Ubuntu: apt install g++) and start again"
+for compiler in gcc g++; do
+    command -v "$compiler" >/dev/null ||
+        stop "the compiler $compiler is missing: install it (Debian, Ubuntu: sudo apt install g++) and start again"
+done
 "$python" -c 'import venv, ensurepip' 2>/dev/null ||
-    stop "Python has no venv module; install it (Debian, Ubuntu: apt install python3-venv) and start again"
+    stop "Python has no venv module: install it (Debian, Ubuntu: sudo apt install python3-venv) and start again"
 
 # A sourced ROS 2 installation is used as it is; its compiled messages need NumPy 1.
 if [ -n "${ROS_DISTRO:-}" ] && [[ :${AMENT_PREFIX_PATH:-}: != *":$venv:"* ]]; then
     lock=$root/setup/requirements-stock.lock
     venv_options=(--system-site-packages)
-    ros="ROS 2 $ROS_DISTRO as sourced"
+    ros="Python packages beside ROS 2 $ROS_DISTRO"
+    "$python" -c 'import rclpy' 2>/dev/null ||
+        stop "ROS 2 $ROS_DISTRO is sourced and $python cannot import its rclpy: name the Python it was built for with PYTHON=..., or start from a shell without ROS 2"
 else
+    [ "$(uname -sm)" = "Linux x86_64" ] ||
+        stop "ROS 2 comes from PyPI for Linux on x86-64 only: install ROS 2 Jazzy, source its setup.bash and start again"
     lock=$root/setup/requirements-ros.lock
     venv_options=()
-    ros="ROS 2 Jazzy from PyPI"
+    ros="Python packages and ROS 2 Jazzy"
 fi
 
 exec 9>"$root/.setup.lock"
 flock 9 # two makes at once: the second waits
 
-environment="$(sha256sum <"$lock") $("$python" -c 'import sys; print(sys.version)') ${venv_options[*]:-}"
+interpreter=$("$python" -c 'import sys, sysconfig; print(sys.executable, sys.version_info[:3], sysconfig.get_path("include"), sep="|")')
+version=python$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+python_include=${interpreter##*|}
+if [ ! -f "$python_include/Python.h" ]; then
+    python_include=$venv/headers/usr/include/$version
+    export CPATH=$venv/headers/usr/include
+fi
+
+environment="$root $interpreter $(sha256sum <"$lock") ${venv_options[*]:-}"
 if ! current environment "$environment"; then
-    free_mib=$(df -Pm "$root" | awk 'NR == 2 { print $4 }')
-    [ "$free_mib" -ge "$needed_mib" ] ||
-        stop "the disk has $free_mib MB free and $needed_mib MB are needed; free some where the checkout lies and start again"
+    free_mb=$(df -Pm "$root" | awk 'NR == 2 { print $4 }')
+    [ "$free_mb" -ge "$needed_mb" ] ||
+        stop "the disk is full: $needed_mb MB are needed where $root lies and $free_mb MB are free; free some and start again"
     : >"$log"
     rm -rf "$venv" "$root/ros2_ws/build" "$root/ros2_ws/install" "$root/ros2_ws/log"
     run "Python environment" "$python" -m venv "${venv_options[@]}" "$venv"
     mkdir -p "$stamps"
-    run "$ros and the Python packages" "$venv/bin/python" -m pip install --disable-pip-version-check \
-        --no-input --require-hashes --no-deps -r "$lock"
-    run "paths inside the ROS packages" "$venv/bin/python" "$root/setup/relocate_ros.py"
+    [ -f "$python_include/Python.h" ] || (run "headers of Python" unpack_headers) ||
+        stop "the header files of Python are missing: install them (Debian, Ubuntu: sudo apt install $version-dev) and start again (details: $log)"
+    run "$ros" "$venv/bin/python" -m pip install --disable-pip-version-check --no-input --require-hashes --no-deps -r "$lock"
+    run "paths inside the ROS packages" "$venv/bin/python" "$root/setup/relocate_ros.py" "$python_include"
     done_for environment "$environment"
 fi
 
+# shellcheck source=/dev/null
+. "$root/setup/environment.sh"
+
 # Python sources are linked, so that only what colcon copies or generates needs another build.
-workspace="$root $(find ros2_ws/src \( -name 'setup.py' -o -name 'setup.cfg' -o -name package.xml -o -name CMakeLists.txt \
-    -o -path '*/fringedic_msgs/*' \) -type f -print0 | fingerprint) $(find ros2_ws/src -path '*/config/*' -o -path '*/launch/*' | sort | sha256sum)"
+workspace="$(find ros2_ws/src \( -name setup.py -o -name setup.cfg -o -name package.xml -o -name CMakeLists.txt \
+    -o -path '*/fringedic_msgs/*/*' \) -type f -print0 | fingerprint) $(find ros2_ws/src/*/config ros2_ws/src/*/launch -type f | sort | sha256sum)"
 if ! current workspace "$workspace"; then
-    # shellcheck source=/dev/null
-    . "$root/setup/environment.sh" --without-workspace
     run "workspace" "$venv/bin/python" -m colcon --log-base ros2_ws/log build --base-paths ros2_ws/src \
         --build-base ros2_ws/build --install-base ros2_ws/install --merge-install --symlink-install \
-        --event-handlers console_direct+ \
-        --cmake-args -DPython3_EXECUTABLE="$venv/bin/python" -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release
-    built=$(find ros2_ws/build -name colcon_build.rc -newer "$stamps/environment" | wc -l)
+        --event-handlers console_direct+ --cmake-args -DPython3_EXECUTABLE="$venv/bin/python" \
+        -DPython3_INCLUDE_DIR="$python_include" -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release
     packages=$(find ros2_ws/src -name package.xml | wc -l)
-    [ "$built" -ge "$packages" ] || stop "only $built of $packages packages were built; the reason stands in $log"
+    built=$(find ros2_ws/install/share/ament_index/resource_index/packages -type f -o -type l | wc -l)
+    [ "$built" -ge "$packages" ] || stop "only $built of $packages packages were built: read the reason in $log"
+    # this Python finds the workspace by itself: compiled messages and linked packages
+    {
+        printf '%s\n' "$root/ros2_ws/install/lib/$version/site-packages"
+        find "$root/ros2_ws/build" -mindepth 2 -maxdepth 2 -name '*.egg-info' -printf '%h\n' | sort
+    } >"$venv/lib/$version/site-packages/fringedic_workspace.pth"
+    ln -sf "$root/ros2_ws/install/bin/fringedic" "$venv/bin/fringedic"
     done_for workspace "$workspace"
 fi
 
-kernels="$root $(find ros2_ws/src/fringedic/fringedic -name '*.py' -print0 | fingerprint)"
+kernels=$(find ros2_ws/src/fringedic/fringedic -name '*.py' -print0 | fingerprint)
 if ! current kernels "$kernels"; then
-    set +u # colcon's files read variables that need not be there
-    # shellcheck source=/dev/null
-    . "$root/setup/environment.sh"
-    set -u
     run "compiled kernels" "$venv/bin/python" -m fringedic.warm_up
     done_for kernels "$kernels"
 fi

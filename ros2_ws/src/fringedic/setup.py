@@ -16,6 +16,7 @@ setup(
     ],
     install_requires=[
         "h5netcdf",
+        "h5py",
         "matplotlib",
         "mcap",
         "numba",
