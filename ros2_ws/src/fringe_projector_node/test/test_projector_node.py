@@ -1,0 +1,135 @@
+"""The projector node in a process of its own: it shows what it is asked for, pixel by pixel."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from sensor_msgs.msg import Image
+
+from fringedic.patterns import render_pattern
+from fringedic.sequence import Orientation, PatternKind, Projection
+from fringedic_msgs.srv import ShowPattern
+from fringedic_ros.images import image_array
+from fringedic_ros.parameter_docs import documented
+from fringedic_ros.qos import LATCHED
+from fringedic_ros.stamps import to_nanoseconds
+from fringedic_ros.testing import NodeProcess, Peer
+
+DOMAIN = 41
+WIDTH, HEIGHT = 100, 75
+PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "projector.md"
+
+
+class Audience(Peer):
+    """Asks for patterns and looks at the screen."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.images = self.listen(Image, "projector/image", LATCHED)
+        self._show = self.create_client(ShowPattern, "projector/show")
+
+    def show(self, **request: object) -> ShowPattern.Response:
+        self.wait(self._show.service_is_ready, "the projector's service")
+        future = self._show.call_async(ShowPattern.Request(**request))
+        self.wait(future.done, "the projector's answer", 10)
+        return future.result()
+
+    def seen(self, stamp_ns: int) -> np.ndarray:
+        self.wait(lambda: any(to_nanoseconds(image.header.stamp) == stamp_ns for image in self.images), "the image", 10)
+        return image_array(next(image for image in self.images if to_nanoseconds(image.header.stamp) == stamp_ns))
+
+
+@pytest.fixture(scope="module")
+def audience(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Audience]:
+    rclpy.init(domain_id=DOMAIN)
+    audience = Audience()
+    size = {"width_px": WIDTH, "height_px": HEIGHT}
+    with NodeProcess("fringe_projector_node.projector_node", DOMAIN, tmp_path_factory.mktemp("projector"), size):
+        yield audience
+    audience.destroy_node()
+    rclpy.shutdown()
+
+
+@pytest.mark.parametrize(
+    ("projection", "name"),
+    [
+        (Projection(PatternKind.FRINGES, Orientation.VERTICAL, 25.0, 1, 4), ""),
+        (Projection(PatternKind.FRINGES, Orientation.VERTICAL, 12.5, 3, 8), ""),
+        (Projection(PatternKind.FRINGES, Orientation.HORIZONTAL, 25.0, 2, 4), ""),
+        (Projection(PatternKind.WHITE), ""),
+        (Projection(PatternKind.OTHER), "grid"),
+    ],
+)
+def test_shows_what_is_asked(audience: Audience, projection: Projection, name: str) -> None:
+    stamps = []
+    for _ in range(2):  # the second time from what is kept
+        response = audience.show(
+            kind=int(projection.kind),
+            orientation=int(projection.orientation),
+            pitch=projection.pitch,
+            shift=projection.shift,
+            shifts=projection.shifts,
+            name=name,
+        )
+        assert response.error_code == ShowPattern.Request.NONE, response.error_message
+        stamps.append(to_nanoseconds(response.shown))
+        expected = render_pattern(projection, WIDTH, HEIGHT, name)
+        np.testing.assert_array_equal(audience.seen(stamps[-1]), expected)
+    assert stamps[1] > stamps[0]
+
+
+def test_late_camera_gets_the_present_pattern(audience: Audience) -> None:
+    shown = to_nanoseconds(audience.show(kind=int(PatternKind.WHITE)).shown)
+    late = Peer("late_camera")
+    images = late.listen(Image, "projector/image", LATCHED)
+    late.wait(lambda: images, "the latched image", 10)
+    assert [to_nanoseconds(image.header.stamp) for image in images] == [shown]
+    late.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("request_fields", "words"),
+    [
+        ({"kind": 1, "pitch": float("nan"), "shift": 1, "shifts": 4}, "pitch"),
+        ({"kind": 1, "pitch": 1.0, "shift": 1, "shifts": 4}, "pitch"),
+        ({"kind": 1, "pitch": 20.0, "shift": 1, "shifts": 2}, "3 shifts"),
+        ({"kind": 2, "name": "flowers"}, "flowers"),
+        ({"kind": 9}, "9"),
+    ],
+)
+def test_bad_pattern_is_refused_and_the_next_works(
+    audience: Audience, request_fields: dict[str, object], words: str
+) -> None:
+    response = audience.show(**request_fields)
+    assert response.error_code == ShowPattern.Request.INVALID_PATTERN
+    assert words in response.error_message
+    assert audience.show(kind=int(PatternKind.WHITE)).error_code == ShowPattern.Request.NONE
+
+
+def test_inactive_projector_refuses(audience: Audience) -> None:
+    change = audience.create_client(ChangeState, "projector/change_state")
+
+    def transition(number: int) -> bool:
+        future = change.call_async(ChangeState.Request(transition=Transition(id=number)))
+        audience.wait(future.done, "the transition", 10)
+        return future.result().success
+
+    audience.wait(change.service_is_ready, "the lifecycle service", 10)
+    assert transition(Transition.TRANSITION_DEACTIVATE)
+    response = audience.show(kind=int(PatternKind.WHITE))
+    assert response.error_code == ShowPattern.Request.SCREEN_FAILED
+    assert "not active" in response.error_message
+    assert transition(Transition.TRANSITION_ACTIVATE)
+    assert audience.show(kind=int(PatternKind.WHITE)).error_code == ShowPattern.Request.NONE
+
+
+def test_page_is_up_to_date() -> None:
+    text = PAGE.read_text()
+    assert "<!-- parameters: fringe_projector_node.projector_node:ProjectorParameters -->" in text
+    assert documented(text) == text, f"run python -m fringedic_ros.parameter_docs {PAGE}"

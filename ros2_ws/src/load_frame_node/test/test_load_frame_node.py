@@ -1,0 +1,170 @@
+"""The load frame node in a process of its own: it moves, holds, tells, and refuses what it must."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+from action_msgs.msg import GoalStatus
+from geometry_msgs.msg import WrenchStamped
+from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from fringedic_msgs.action import MoveCrosshead
+from fringedic_msgs.msg import LoadState
+from fringedic_ros.parameter_docs import documented
+from fringedic_ros.qos import STATE
+from fringedic_ros.stamps import to_nanoseconds
+from fringedic_ros.testing import NodeProcess, Peer
+
+DOMAIN = 42
+MM = 1e-3
+PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "load_frame.md"
+Result = MoveCrosshead.Result
+
+
+class Operator(Peer):
+    """Moves the crosshead and watches."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.states = self.listen(LoadState, "load_frame/state", STATE)
+        self.wrenches = self.listen(WrenchStamped, "load_frame/wrench", STATE)
+        self.joints = self.listen(JointState, "load_frame/joint_states", STATE)
+        self.feedback: list[MoveCrosshead.Feedback] = []
+        self._move = ActionClient(self, MoveCrosshead, "move_crosshead")
+        self._hold = self.create_client(Trigger, "load_frame/hold")
+
+    def start(self, position: float, speed: float) -> ClientGoalHandle:
+        self.wait(self._move.server_is_ready, "the action server")
+        goal = MoveCrosshead.Goal(position=position, speed=speed)
+        future = self._move.send_goal_async(goal, lambda message: self.feedback.append(message.feedback))
+        self.wait(future.done, "the answer to the goal", 10)
+        return future.result()
+
+    def end(self, goal: ClientGoalHandle) -> Any:
+        future = goal.get_result_async()
+        self.wait(future.done, "the result", 20)
+        return future.result()
+
+    def move(self, position: float, speed: float) -> Any:
+        return self.end(self.start(position, speed))
+
+    def hold(self) -> Trigger.Response:
+        self.wait(self._hold.service_is_ready, "the hold service")
+        future = self._hold.call_async(Trigger.Request())
+        self.wait(future.done, "the hold", 10)
+        return future.result()
+
+    def now(self) -> LoadState:
+        """A sample that is taken from now on."""
+        self.states.clear()
+        self.wait(lambda: len(self.states) > 2, "samples", 10)
+        return self.states[-1]
+
+
+@pytest.fixture(scope="module")
+def operator(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Operator]:
+    rclpy.init(domain_id=DOMAIN)
+    operator = Operator()
+    with NodeProcess("load_frame_node.load_frame_node", DOMAIN, tmp_path_factory.mktemp("load_frame")):
+        yield operator
+    operator.destroy_node()
+    rclpy.shutdown()
+
+
+def test_reaches_the_position_and_holds_in_tension(operator: Operator) -> None:
+    operator.feedback.clear()
+    answer = operator.move(0.5 * MM, 1.0 * MM)
+    assert (answer.status, answer.result.error_code) == (GoalStatus.STATUS_SUCCEEDED, Result.NONE)
+    assert answer.result.position == pytest.approx(0.5 * MM, abs=1e-9)
+    state = operator.now()
+    assert (state.mode, state.position) == (LoadState.HOLD, pytest.approx(0.5 * MM, abs=1e-9))
+    assert state.force > 500  # tension positive: 2000 N/mm, little relaxed
+    positions = [feedback.position for feedback in operator.feedback]
+    assert len(positions) >= 3 and positions == sorted(positions)
+
+
+def test_three_topics_say_the_same(operator: Operator) -> None:
+    operator.forget()
+    operator.wait(lambda: min(map(len, (operator.states, operator.wrenches, operator.joints))) > 20, "samples", 10)
+    by_stamp = {to_nanoseconds(state.header.stamp): state for state in operator.states}
+    pairs = [
+        (by_stamp[to_nanoseconds(wrench.header.stamp)], wrench, joint)
+        for wrench in operator.wrenches
+        for joint in operator.joints
+        if wrench.header.stamp == joint.header.stamp and to_nanoseconds(wrench.header.stamp) in by_stamp
+    ]
+    assert len(pairs) > 15
+    for state, wrench, joint in pairs:
+        assert wrench.wrench.force.z == state.force == joint.effort[0]
+        assert joint.position[0] == state.position
+        assert (joint.name, wrench.header.frame_id) == (["crosshead"], "load_frame")
+    stamps = sorted(by_stamp)
+    rate = 1e9 * (len(stamps) - 1) / (stamps[-1] - stamps[0])
+    print(f"samples per second: {rate:.1f}, asked for 100")
+
+
+def test_second_goal_is_busy_and_the_first_goes_on(operator: Operator) -> None:
+    operator.move(0.0, 5.0 * MM)
+    first = operator.start(0.4 * MM, 0.4 * MM)
+    second = operator.move(0.1 * MM, 1.0 * MM)
+    assert (second.status, second.result.error_code) == (GoalStatus.STATUS_ABORTED, Result.BUSY)
+    assert "another goal" in second.result.error_message
+    assert operator.end(first).result.position == pytest.approx(0.4 * MM, abs=1e-9)
+
+
+def test_cancelling_holds_where_it_is(operator: Operator) -> None:
+    operator.move(0.0, 5.0 * MM)
+    goal = operator.start(0.9 * MM, 0.2 * MM)
+    operator.wait(lambda: operator.states[-1].position > 0.05 * MM, "a start")
+    cancelling = goal.cancel_goal_async()
+    operator.wait(cancelling.done, "the cancelling", 10)
+    answer = operator.end(goal)
+    assert (answer.status, answer.result.error_code) == (GoalStatus.STATUS_CANCELED, Result.CANCELLED)
+    first, second = operator.now(), operator.now()
+    assert first.mode == second.mode == LoadState.HOLD
+    assert first.position == second.position == answer.result.position
+    assert 0.05 * MM < first.position < 0.9 * MM
+
+
+def test_hold_service_stops_a_move(operator: Operator) -> None:
+    operator.move(0.0, 5.0 * MM)
+    goal = operator.start(0.9 * MM, 0.2 * MM)
+    operator.wait(lambda: operator.states[-1].position > 0.05 * MM, "a start")
+    assert operator.hold().success
+    answer = operator.end(goal)
+    assert (answer.status, answer.result.error_code) == (GoalStatus.STATUS_ABORTED, Result.CANCELLED)
+    assert "load_frame/hold" in answer.result.error_message
+    assert operator.now().mode == LoadState.HOLD
+    assert operator.move(0.2 * MM, 5.0 * MM).result.error_code == Result.NONE
+
+
+@pytest.mark.parametrize(
+    ("position", "speed", "words"),
+    [
+        (1.5 * MM, 1.0 * MM, "1.5 mm is outside 0 to 1 mm"),
+        (-0.1 * MM, 1.0 * MM, "-0.1 mm"),
+        (float("nan"), 1.0 * MM, "nan mm"),
+        (0.5 * MM, 0.0, "0 mm/s"),
+        (0.5 * MM, -1.0 * MM, "-1 mm/s"),
+        (0.5 * MM, 1.0, "1000 mm/s"),
+    ],
+)
+def test_impossible_goal_is_refused_in_words(operator: Operator, position: float, speed: float, words: str) -> None:
+    before = operator.now().position
+    answer = operator.move(position, speed)
+    assert (answer.status, answer.result.error_code) == (GoalStatus.STATUS_ABORTED, Result.INVALID_GOAL)
+    assert words in answer.result.error_message
+    assert operator.now().position == before
+
+
+def test_page_is_up_to_date() -> None:
+    text = PAGE.read_text()
+    assert "<!-- parameters: load_frame_node.load_frame_node:LoadFrameParameters -->" in text
+    assert documented(text) == text, f"run python -m fringedic_ros.parameter_docs {PAGE}"
