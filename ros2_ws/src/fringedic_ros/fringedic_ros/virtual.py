@@ -1,25 +1,40 @@
-"""The virtual rig that stands in for hardware, as the parameter `rig_file` of a hardware node names it."""
+"""The virtual rig as a node parameter: the section `virtual_rig` of a rig file, as YAML text."""
 
 from __future__ import annotations
 
-from fringedic.errors import RigFileError
-from fringedic.rig_file import load_rig_file
+from typing import Annotated
+
+import yaml
+from pydantic import AfterValidator, Field
+
+from fringedic.errors import VirtualRigConfigurationError
 from fringedic.virtual_rig import VirtualRigConfiguration
 
 
-def virtual_configuration(rig_file: str) -> VirtualRigConfiguration:
-    """Configuration of the virtual rig in a rig file; of the preset `plate` when no file is named.
+def virtual_configuration(text: str) -> VirtualRigConfiguration:
+    """Configuration that a YAML text such as `{preset: plate, size: small}` describes.
 
     Raises
     ------
-    RigFileError
-        The file cannot be used, or it describes no virtual rig.
+    VirtualRigConfigurationError
+        The text is no YAML mapping, or an entry is unknown or out of range.
     """
-    if not rig_file:
-        return VirtualRigConfiguration.from_dict({"preset": "plate"})
-    rig = load_rig_file(rig_file)
-    if rig.virtual_rig is None:
-        raise RigFileError(
-            f"{rig_file}: has no section virtual_rig; add one, for example virtual_rig: {{preset: plate}}"
-        )
-    return rig.virtual_configuration()
+    try:
+        values = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise VirtualRigConfigurationError(f"virtual_rig is not YAML: {error}") from error
+    if not isinstance(values, dict):
+        raise VirtualRigConfigurationError(f"virtual_rig needs entries such as {{preset: plate}}, not {text!r}")
+    return VirtualRigConfiguration.from_dict(values)
+
+
+def _checked(text: str) -> str:
+    virtual_configuration(text)
+    return text
+
+
+VirtualRigText = Annotated[
+    str,
+    AfterValidator(_checked),
+    Field(description="The virtual rig as YAML text, like the section `virtual_rig` of a rig file."),
+]

@@ -1,185 +1,197 @@
-"""Talks to the testing machine: publishes force and position, asks for moves and holds."""
+"""Moves and holds the crosshead, and publishes mode, force and position.
+
+The machine's own limits and emergency stop are in charge; this node only passes requests on.
+"""
 
 from __future__ import annotations
 
-import math
-import time
-from functools import partial
-
 from geometry_msgs.msg import WrenchStamped
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.timer import Timer
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from fringedic.errors import CrossheadRangeError, WaitTimeoutError
-from fringedic.virtual_rig import LoadMode, LoadSample
+from fringedic.virtual_rig import LoadMode, LoadSample, SimulatedLoadFrame
 from fringedic_msgs.action import MoveCrosshead
 from fringedic_msgs.msg import LoadState
 from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
 from fringedic_ros.main import run
 from fringedic_ros.qos import STATE
-from fringedic_ros.virtual import virtual_configuration
+from fringedic_ros.virtual import VirtualRigText, virtual_configuration
 from fringedic_ros.waiting import Condition
-from load_frame_node.machine import Machine, SimulatedMachine
 
-Result = MoveCrosshead.Result
 FRAME_ID = "load_frame"
 JOINT = "crosshead"
-FEEDBACK_PERIOD_S = 0.1
+Result = MoveCrosshead.Result
+_FEEDBACK_PERIOD_S = 0.1
+_STOP_TIMEOUT_S = 30.0
 
 
 class LoadFrameParameters(HardwareParameters):
     """Parameters of the load frame node."""
 
-    model_config = ConfigDict(frozen=True)
-
-    rig_file: str = Field(
-        "", description="Rig file whose `virtual_rig` the simulated machine belongs to; empty is the preset plate."
-    )
     rate_hz: float = Field(100.0, gt=0, le=1000, description="Samples of force and position per second [Hz].")
-    move_timeout_s: float = Field(
-        10.0, gt=0, le=3600, description="A move fails this long after its way at its speed should be done [s]."
-    )
+    virtual_rig: VirtualRigText = "{preset: plate}"
 
 
 class LoadFrameNode(HardwareNode[LoadFrameParameters]):
-    """Samples the machine and serves `move_crosshead` and `load_frame/hold`."""
+    """Action `move_crosshead`, service `load_frame/hold`, and the machine's samples."""
 
     def __init__(self) -> None:
         super().__init__("load_frame", LoadFrameParameters)
-        self._machine: Machine | None = None
-        self._timer: Timer | None = None
-        self._sample = LoadSample(LoadMode.UNKNOWN, math.nan, math.nan)
-        self._sampled = Condition(self)
-        self._moving: ServerGoalHandle | None = None
+        self._machine: SimulatedLoadFrame | None = None
+        self._sampling: Timer | None = None
+        self._sample = LoadSample(LoadMode.UNKNOWN, 0.0, 0.0)
+        self._sampled_ns = 0
+        self._goal: ServerGoalHandle | None = None
+        self._held = False
+        self._changed = Condition(self)
         self._states = self.create_publisher(LoadState, "load_frame/state", STATE)
         self._wrenches = self.create_publisher(WrenchStamped, "load_frame/wrench", STATE)
         self._joints = self.create_publisher(JointState, "load_frame/joint_states", STATE)
-        self.create_service(Trigger, "load_frame/hold", self._serve_hold)
-        self._actions = ActionServer(self, MoveCrosshead, "move_crosshead", self._move, cancel_callback=self._cancel)
+        self.create_service(Trigger, "load_frame/hold", self._hold)
+        ActionServer(
+            self,
+            MoveCrosshead,
+            "move_crosshead",
+            self._move,
+            cancel_callback=self._cancel,
+            callback_group=ReentrantCallbackGroup(),
+        )
+
+    # lifecycle
 
     def open(self) -> None:
-        """Connect to the machine."""
-        self._machine = SimulatedMachine(virtual_configuration(self.parameters.value.rig_file))
+        """Connect to the simulated machine of the virtual rig."""
+        configuration = virtual_configuration(self.parameters.value.virtual_rig)
+        self._machine = SimulatedLoadFrame(configuration.load_frame, configuration.seed)
 
     def activate(self) -> None:
         """Begin to sample."""
-        self._publish_sample()
-        self._timer = self.create_timer(1 / self.parameters.value.rate_hz, self._publish_sample)
+        self._sampled_ns = self.get_clock().now().nanoseconds
+        self._sampling = self.create_timer(
+            1 / self.parameters.value.rate_hz, self._take_sample, callback_group=MutuallyExclusiveCallbackGroup()
+        )
 
     def deactivate(self) -> None:
-        """Stop sampling. A move that is running is asked to hold: nobody would watch it."""
-        if self._timer is not None:
-            self.destroy_timer(self._timer)
-            self._timer = None
-        if self._moving is not None and self._machine is not None:
+        """Hold, and stop sampling."""
+        if self._machine is not None:
             self._machine.hold()
-            self._sampled.notify()
+        if self._sampling is not None:
+            self.destroy_timer(self._sampling)
+            self._sampling = None
 
     def close(self) -> None:
-        """Leave the machine to itself."""
+        """Let go of the machine."""
         self._machine = None
 
-    def destroy_node(self) -> None:
-        """End the action server with the node."""
-        self._actions.destroy()
-        super().destroy_node()
+    # samples
 
-    def _publish_sample(self) -> None:
-        assert self._machine is not None
-        self._sample = sample = self._machine.sample()
-        stamp = self.get_clock().now().to_msg()
-        state = LoadState(mode=int(sample.mode), force=sample.force, position=sample.position)
-        state.header.stamp, state.header.frame_id = stamp, FRAME_ID
-        self._states.publish(state)
+    def _take_sample(self) -> None:
+        if self._machine is None:
+            return
+        now = self.get_clock().now()
+        # a clock that was set back must not turn the machine's time back
+        self._machine.advance(1e-9 * max(now.nanoseconds - self._sampled_ns, 0))
+        self._sampled_ns = now.nanoseconds
+        self._sample = self._machine.sample()
+        state = LoadState(mode=int(self._sample.mode), force=self._sample.force, position=self._sample.position)
+        state.header.stamp, state.header.frame_id = now.to_msg(), FRAME_ID
         wrench = WrenchStamped(header=state.header)
-        wrench.wrench.force.y = sample.force
+        wrench.wrench.force.z = state.force
+        joint = JointState(header=state.header, name=[JOINT], position=[state.position], effort=[state.force])
+        self._states.publish(state)
         self._wrenches.publish(wrench)
-        self._joints.publish(
-            JointState(header=state.header, name=[JOINT], position=[sample.position], effort=[sample.force])
-        )
+        self._joints.publish(joint)
         self.diagnostics.success()
-        self._sampled.notify()
+        self._changed.notify()
 
-    def _serve_hold(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        if self.active and self._machine is not None:
-            self._machine.hold()
-            response.success, response.message = True, "asked the machine to hold"
+    # moving and holding
+
+    def _hold(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        if self._machine is None or not self.active:
+            response.message = "the load frame is not active; configure and activate it"
         else:
-            response.message = "the load frame is not active; configure and activate it first"
+            self._machine.hold()
+            self._held = True
+            response.success = True
+            response.message = f"holding at {1e3 * self._sample.position:.4f} mm"
         return response
 
     def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
-        if self._moving is None or goal.goal_id != self._moving.goal_id or self._machine is None:
-            return CancelResponse.REJECT
-        self._machine.hold()
-        return CancelResponse.ACCEPT
+        return CancelResponse.ACCEPT if goal is self._goal else CancelResponse.REJECT
 
     async def _move(self, goal: ServerGoalHandle) -> MoveCrosshead.Result:
-        code, words = self._begin(goal)
-        if code == Result.NONE:
+        request = goal.request
+        if self._machine is None or not self.active:
+            return self._end(goal, Result.MACHINE_FAULT, "the load frame is not active; configure and activate it")
+        if self._goal is not None:
+            return self._end(goal, Result.BUSY, "the crosshead follows another goal; cancel it or wait")
+        way = abs(request.position - self._sample.position)
+        try:
+            self._machine.move_to(request.position, request.speed)
+        except CrossheadRangeError as error:
+            return self._end(goal, Result.INVALID_GOAL, str(error))
+        self._goal, self._held = goal, False
+        self._sample = self._sample._replace(mode=LoadMode.MOVING)
+        try:
+            # twice the time at constant speed, and some for the ramps
+            return await self._follow(goal, 2 * way / request.speed + _STOP_TIMEOUT_S)
+        finally:
+            self._goal = None
+
+    async def _follow(self, goal: ServerGoalHandle, timeout_s: float) -> MoveCrosshead.Result:
+        deadline = self.get_clock().now().nanoseconds + round(1e9 * timeout_s)
+        while not (goal.is_cancel_requested or self._is_still()):
+            if self.get_clock().now().nanoseconds > deadline:
+                await self._stop()
+                return self._end(goal, Result.TIMEOUT, f"the crosshead did not arrive within {timeout_s:g} s")
+            goal.publish_feedback(MoveCrosshead.Feedback(position=self._sample.position, force=self._sample.force))
             try:
-                code, words = await self._arrive(goal)
-            finally:
-                self._moving = None
+                await self._changed.wait(lambda: goal.is_cancel_requested or self._is_still(), _FEEDBACK_PERIOD_S)
+            except WaitTimeoutError:
+                continue
+        if goal.is_cancel_requested:
+            await self._stop()
+            return self._end(goal, Result.CANCELLED, f"cancelled; holding at {1e3 * self._sample.position:.4f} mm")
+        if not self.active or self._sample.mode == LoadMode.FAULT:
+            return self._end(goal, Result.MACHINE_FAULT, "the machine stopped")
+        if self._held:
+            return self._end(
+                goal, Result.CANCELLED, f"load_frame/hold stopped it at {1e3 * self._sample.position:.4f} mm"
+            )
+        return self._end(goal, Result.NONE, "")
+
+    def _is_still(self) -> bool:
+        return self._sample.mode != LoadMode.MOVING or not self.active
+
+    async def _stop(self) -> None:
+        if self._machine is not None:
+            self._machine.hold()
+            await self._changed.wait(self._is_still, _STOP_TIMEOUT_S, "the crosshead's stop")
+
+    def _end(self, goal: ServerGoalHandle, code: int, message: str) -> MoveCrosshead.Result:
         if code == Result.NONE:
             goal.succeed()
+        elif goal.is_cancel_requested:
+            goal.canceled()
         else:
-            self.get_logger().warning(words)
-            if code == Result.CANCELLED and goal.is_cancel_requested:
-                goal.canceled()
-            else:
-                goal.abort()
-        return Result(error_code=code, error_message=words, position=self._sample.position, force=self._sample.force)
-
-    def _begin(self, goal: ServerGoalHandle) -> tuple[int, str]:
-        """Ask the machine for the move; say why not."""
-        if not self.active or self._machine is None:
-            return Result.MACHINE_FAULT, "the load frame is not active; configure and activate it first"
-        if self._moving is not None:
-            target = self._moving.request.position * 1e3
-            return Result.BUSY, f"the crosshead is moving to {target:g} mm; wait for it or cancel that move"
-        if self._sample.mode is LoadMode.FAULT:
-            return Result.MACHINE_FAULT, "the machine reports a fault; clear it at the machine"
-        try:
-            self._machine.move_to(goal.request.position, goal.request.speed)
-        except CrossheadRangeError as error:
-            return Result.INVALID_GOAL, str(error)
-        self._moving = goal
-        self._sample = self._machine.sample()
-        return Result.NONE, ""
-
-    async def _arrive(self, goal: ServerGoalHandle) -> tuple[int, str]:
-        """Wait until the machine has ended the move; say how."""
-        target = goal.request.position
-        way = abs(target - self._sample.position)
-        end = time.monotonic() + way / goal.request.speed + self.parameters.value.move_timeout_s
-        while not self._standing():
-            goal.publish_feedback(MoveCrosshead.Feedback(position=self._sample.position, force=self._sample.force))
-            pause = time.monotonic() + FEEDBACK_PERIOD_S
-            try:
-                await self._sampled.wait(partial(self._standing, pause), max(end - time.monotonic(), 0.0))
-            except WaitTimeoutError:
-                if self._machine is not None:
-                    self._machine.hold()
-                return Result.TIMEOUT, f"the crosshead had not come to {target * 1e3:g} mm in time and is to hold"
-        where = f"at {self._sample.position * 1e3:.4f} mm on its way to {target * 1e3:g} mm"
-        if goal.is_cancel_requested:
-            return Result.CANCELLED, f"cancelled; the crosshead holds {where}"
-        if self._sample.mode is LoadMode.FAULT or not self.active:
-            return Result.MACHINE_FAULT, f"the machine stopped {where}: it reports a fault or was deactivated"
-        if abs(self._sample.position - target) > 1e-3 * max(way, 1e-6):
-            return Result.CANCELLED, f"a hold was asked for; the crosshead holds {where}"
-        return Result.NONE, ""
-
-    def _standing(self, pause: float = math.inf) -> bool:
-        """Whether the move is over, or it is time for feedback."""
-        return not self.active or self._sample.mode is not LoadMode.MOVING or time.monotonic() >= pause
+            self.get_logger().error(message)
+            self.diagnostics.failure(message)
+            goal.abort()
+        return MoveCrosshead.Result(
+            error_code=code, error_message=message, position=self._sample.position, force=self._sample.force
+        )
 
 
 def main() -> int:
     """Run the load frame node."""
     return run(LoadFrameNode.started)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
