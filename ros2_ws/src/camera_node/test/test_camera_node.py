@@ -1,0 +1,269 @@
+"""The camera node in a process of its own: what it publishes, and that every fault leaves it able to go on."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import rclpy
+import xarray as xr
+from builtin_interfaces.msg import Time
+from sensor_msgs.msg import CameraInfo, Image
+
+from fringedic.patterns import render_pattern
+from fringedic.sequence import PatternKind, Projection
+from fringedic.virtual_rig import VirtualRig
+from fringedic_msgs.msg import Exposure, LoadState
+from fringedic_msgs.srv import CaptureFrame
+from fringedic_ros.images import image_array, image_message
+from fringedic_ros.parameter_docs import documented
+from fringedic_ros.qos import IMAGES, LATCHED, STATE
+from fringedic_ros.records import frame_record
+from fringedic_ros.stamps import to_msg, to_nanoseconds
+from fringedic_ros.testing import NodeProcess, Peer
+
+DOMAIN = 43
+MODULE = "camera_node.camera_node"
+PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "camera.md"
+Request = CaptureFrame.Request
+FRINGES = {"kind": int(PatternKind.FRINGES), "pitch": 25.0, "shift": 2, "shifts": 4}
+
+
+class Studio(Peer):
+    """Plays experiment, projector and load frame for one camera."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.images = self.listen(Image, "camera/image_raw", IMAGES)
+        self.infos = self.listen(CameraInfo, "camera/camera_info", IMAGES)
+        self.exposures = self.listen(Exposure, "camera/exposure", IMAGES)
+        self._capture = self.create_client(CaptureFrame, "camera/capture")
+        self.position = 0.0
+
+    def add_projector(self) -> None:
+        self._patterns = self.create_publisher(Image, "projector/image", LATCHED)
+
+    def add_load_frame(self) -> None:
+        self._loads = self.create_publisher(LoadState, "load_frame/state", STATE)
+        self.create_timer(0.01, self._tell_load)
+
+    def _tell_load(self) -> None:
+        state = LoadState(mode=LoadState.HOLD, position=self.position)
+        state.header.stamp = self.get_clock().now().to_msg()
+        self._loads.publish(state)
+
+    def show(self, pattern: np.ndarray) -> Time:
+        shown = self.get_clock().now().nanoseconds
+        self._patterns.publish(image_message(pattern, stamp_ns=shown, frame_id="projector_optical_frame"))
+        return to_msg(shown)
+
+    def capture(self, index: int = 0, count: int = 100, **fields: object) -> CaptureFrame.Response:
+        self.wait(self._capture.service_is_ready, "the camera's service")
+        request = Request(**{"experiment": "test", "index": index, "count": count, "minimum_subscribers": 1, **fields})
+        future = self._capture.call_async(request)
+        self.wait(future.done, "the camera's answer", 30)
+        return future.result()
+
+    def frame(self, stamp: Time) -> tuple[Image, CameraInfo, Exposure]:
+        """What was published with a stamp."""
+
+        def with_stamp() -> list[tuple]:
+            found = [
+                [m for m in heard if m.header.stamp == stamp] for heard in (self.images, self.infos, self.exposures)
+            ]
+            return list(zip(*found, strict=False))
+
+        self.wait(with_stamp, "the three messages of a frame", 10)
+        assert len(with_stamp()) == 1
+        return with_stamp()[0]
+
+
+@pytest.fixture
+def studio() -> Iterator[Studio]:
+    rclpy.init(domain_id=DOMAIN)
+    studio = Studio()
+    yield studio
+    studio.destroy_node()
+    rclpy.shutdown()
+
+
+def save(folder: Path, name: str, image: np.ndarray) -> None:
+    assert cv2.imwrite(str(folder / name), image)
+
+
+def test_virtual_frames_are_those_of_the_twin(studio: Studio, tmp_path: Path) -> None:
+    """Same pattern, position and frame number give the same image; the truth of each step is written."""
+    rig = VirtualRig.from_preset("plate", size="tiny")
+    rows, columns = rig.projector_shape
+    truth_folder = tmp_path / "truth"
+    parameters = {
+        "virtual_rig": '"{preset: plate, size: tiny}"',
+        "truth_folder": str(truth_folder),
+        "exposure_time_s": 0.02,
+        "settle_time_s": 0.05,
+    }
+    projection = Projection(PatternKind.FRINGES, pitch=25.0, shift=2, shifts=4)
+    patterns = [render_pattern(projection, columns, rows), render_pattern(Projection(PatternKind.WHITE), columns, rows)]
+    studio.add_projector()
+    studio.add_load_frame()
+    steps = [(0, 0.1e-3), (1, 0.4e-3), (3, 0.3e-3)]  # step 2 was given up before its last frame
+    with NodeProcess(MODULE, DOMAIN, tmp_path, parameters):
+        number, last_stamp = 0, 0
+        for step, position in steps:
+            studio.position = position
+            for index, pattern in enumerate(patterns):
+                shown = studio.show(pattern)
+                kind = FRINGES if index == 0 else {"kind": int(PatternKind.WHITE)}
+                response = studio.capture(index, len(patterns), step=step, shown=shown, **kind)
+                assert response.error_code == Request.NONE, response.error_message
+                image, info, exposure = studio.frame(response.stamp)
+                np.testing.assert_array_equal(image_array(image), rig.expose(pattern, position, number))
+                assert (info.header, info.width, info.height) == (image.header, 160, 120)
+                assert image.header.frame_id == "camera_optical_frame"
+                record = frame_record(exposure)
+                assert (record.experiment, record.step, record.index, record.count) == ("test", step, index, 2)
+                assert record.exposure_time == 0.02
+                assert index == 1 or record.projection == projection
+                assert record.stamp > last_stamp
+                assert record.stamp >= to_nanoseconds(shown) + 60_000_000  # settled, then half the exposure
+                last_stamp, number = record.stamp, number + 1
+        # beyond the machine's range there is no specimen to see
+        studio.position = 5e-3
+        response = studio.capture(0, 2, step=4)
+        assert response.error_code == Request.CAMERA_FAILED
+        assert "5 mm is outside" in response.error_message
+    with xr.open_dataset(truth_folder / "truth.nc", engine="h5netcdf") as truth:
+        assert truth.sizes["step"] == 4
+        np.testing.assert_allclose(truth.position, [0.1e-3, 0.4e-3, np.nan, 0.3e-3])
+        for step, position in steps:
+            exact = rig.truth(position, 0.1e-3)
+            for name in exact.data_vars:
+                written = truth[name].isel(step=step) if "step" in truth[name].dims else truth[name]
+                expected = exact[name].values
+                written_as = expected.astype(np.float32) if expected.dtype == float else expected
+                np.testing.assert_array_equal(written.values, written_as, err_msg=f"{name} of step {step}")
+        assert np.isnan(truth.u.isel(step=2)).all() and not truth.valid.isel(step=2).any()
+
+
+def test_pattern_that_never_comes_and_then_the_next(studio: Studio, tmp_path: Path) -> None:
+    studio.add_projector()
+    white = np.full((75, 100), 250, np.uint8)
+    with NodeProcess(MODULE, DOMAIN, tmp_path, {"virtual_rig": '"{preset: plate, size: tiny}"', "timeout_s": 0.5}):
+        announced = to_msg(studio.get_clock().now().nanoseconds + 10**9)
+        response = studio.capture(3, shown=announced)
+        assert response.error_code == Request.CAMERA_TIMEOUT
+        assert "frame 3: the pattern shown at" in response.error_message
+        shown = studio.show(white)
+        assert studio.capture(3, shown=shown).error_code == Request.NONE
+        studio.show(white)
+        response = studio.capture(4, shown=shown)
+        assert response.error_code == Request.CAMERA_FAILED
+        assert "another pattern" in response.error_message
+        assert studio.capture(4, kind=9).error_code == Request.CAMERA_FAILED
+        assert studio.capture(4).error_code == Request.NONE
+
+
+def test_files_with_faults_and_what_comes_after(studio: Studio, tmp_path: Path) -> None:
+    """Unreadable, hanging, of another size and 16 bits: each is told, and the next capture works."""
+    folder = tmp_path / "images"
+    folder.mkdir()
+    pictures = {n: np.random.default_rng(n).integers(0, 255, (6, 8), np.uint8) for n in (0, 3)}
+    save(folder, "0.png", pictures[0])
+    (folder / "1.png").write_bytes(b"no picture")
+    os.mkfifo(folder / "2.png")  # a camera that does not answer: reading waits for a writer
+    save(folder, "3.png", pictures[3])
+    save(folder, "4.tif", np.full((3, 4), 60000, np.uint16))
+    parameters = {"source": "files", "files": str(folder), "timeout_s": 1.0}
+    with NodeProcess(MODULE, DOMAIN, tmp_path, parameters):
+        first = studio.capture(0)
+        np.testing.assert_array_equal(image_array(studio.frame(first.stamp)[0]), pictures[0])
+        unreadable = studio.capture(1)
+        assert unreadable.error_code == Request.CAMERA_FAILED
+        assert "1.png is not an image" in unreadable.error_message
+        hanging = studio.capture(2)
+        assert hanging.error_code == Request.CAMERA_TIMEOUT
+        assert "the frame did not come within 1 s" in hanging.error_message
+        third = studio.capture(3)
+        np.testing.assert_array_equal(image_array(studio.frame(third.stamp)[0]), pictures[3])
+        image = studio.frame(studio.capture(4).stamp)[0]
+        assert (image.encoding, image.width, image.height, image_array(image)[0, 0]) == ("mono16", 4, 3, 60000)
+        assert "all 5 images" in studio.capture(5).error_message
+        assert len(studio.images) == 3
+
+
+def test_waits_for_subscribers(studio: Studio, tmp_path: Path) -> None:
+    save(tmp_path, "0.png", np.zeros((4, 4), np.uint8))
+    with NodeProcess(MODULE, DOMAIN, tmp_path, {"source": "files", "files": str(tmp_path), "timeout_s": 0.5}):
+        response = studio.capture(minimum_subscribers=2)
+        assert (response.error_code, response.subscribers) == (Request.NO_SUBSCRIBER, 1)
+        assert "2 are expected" in response.error_message
+        other = Peer("other")
+        other.listen(Image, "camera/image_raw", IMAGES)
+        other.listen(Exposure, "camera/exposure", IMAGES)
+        response = studio.capture(minimum_subscribers=2)
+        assert (response.error_code, response.subscribers) == (Request.NONE, 2)
+        other.destroy_node()
+
+
+def test_free_run_counts_every_frame(studio: Studio, tmp_path: Path) -> None:
+    for name in range(3):
+        save(tmp_path, f"{name}.tif", np.full((40, 60), name, np.uint8))
+    parameters = {"source": "files", "files": str(tmp_path), "repeat": "true", "frame_rate_hz": 50}
+    with NodeProcess(MODULE, DOMAIN, tmp_path, parameters):
+        studio.wait(lambda: studio.exposures, "a frame of the free run")
+        studio.forget()
+        studio.wait(lambda: len(studio.exposures) >= 50, "frames of the free run")
+        records = [frame_record(exposure) for exposure in studio.exposures]
+        assert [record.index for record in records] == list(range(records[0].index, records[0].index + len(records)))
+        assert {record.experiment for record in records} == {""}
+        stamps = np.array([record.stamp for record in records])
+        assert (np.diff(stamps) > 0).all()
+        print(f"frames per second: {1e9 / np.diff(stamps).mean():.1f}, asked for 50; dropped {records[-1].dropped}")
+        response = studio.capture()
+        assert response.error_code == Request.CAMERA_FAILED
+        assert "runs freely" in response.error_message
+
+
+def test_stopped_process_goes_on(studio: Studio, tmp_path: Path) -> None:
+    """A camera process that is stopped answers when it continues; nothing is published twice."""
+    for name in range(2):
+        save(tmp_path, f"{name}.png", np.full((4, 4), name, np.uint8))
+    with NodeProcess(MODULE, DOMAIN, tmp_path, {"source": "files", "files": str(tmp_path)}) as node:
+        studio.capture(0)
+        node.process.send_signal(signal.SIGSTOP)
+        future = studio._capture.call_async(Request(experiment="test", index=1, count=2))
+        studio.serve(0.5)
+        assert not future.done()
+        node.process.send_signal(signal.SIGCONT)
+        studio.wait(future.done, "the late answer", 10)
+        assert future.result().error_code == Request.NONE
+        studio.frame(future.result().stamp)
+        assert len(studio.images) == 2
+
+
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"source": "files"}, "camera: value error, source files needs the parameter files"),
+        ({"source": "files", "files": "/nowhere"}, "camera cannot configure: no images"),
+        ({"exposure_time_s": ".nan"}, "camera.exposure_time_s = nan: must be a finite number"),
+        ({"virtual_rig": '"{preset: tent}"'}, "tent"),
+    ],
+)
+def test_bad_parameters_end_the_start_in_words(tmp_path: Path, parameters: dict[str, object], words: str) -> None:
+    node = NodeProcess(MODULE, DOMAIN, tmp_path, parameters)
+    with pytest.raises(AssertionError, match="the process ended with 1"), node:
+        node.process.wait(20)
+    assert words in node.log
+    assert "Traceback" not in node.log
+
+
+def test_page_is_up_to_date() -> None:
+    text = PAGE.read_text()
+    assert "<!-- parameters: camera_node.camera_node:CameraParameters -->" in text
+    assert documented(text) == text, f"run python -m fringedic_ros.parameter_docs {PAGE}"
