@@ -115,7 +115,8 @@ def process_bag(
     """Measure a recorded experiment again from its raw topics, by the same step functions that the nodes call.
 
     With the recorded parameters the maps equal those of the nodes bit by bit. A step that fails keeps its row, without
-    maps, and says why in the variable ``error``.
+    maps, and says why in the variable ``error``. Of a recording that is cut off all whole steps are measured; the
+    attribute ``damage`` says what is lost.
 
     Parameters
     ----------
@@ -145,7 +146,7 @@ def process_bag(
     MissingTopicError
         The recording lacks images or exposure records.
     RecordingError
-        It is damaged; what can be read is measured by recovering it first.
+        It is damaged somewhere in between; `fringedic.recording.recover` saves the rest.
     ParameterError
         An override is unknown or not allowed.
     DatasetError
@@ -278,7 +279,10 @@ def _write(
     settings: Callable[[], _Settings],
     progress: Callable[[int, str], None] | None,
 ) -> None:
-    with _DatasetWriter(target, timeline.experiment, timeline.source) as writer:
+    attributes = {"experiment": timeline.experiment, "source": timeline.source}
+    if timeline.damage:
+        attributes["damage"] = timeline.damage
+    with _DatasetWriter(target, attributes) as writer:
         for row in rows:
             timeline.complete(row)
             writer.add(row, settings())
@@ -531,6 +535,7 @@ class _Timeline:
             raise DatasetError(f"{reader.path} holds no frame of {wanted}; it has {', '.join(present) or 'none'}")
         self.experiment = present[0] if experiment is None else experiment
         self.source = reader.path.name
+        self.damage = reader.lost
         self._exposed: dict[int, tuple[float, float]] = {}
         self.references: set[int] = set()
         for record in exposures:
@@ -644,15 +649,13 @@ def _has_maps(status: Any) -> bool:
 class _DatasetWriter:
     """Appends steps to a NetCDF file, which gets its name when it is whole."""
 
-    def __init__(self, target: Path, experiment: str, source: str) -> None:
+    def __init__(self, target: Path, attributes: Mapping[str, str]) -> None:
         self._target = target
         self._temporary = target.with_name(f".{target.name}.writing")
         self._file: Any = None
         self._settings: list[dict[str, Any]] = []
         self._attributes = {
-            "title": f"fringedic experiment '{experiment}'",
-            "experiment": experiment,
-            "source": source,
+            **attributes,
             "software": f"fringedic {__version__}",
             "conventions": "SI units; z towards the camera, x right and y up in the image; NaN is not measured",
         }

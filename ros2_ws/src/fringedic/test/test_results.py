@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import textwrap
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from mcap.reader import make_reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fringedic.chain import (
@@ -92,6 +94,7 @@ class Bench:
             self.writer.add_recorded_topic(Topic(f"/rig/{topic}", type_name, definition, "ros2msg", hash_, ""))
         self.now = START
         self.frame = 0
+        self.logged = {}
         self.displacement = DisplacementTracker(DicParameters(spacing=SPACING, window=24))
         self.shape = ShapeTracker(CouplingParameters(strain_window_px=25))
         self.shape.set_calibration(self.calibration)
@@ -202,6 +205,8 @@ class Bench:
                 shifts=projection.shifts,
                 exposure_time=0.01,
             )
+            self.writer.flush()
+            self.logged[number, index] = self.now
         self.write("load_frame/state", stamp + 8_000_000, mode=2, force=-1.0, position=-1.0)
         if leave_out:
             error = "frames are missing"
@@ -432,6 +437,21 @@ def test_a_recording_without_calibration_gives_the_displacement_and_says_what_is
         assert "no calibration yet" in str(dataset.error.values[1])
         assert np.isfinite(dataset.displacement_y[1]).mean() > 0.8 and np.isnan(dataset.w).all()
         assert "calibration" not in dataset.attrs
+
+
+def test_a_recording_that_is_cut_off_is_measured_as_far_as_it_goes(bench, processed, tmp_path):
+    shutil.copytree(bench.bag, tmp_path / "plate")
+    file = tmp_path / "plate" / "plate_0.mcap"
+    with file.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    place = next(each.chunk_start_offset for each in chunks if each.message_start_time > bench.logged[2, 3])
+    file.write_bytes(file.read_bytes()[: place + 100])
+    with open_experiment(process_bag(tmp_path / "plate")) as cut:
+        assert "not closed" in cut.damage
+        assert cut.step.values.tolist() == [0, 1, 2]
+        assert identical(cut.w.values[:2], processed.w.values[:2])
+        assert "step 2: frames 4, 5, 6, 7 of 8 never arrived" in str(cut.error.values[2]) and np.isnan(cut.w[2]).all()
+    assert "damage" not in processed.attrs
 
 
 @pytest.mark.parametrize(
