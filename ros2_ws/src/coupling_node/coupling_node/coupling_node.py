@@ -107,7 +107,7 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
             origin=(grid.roi.y_offset, grid.roi.x_offset),
         )
         for publisher, fields in ((self._shape, result.shape), (self._displacement, result.displacement)):
-            self.publish(publisher, cloud_message(fields, stamp_ns=stamp, frame_id=FRAME))
+            publisher.publish(cloud_message(fields, stamp_ns=stamp, frame_id=FRAME))
         return Outcome(result.valid_fraction, result.rms, status.frames)
 
 

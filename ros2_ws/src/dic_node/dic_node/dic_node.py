@@ -9,6 +9,7 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import CameraInfo, Image
 
 from fringedic.chain import DicParameters, DicResult, DisplacementTracker, white_texture
+from fringedic.pictures import displacement_preview
 from fringedic.sequence import PatternKind, Stack
 from fringedic_msgs.msg import NodeStatus, Reference
 from fringedic_ros.frame_steps import FrameSteps
@@ -96,8 +97,11 @@ class DicNode(ProcessingNode[DicParameters]):
         self._tracker.parameters = parameters
         result = self._tracker.step(experiment, step, stamp, texture)
         for publisher, array in ((self._displacement, result.displacement), (self._sigma, result.sigma)):
-            self.publish(publisher, image_message(array, stamp_ns=stamp, frame_id=FRAME))
-        self.publish(self._grid, grid_message(result, texture.shape))
+            publisher.publish(image_message(array, stamp_ns=stamp, frame_id=FRAME))
+        self._grid.publish(grid_message(result, texture.shape))
+        if self._preview.get_subscription_count():
+            colours = displacement_preview(result.displacement)
+            self._preview.publish(image_message(colours, stamp_ns=stamp, frame_id=FRAME))
         return Outcome(result.valid_fraction, result.rms, frames)
 
 

@@ -10,6 +10,7 @@ import rclpy
 from sensor_msgs.msg import CameraInfo, Image
 
 from fringedic.chain import DicParameters, DicResult, DisplacementTracker, white_texture
+from fringedic.pictures import displacement_preview
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import NodeStatus, Reference
 from fringedic_ros.images import image_array, image_message
@@ -107,6 +108,17 @@ def test_displacement_is_that_of_the_library_bit_by_bit(
         assert (status.valid_fraction, status.rms, status.frames) == (result.valid_fraction, result.rms, 16)
         bench.assert_identical(result)
     assert result.rms > 0.1, "the plate has moved"
+
+
+def test_preview_for_whoever_looks(bench: DicBench, name: str, tracker: DisplacementTracker) -> None:
+    previews: list[Image] = []
+    viewer = bench.create_subscription(Image, "dic/preview", previews.append, DERIVED)
+    bench.serve(1.0)
+    bench.send_step(name, 0)
+    bench.destroy_subscription(viewer)
+    assert [message.encoding for message in previews] == ["rgb8"]
+    itself = tracker.step(name, 0, bench.stamp(0), bench.textures[0])
+    np.testing.assert_array_equal(image_array(previews[0]), displacement_preview(itself.displacement))
 
 
 def test_white_steps_come_from_the_camera(bench: DicBench, name: str, tracker: DisplacementTracker) -> None:

@@ -45,7 +45,7 @@ from fringedic_ros.parameters import declare
 from fringedic_ros.qos import EVENTS, LATCHED, STATE
 from fringedic_ros.records import calibration_message
 from fringedic_ros.stamps import to_msg, to_nanoseconds
-from fringedic_ros.waiting import Condition, sleep, until
+from fringedic_ros.waiting import Condition, until
 
 Result = MeasureStep.Result
 HELD = (LoadState.HOLD, LoadState.IDLE)
@@ -59,6 +59,7 @@ CAPTURE_ERRORS = {
     CaptureFrame.Request.CAMERA_FAILED: Result.CAMERA_FAILED,
     CaptureFrame.Request.NO_SUBSCRIBER: Result.NO_SUBSCRIBER,
 }
+CONNECTING_TIME = 1.0  # [s] from the last node that connects to the first exposure
 LOAD_TIMEOUT = 0.5  # [s] for the load samples of the last exposure to come in
 
 
@@ -76,18 +77,13 @@ class ExperimentNode(Node):
         self._show = self.create_client(ShowPattern, "projector/show")
         self._capture = self.create_client(CaptureFrame, "camera/capture")
         self._hold = self.create_client(Trigger, "load_frame/hold")
-        self.create_subscription(Exposure, "camera/exposure", self._take_exposure, EVENTS)
+        self._connected = dict.fromkeys(("camera/exposure", *(f"{name}/status" for name in FAILED_NODE)), False)
+        self._connected_at = time.monotonic()
+        self._subscribe_connected(Exposure, "camera/exposure", self._take_exposure)
+        for name in FAILED_NODE:
+            self._subscribe_connected(NodeStatus, f"{name}/status", self._result_taker(name))
         self.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
         self.create_subscription(RecorderStatus, "recorder/status", self._take_recorder, LATCHED)
-        self._connected = dict.fromkeys(FAILED_NODE, False)
-        for name in FAILED_NODE:
-            self.create_subscription(
-                NodeStatus,
-                f"{name}/status",
-                self._result_taker(name),
-                EVENTS,
-                event_callbacks=SubscriptionEventCallbacks(matched=self._connection_taker(name)),
-            )
         self.create_service(StartExperiment, "experiment/start", self._start_experiment)
         self.create_service(SetReference, "experiment/set_reference", self._set_reference)
         ActionServer(self, MeasureStep, "measure_step", self._measure_step, cancel_callback=self._cancel)
@@ -180,12 +176,16 @@ class ExperimentNode(Node):
 
         return take
 
-    def _connection_taker(self, name: str) -> Callable[[Any], None]:
-        def take(event: Any) -> None:
-            self._connected[name] = event.current_count > 0
+    def _subscribe_connected(self, kind: type[Any], topic: str, callback: Callable[[Any], None]) -> None:
+        """Subscribe to what every step needs, and keep in mind whether its publisher is connected."""
+
+        def matched(event: Any) -> None:
+            self._connected[topic] = event.current_count > 0
+            self._connected_at = time.monotonic()
             self._changed.notify()
 
-        return take
+        events = SubscriptionEventCallbacks(matched=matched)
+        self.create_subscription(kind, topic, callback, EVENTS, event_callbacks=events)
 
     def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
         if self._running is None or goal.goal_id != self._running.goal.goal_id:
@@ -244,15 +244,18 @@ class ExperimentNode(Node):
             return
 
         def absent() -> list[str]:
-            return [name for name in parameters.nodes if not self._connected[name]]
+            needed = ("camera/exposure", *(f"{name}/status" for name in parameters.nodes))
+            return [topic for topic in needed if not self._connected[topic]]
 
         timeout = parameters.start_timeout_s
         await self._wait(
             step,
             lambda: not absent(),
             timeout,
-            lambda: (Result.NO_SUBSCRIBER, f"node {absent()[0]} is not running: nobody publishes {absent()[0]}/status"),
+            lambda: (Result.NO_SUBSCRIBER, f"nobody publishes {', '.join(absent())}; start the nodes they belong to"),
         )
+        # the nodes find each other while this one finds them, and it cannot see when they are done
+        await self._pause(step, CONNECTING_TIME - (time.monotonic() - self._connected_at))
         await self._wait_polling(
             step,
             lambda: self._steps.get_subscription_count() >= self.count_subscribers("experiment/step"),
@@ -272,6 +275,7 @@ class ExperimentNode(Node):
         if step.is_reference:
             self._publish_reference(step.number)
         self._announce(step, StepStatus.BEGIN)
+        self._feed_back(step, "begin")
 
     async def _check_hold(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         if not parameters.hold_required or not self.count_publishers("load_frame/state"):
@@ -293,7 +297,7 @@ class ExperimentNode(Node):
             )
 
     async def _take_frames(self, step: RunningStep, parameters: ExperimentParameters) -> None:
-        await sleep(self, parameters.settle_time_s)
+        await self._pause(step, parameters.settle_time_s)
         self._feed_back(step, "capture")
         for index, projection in enumerate(step.projections):
             shown = await self._show_pattern(step, projection, parameters) if parameters.projector else Time()
@@ -337,9 +341,9 @@ class ExperimentNode(Node):
             shown=shown,
             minimum_subscribers=0 if self._ready or index else self.count_subscribers("camera/image_raw"),
         )
-        response = await self._call(
-            step, self._capture, request, parameters.camera_timeout_s, Result.CAMERA_TIMEOUT, f"frame {index}"
-        )
+        # a first frame waits for subscribers, and the camera knows better than a time-out which are not there
+        timeout = parameters.camera_timeout_s + (parameters.start_timeout_s if request.minimum_subscribers else 0.0)
+        response = await self._call(step, self._capture, request, timeout, Result.CAMERA_TIMEOUT, f"frame {index}")
         if response.error_code != CaptureFrame.Request.NONE:
             code = CAPTURE_ERRORS.get(response.error_code, Result.CAMERA_FAILED)
             raise StepFailure(code, f"frame {index}: {response.error_message}")
@@ -488,6 +492,13 @@ class ExperimentNode(Node):
             client.remove_pending_request(future)
         return future.result()
 
+    async def _pause(self, step: RunningStep, seconds: float) -> None:
+        """Let time pass, unless the caller cancels."""
+        if seconds > 0:
+            with suppress(WaitTimeoutError):
+                await self._changed.wait(lambda: step.cancelled, seconds)
+            _check(step)
+
     async def _wait(
         self,
         step: RunningStep,
@@ -498,7 +509,9 @@ class ExperimentNode(Node):
         """Wait for something that a callback changes; the step ends as `failure` says after the time-out."""
         with suppress(WaitTimeoutError):
             await self._changed.wait(lambda: step.cancelled or predicate(), timeout_s)
-        _check(step, predicate, failure)
+        _check(step)
+        if not predicate():
+            raise StepFailure(*failure())
 
     async def _wait_polling(
         self,
@@ -510,14 +523,14 @@ class ExperimentNode(Node):
         """Like `_wait`, for the graph, which tells nobody that it changed."""
         with suppress(WaitTimeoutError):
             await until(self, lambda: step.cancelled or predicate(), timeout_s)
-        _check(step, predicate, failure)
+        _check(step)
+        if not predicate():
+            raise StepFailure(*failure())
 
 
-def _check(step: RunningStep, predicate: Callable[[], bool], failure: Callable[[], tuple[int, str]]) -> None:
+def _check(step: RunningStep) -> None:
     if step.cancelled:
         raise StepFailure(Result.CANCELLED, "cancelled by the caller")
-    if not predicate():
-        raise StepFailure(*failure())
 
 
 def _unmeasured(experiment: str, step: int, error: Exception | None) -> MeasureStep.Result:

@@ -36,6 +36,7 @@ from fringedic_ros.testing import NodeProcess, Peer
 DOMAIN = 53
 FRAMES = 7
 EXPOSURE_NS = 10_000_000
+START_TIMEOUT = 5.0  # [s]
 PARAMETERS = {
     "projector_width_px": 64,
     "projector_height_px": 48,
@@ -44,7 +45,7 @@ PARAMETERS = {
     "camera_timeout_s": 1.0,
     "projector_timeout_s": 1.0,
     "processing_timeout_s": 2.0,
-    "start_timeout_s": 5.0,
+    "start_timeout_s": START_TIMEOUT,
 }
 Result = MeasureStep.Result
 
@@ -220,7 +221,7 @@ def rig(running: Rig, request: pytest.FixtureRequest) -> Iterator[Rig]:
     running.reset()
     assert running.call(running.start, experiment=request.node.name).success
     yield running
-    running.change(projector=True, recording_required=False, start_timeout_s=5.0)
+    running.change(projector=True, recording_required=False, start_timeout_s=START_TIMEOUT)
 
 
 def test_a_step_from_begin_to_end(rig: Rig, request: pytest.FixtureRequest) -> None:
@@ -323,6 +324,20 @@ def test_one_step_at_a_time_and_cancel(rig: Rig) -> None:
     assert (after.error_code, after.step) == (Result.NONE, 1)
 
 
+def test_cancel_while_the_machine_settles(rig: Rig) -> None:
+    rig.change(settle_time_s=60.0)
+    try:
+        running = rig.request()
+        rig.wait(lambda: rig.feedback, "the beginning")
+        rig.serve(1.5)
+        assert not rig.captured
+        cancelling = running.cancel_goal_async()
+        rig.wait(cancelling.done, "the answer to the cancel request")
+        assert rig.result(running)[1].error_code == Result.CANCELLED
+    finally:
+        rig.change(settle_time_s=0.0)
+
+
 @pytest.mark.parametrize(
     ("script", "code", "words"),
     [
@@ -330,7 +345,7 @@ def test_one_step_at_a_time_and_cancel(rig: Rig) -> None:
         ({"capture_error": CaptureFrame.Request.CAMERA_FAILED}, Result.CAMERA_FAILED, "no frame"),
         ({"capture_error": CaptureFrame.Request.CAMERA_TIMEOUT}, Result.CAMERA_TIMEOUT, "no frame"),
         ({"capture_error": CaptureFrame.Request.NO_SUBSCRIBER}, Result.NO_SUBSCRIBER, "no frame"),
-        ({"hang": True}, Result.CAMERA_TIMEOUT, "camera/capture did not answer in 1 s"),
+        ({"hang": True}, Result.CAMERA_TIMEOUT, "camera/capture did not answer in 6 s"),
         ({"answers": {"dic": NodeStatus.NO_CORRELATION}}, Result.DIC_FAILED, "dic: scripted"),
         ({"silent": {"dic", "coupling"}}, Result.PROCESSING_TIMEOUT, "no result from dic, coupling"),
     ],

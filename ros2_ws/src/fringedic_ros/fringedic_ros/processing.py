@@ -10,7 +10,6 @@ from math import nan
 from typing import Any, Generic
 
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 
 from fringedic.errors import (
     CalibrationMissingError,
@@ -52,7 +51,6 @@ ERROR_CODES: dict[type[Exception], int] = {
 REMEMBERED_STEPS = 1000
 JOINED_STEPS = 4  # incomplete ones, kept until their last message comes
 QUEUED_STEPS = 16  # complete ones, waiting for the worker
-CONNECT_TIMEOUT = 2.0  # [s]
 
 
 @dataclass(frozen=True)
@@ -136,7 +134,6 @@ class ProcessingNode(Node, Generic[ModelT]):
         self.diagnostics = NodeDiagnostics(self)
         self.worker = Worker(self)
         self._answered: OrderedDict[tuple[str, int], None] = OrderedDict()
-        self._connected: set[Publisher] = set()
         self._unjoined = 0
         self._statuses = self.create_publisher(NodeStatus, f"{name}/status", EVENTS)
 
@@ -155,17 +152,6 @@ class ProcessingNode(Node, Generic[ModelT]):
             self.answer(experiment, step, stamp, NodeStatus.FAILED, behind)
         elif self._close(experiment, step):
             self.worker.submit(self._measure, experiment, step, stamp, work, time.monotonic())
-
-    def publish(self, publisher: Publisher, message: Any) -> None:
-        """Publish a result from the worker; the first one waits for readers that are there but not yet connected."""
-        if publisher not in self._connected:
-            self._connected.add(publisher)
-            deadline = time.monotonic() + CONNECT_TIMEOUT
-            while publisher.get_subscription_count() < self.count_subscribers(publisher.topic_name):
-                if time.monotonic() > deadline:
-                    break
-                time.sleep(0.005)
-        publisher.publish(message)
 
     def answer(self, experiment: str, step: int, stamp: int, error_code: int, error_message: str = "") -> None:
         """End a step without any work, unless it has been answered."""

@@ -8,6 +8,7 @@ from rclpy.publisher import Publisher
 from sensor_msgs.msg import Image
 
 from fringedic.chain import PhaseParameters, phase_step
+from fringedic.pictures import phase_preview
 from fringedic.sequence import PatternKind, Stack
 from fringedic_msgs.msg import Exposure, NodeStatus
 from fringedic_ros.frame_steps import FrameSteps
@@ -16,6 +17,8 @@ from fringedic_ros.main import run
 from fringedic_ros.processing import Outcome, ProcessingNode
 from fringedic_ros.qos import DERIVED, OVERRIDABLE
 from fringedic_ros.stamps import to_nanoseconds
+
+FRAME = "camera_optical_frame"
 
 
 class PhaseNode(ProcessingNode[PhaseParameters]):
@@ -50,14 +53,16 @@ class PhaseNode(ProcessingNode[PhaseParameters]):
 
     def _measure_phase(self, stack: Stack, parameters: PhaseParameters) -> Outcome:
         result = phase_step(stack, parameters)
-        frame = "camera_optical_frame"
         for publisher, array in (
             (self._map, result.phase),
             (self._sigma, result.sigma),
             (self._modulation, result.modulation),
             (self._texture, result.texture),
         ):
-            self.publish(publisher, image_message(array, stamp_ns=result.stamp, frame_id=frame))
+            publisher.publish(image_message(array, stamp_ns=result.stamp, frame_id=FRAME))
+        if self._preview.get_subscription_count():
+            colours = phase_preview(result.phase)
+            self._preview.publish(image_message(colours, stamp_ns=result.stamp, frame_id=FRAME))
         return Outcome(result.valid_fraction, result.rms, len(stack.records))
 
 

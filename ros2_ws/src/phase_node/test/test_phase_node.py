@@ -11,6 +11,7 @@ import rclpy
 from sensor_msgs.msg import Image
 
 from fringedic.chain import PhaseParameters, PhaseResult, phase_step
+from fringedic.pictures import phase_preview
 from fringedic.sequence import FrameCollector
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import NodeStatus
@@ -90,6 +91,18 @@ def test_parameters_change_from_the_next_step_on(bench: PhaseBench, name: str) -
     republished = {each.name: each.value.double_value for each in bench.node_parameters[-1].parameters}
     assert republished["read_noise_grey_level"] == 3.0
     bench.change(read_noise_grey_level=PhaseParameters().read_noise_grey_level)
+
+
+def test_preview_for_whoever_looks(bench: PhaseBench, name: str) -> None:
+    previews: list[Image] = []
+    viewer = bench.create_subscription(Image, "phase/preview", previews.append, DERIVED)
+    bench.serve(1.0)
+    frames = fringe_step(bench.rig, 0.0, name, 0)
+    bench.send(frames)
+    bench.status_of(name, 0)
+    bench.destroy_subscription(viewer)
+    assert [message.encoding for message in previews] == ["rgb8"]
+    np.testing.assert_array_equal(image_array(previews[0]), phase_preview(expected(frames, PhaseParameters()).phase))
 
 
 def test_white_step_has_nothing_to_measure(bench: PhaseBench, name: str) -> None:
