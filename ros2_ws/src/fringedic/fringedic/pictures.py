@@ -52,9 +52,10 @@ ERRORS = (
     Panel("w", "error of w", "µm", 1e-6),
 )
 IN_PLANE = (
-    Panel("texture", "texture", "grey level", 1.0, symmetric=False),
     Panel("displacement_x", "displacement along columns", "px", 1.0, symmetric=False),
     Panel("displacement_y", "displacement along rows, downwards", "px", 1.0, symmetric=False),
+    Panel("displacement_sigma_x", "its standard deviation along columns", "px", 1.0, symmetric=False),
+    Panel("displacement_sigma_y", "its standard deviation along rows", "px", 1.0, symmetric=False),
 )
 
 
@@ -172,7 +173,7 @@ def _draw(axes: Axes, values: np.ndarray, panel: Panel, extent: tuple[float, flo
         low = -high
     if high <= low:
         low, high = low - 0.5, low + 0.5
-    name = "gray" if panel.name == "texture" else "RdBu_r" if panel.symmetric else "viridis"
+    name = "RdBu_r" if panel.symmetric else "viridis"
     image = axes.imshow(
         shown,
         cmap=colormaps[name].with_extremes(bad=_NOT_MEASURED_COLOUR),

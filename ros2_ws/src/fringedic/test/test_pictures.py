@@ -31,7 +31,8 @@ def experiment(calibrated=True, white=()):
         "w": 1e-6 * (row[:, None] - column),
         "displacement_x": 0.1 * column + 0 * row[:, None],
         "displacement_y": -0.1 * (60 - row[:, None]) + 0 * column,
-        "texture": (7 * row[:, None] + 3 * column) % 100,
+        "displacement_sigma_x": 0.01 + (7 * row[:, None] + 3 * column) % 100,
+        "displacement_sigma_y": 0.02 + (3 * row[:, None] + 7 * column) % 100,
     }
     maps = {}
     for name, values in fields.items():
