@@ -1,0 +1,330 @@
+"""Plays the raw topics of a recording to fresh processing nodes, as fast as these go and without losing a frame."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import rclpy
+from pydantic import BaseModel, ConfigDict, Field
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.serialization import deserialize_message
+from rclpy.task import Future
+
+from experiment_node.messages import header_stamp, message_type
+from experiment_node.topics import (
+    CALIBRATION,
+    DERIVED_TOPICS,
+    EXPOSURE,
+    IMAGE,
+    NODE_PARAMETERS,
+    PROCESSING_INPUTS,
+    RAW_TOPICS,
+    REFERENCE,
+    STEP,
+)
+from fringedic.errors import FringedicError, NotAnsweredError
+from fringedic.recording import BagReader, RawMessage
+from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, StepStatus
+from fringedic_ros.parameters import declare
+from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
+from fringedic_ros.stamps import to_nanoseconds
+
+# Frames on their way at once; half of what the nodes' image subscriptions keep.
+FRAMES_AHEAD = 32
+PROFILES = {
+    IMAGE: IMAGES,
+    EXPOSURE: IMAGES,
+    "load_frame/state": STATE,
+    REFERENCE: LATCHED,
+    CALIBRATION: LATCHED,
+    NODE_PARAMETERS: LATCHED_BY_MANY,
+}
+
+
+class PlayerParameters(BaseModel):
+    """Parameters of the player."""
+
+    model_config = ConfigDict(frozen=True)
+
+    bag_path: str = Field("", description="Folder of the recording to play.")
+    recorder: bool = Field(False, description="Wait for a recorder of raw and derived topics before playing.")
+    overrides: list[str] = Field(
+        [], description="Parameters that keep the nodes' values instead of the recorded ones, such as dic.window."
+    )
+    timeout_s: float = Field(
+        300.0, gt=0, le=86400, description="Longest wait for nodes to appear and for the answers to one step [s]."
+    )
+
+
+@dataclass
+class RecordedStep:
+    """Messages of one step in the order of publishing, from its BEGIN to the BEGIN of the next.
+
+    What comes before the first step of a recording has no ``begin``.
+    """
+
+    begin: StepStatus | None
+    messages: list[RawMessage] = field(default_factory=list)
+
+
+class PlayerNode(Node):
+    """Plays one recording, step by step.
+
+    The next step begins when phase, displacement and coupling have answered the present one. Reference, calibration
+    and parameters reach every node before the frames that follow them: each node is asked for a parameter in between,
+    and it answers after the messages it got before. Serialised messages are published unchanged.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("player")
+        self.parameters = declare(self, PlayerParameters)
+        self._overrides = set(self.parameters.value.overrides)
+        self._publishers_by_topic: dict[str, Publisher] = {}
+        self._answers: dict[str, NodeStatus] = {}
+        self._spinner = SingleThreadedExecutor()
+        self._spinner.add_node(self)
+        for node in PROCESSING_INPUTS:
+            self.create_subscription(NodeStatus, f"{node}/status", self._answered, EVENTS)
+        self._get = {
+            node: self.create_client(GetParameters, f"{node}/get_parameters") for node in self._expected_nodes()
+        }
+        self._set = {
+            node: self.create_client(SetParametersAtomically, f"{node}/set_parameters_atomically")
+            for node in PROCESSING_INPUTS
+        }
+        self.problems: list[str] = []
+
+    def play(self) -> str:
+        """Play the recording and return one line that says what was played.
+
+        Raises
+        ------
+        MissingTopicError
+            The recording lacks frames, exposures or steps.
+        NotAnsweredError
+            A node did not appear, or did not answer a step, in time.
+        """
+        bag = BagReader(Path(self.parameters.value.bag_path))
+        bag.find(IMAGE, EXPOSURE, STEP)
+        names = {full: name for name, full in bag.find_optional(*RAW_TOPICS).items()}
+        for full, name in names.items():
+            kind = message_type(bag.topics[full].type_name)
+            self._publishers_by_topic[name] = self.create_publisher(kind, name, PROFILES.get(name, EVENTS))
+        self._wait_for_nodes()
+        steps = frames = 0
+        for step in split_steps(message._replace(topic=names[message.topic]) for message in bag.published(names)):
+            frames += self._play_step(step)
+            steps += step.begin is not None
+        self._barrier()
+        return f"{steps} steps, {frames} frames, {len(self.problems)} problems"
+
+    def _play_step(self, step: RecordedStep) -> int:
+        """Play one step, wait for its answers and return the number of its frames."""
+        self._answers.clear()
+        complete = step.begin is not None and is_complete(step)
+        if step.begin is not None:
+            self.get_logger().info(f"{_name(step.begin)}")
+        frames = 0
+        settled = False
+        for message in step.messages:
+            if message.topic == IMAGE:
+                if frames % FRAMES_AHEAD == 0 or not settled:
+                    self._barrier()
+                    settled = True
+                frames += 1
+            elif message.topic == NODE_PARAMETERS and self._give_parameters(message):
+                continue
+            elif message.topic in (REFERENCE, CALIBRATION):
+                settled = False
+            elif message.topic == STEP and _ends(message):
+                if complete:
+                    self._wait_for_answers(step.begin)
+                else:
+                    self._barrier()
+            self._publishers_by_topic[message.topic].publish(message.data)
+        if complete:
+            self._wait_for_answers(step.begin)
+        elif step.begin is not None:
+            self._end_incomplete(step)
+        return frames
+
+    def _end_incomplete(self, step: RecordedStep) -> None:
+        """Settle a step whose last frame is not in the recording: nodes answer it only if its end was an error."""
+        ends = [deserialize_message(each.data, StepStatus) for each in step.messages if each.topic == STEP]
+        if any(each.stage == StepStatus.ERROR for each in ends):
+            self._wait_for_answers(step.begin)
+        elif any(each.stage == StepStatus.END for each in ends):
+            self.problems.append(f"{_name(step.begin)}: frames are missing in the recording, no results")
+        else:
+            self.problems.append(f"{_name(step.begin)}: the recording ends within this step, no results")
+        self._barrier()
+
+    def _wait_for_nodes(self) -> None:
+        """Wait until everybody who should listen has matched every topic he listens to."""
+
+        def deaf() -> list[str]:
+            missing = []
+            for node, inputs in self._inputs().items():
+                topics = [name for name in inputs if node not in self._listeners(name)]
+                if topics:
+                    missing.append(f"{node} (to {', '.join(topics)})")
+            missing += [
+                f"{node} (no parameter service)" for node, client in self._get.items() if not client.service_is_ready()
+            ]
+            return missing
+
+        self._wait(lambda: not deaf(), lambda: f"these nodes do not listen: {'; '.join(deaf())}")
+        for name, publisher in self._publishers_by_topic.items():
+            listeners = sum(name in inputs for inputs in self._inputs().values())
+            self._wait(
+                partial(_has_subscribers, publisher, listeners), f"{name} has not reached everybody who listens".format
+            )
+
+    def _inputs(self) -> dict[str, list[str]]:
+        """Return which topics each expected node must listen to."""
+        played = self._publishers_by_topic
+        inputs = {
+            node: [name for name in names if name in played or name in DERIVED_TOPICS]
+            for node, names in PROCESSING_INPUTS.items()
+        }
+        if self.parameters.value.recorder:
+            inputs["recorder"] = [
+                *played,
+                *(name for name in DERIVED_TOPICS if self.count_publishers(self.resolve_topic_name(name))),
+            ]
+        return inputs
+
+    def _listeners(self, name: str) -> set[str]:
+        return {each.node_name for each in self.get_subscriptions_info_by_topic(self.resolve_topic_name(name))}
+
+    def _expected_nodes(self) -> list[str]:
+        return [*PROCESSING_INPUTS, *(["recorder"] if self.parameters.value.recorder else [])]
+
+    def _barrier(self) -> None:
+        """Return when every node has handled what was published so far.
+
+        A node's executor takes messages before service requests, so that its answer to a request follows the
+        handling of every message that had reached it; the acknowledgement says that they have.
+        """
+        for publisher in self._publishers_by_topic.values():
+            publisher.wait_for_all_acked()
+        calls = {node: client.call_async(GetParameters.Request()) for node, client in self._get.items()}
+        self._wait_for_calls(calls)
+
+    def _give_parameters(self, message: RawMessage) -> bool:
+        """Set recorded parameters in the processing node that they belong to; False when it is not among them."""
+        recorded = deserialize_message(message.data, NodeParameters)
+        if recorded.node not in self._set:
+            return False
+        chosen = [each for each in recorded.parameters if f"{recorded.node}.{each.name}" not in self._overrides]
+        request = SetParametersAtomically.Request(parameters=chosen)
+        call = self._set[recorded.node].call_async(request)
+        self._wait_for_calls({recorded.node: call})
+        result = call.result().result
+        if not result.successful:
+            self.problems.append(f"{recorded.node} refuses its recorded parameters: {result.reason}")
+        return True
+
+    def _wait_for_calls(self, calls: dict[str, Future]) -> None:
+        def silent() -> str:
+            return ", ".join(node for node, call in calls.items() if not call.done())
+
+        self._wait(lambda: not silent(), lambda: f"no answer from {silent()}")
+
+    def _answered(self, status: NodeStatus) -> None:
+        self._answers[status.node] = status
+        if status.error_code != NodeStatus.NONE:
+            self.get_logger().warning(f"{status.node}, step {status.step}: {status.error_message}")
+
+    def _wait_for_answers(self, step: StepStatus) -> None:
+        def silent() -> list[str]:
+            return [
+                node
+                for node in PROCESSING_INPUTS
+                if node not in self._answers
+                or (self._answers[node].experiment, self._answers[node].step) != (step.experiment, step.step)
+            ]
+
+        def words() -> str:
+            said = ", ".join(f"{node}: {each.error_message or 'done'}" for node, each in self._answers.items())
+            return f"{_name(step)}: no status from {', '.join(silent())} (from others: {said or 'none'})"
+
+        self._wait(lambda: not silent(), words)
+
+    def _wait(self, done: Callable[[], bool], words: Callable[[], str]) -> None:
+        """Spin until `done`; the time-out only ends a replay that would never end."""
+        timeout = self.parameters.value.timeout_s
+        end = self.get_clock().now().nanoseconds + int(timeout * 1e9)
+        while not done():
+            self._spinner.spin_once(timeout_sec=0.05)
+            if self.get_clock().now().nanoseconds > end:
+                raise NotAnsweredError(f"{words()} after {timeout:g} s")
+
+
+def split_steps(messages: Iterable[RawMessage]) -> Iterator[RecordedStep]:
+    """Cut messages with relative topic names, in the order of publishing, at the BEGIN of each step."""
+    current = RecordedStep(None)
+    for message in messages:
+        if message.topic == STEP:
+            status = deserialize_message(message.data, StepStatus)
+            if status.stage == StepStatus.BEGIN:
+                yield current
+                current = RecordedStep(status)
+        current.messages.append(message)
+    yield current
+
+
+def is_complete(step: RecordedStep) -> bool:
+    """Return whether the last frame of a step's sequence is there with its exposure record.
+
+    Then the nodes answer by themselves, with an error if an earlier frame is missing.
+    """
+    images = {header_stamp(each.data) for each in step.messages if each.topic == IMAGE}
+    for message in step.messages:
+        if message.topic == EXPOSURE:
+            exposure = deserialize_message(message.data, Exposure)
+            if exposure.index == exposure.count - 1 and to_nanoseconds(exposure.header.stamp) in images:
+                return True
+    return False
+
+
+def _has_subscribers(publisher: Publisher, count: int) -> bool:
+    return publisher.get_subscription_count() >= count
+
+
+def _ends(message: RawMessage) -> bool:
+    return deserialize_message(message.data, StepStatus).stage in (StepStatus.END, StepStatus.ERROR)
+
+
+def _name(step: StepStatus) -> str:
+    return f"experiment '{step.experiment}', step {step.step}"
+
+
+def main() -> None:
+    """Play the recording named by the parameter ``bag_path``; the exit code is 0 when everybody answered."""
+    rclpy.init()
+    player = None
+    try:
+        player = PlayerNode()
+        print(player.play(), flush=True)
+        for problem in player.problems:
+            print(problem, flush=True)
+        code = 0
+    except FringedicError as error:
+        print(error, file=sys.stderr, flush=True)
+        code = 1
+    except (KeyboardInterrupt, ExternalShutdownException):
+        print("the replay was interrupted", file=sys.stderr, flush=True)
+        code = 1
+    finally:
+        if player:
+            player.destroy_node()
+        rclpy.try_shutdown()
+    sys.exit(code)

@@ -1,0 +1,262 @@
+"""Records the raw topics of a rig, and the derived ones on request, as they come over the wire."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.serialization import deserialize_message
+from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+
+from experiment_node.messages import header_stamp, message_type
+from experiment_node.tally import ExposureTally
+from experiment_node.topics import DERIVED_TOPICS, EXPOSURE, IMAGE, RAW_TOPICS, STEP
+from fringedic.errors import FringedicError
+from fringedic.recording import BagWriter, Qos
+from fringedic_msgs.msg import RecorderStatus, StepStatus
+from fringedic_ros.main import run
+from fringedic_ros.parameters import declare
+from fringedic_ros.qos import LATCHED
+
+DISCOVERY_PERIOD_S = 0.1
+# Messages between the middleware and the disk: 34 s of 30 images/s.
+BACKLOG = 1024
+# Both are larger than a sequence or half a second of a 2 kHz load cell, whatever the publisher keeps itself.
+RECORDING_DEPTH = 1000
+IMAGE_DEPTH = 128
+
+
+class RecorderParameters(BaseModel):
+    """Parameters of the recorder."""
+
+    model_config = ConfigDict(frozen=True)
+
+    bag_path: str = Field("", description="Folder of the recording, must not exist yet; empty: nothing is recorded.")
+    derived: bool = Field(False, description="Record phase, displacement and clouds too, not only raw topics.")
+    compression: Literal["none", "zstd"] = Field("none", description="Compression of the recording.")
+    flush_interval_s: float = Field(
+        0.5, gt=0, le=60, description="What was received longer ago survives a kill of the recorder [s]."
+    )
+
+
+class RecorderNode(Node):
+    """Subscribes to every topic that belongs in a recording as soon as somebody publishes it.
+
+    Messages are taken as serialised bytes and written unchanged by a thread of their own; only the header stamp of
+    images and exposures and the stage of steps are looked at. A failure to write ends the recording, not the node.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("recorder")
+        self.parameters = declare(self, RecorderParameters)
+        self._subscriptions_by_topic: dict[str, Subscription] = {}
+        self._refused: set[str] = set()
+        self._tally = ExposureTally()
+        self._status = RecorderStatus(state=RecorderStatus.IDLE)
+        self._status_publisher = self.create_publisher(RecorderStatus, "recorder/status", LATCHED)
+        self._writing: _WritingThread | None = None
+
+        chosen = self.parameters.value
+        self._topics = RAW_TOPICS + (DERIVED_TOPICS if chosen.derived else ())
+        if chosen.bag_path:
+            self._open(chosen)
+        self.create_timer(DISCOVERY_PERIOD_S, self._discover)
+        self.create_timer(1.0, self._publish_status)
+        self._publish_status()
+
+    def destroy_node(self) -> None:
+        """Write what is still in hand and close the bag first."""
+        self._close()
+        super().destroy_node()
+
+    def _close(self) -> None:
+        if self._writing:
+            self._writing.close()
+            self._writing = None
+
+    def _open(self, chosen: RecorderParameters) -> None:
+        self._status.path = str(Path(chosen.bag_path).absolute())
+        try:
+            writer = BagWriter(
+                Path(chosen.bag_path), compression=chosen.compression, flush_interval_s=chosen.flush_interval_s
+            )
+        except (FringedicError, OSError) as error:
+            self._fail(str(error))
+            return
+        self._writing = _WritingThread(writer, chosen.flush_interval_s)
+        self._status.state = RecorderStatus.STARTING
+
+    def _discover(self) -> None:
+        """Subscribe to what is new, and begin recording once all that exists has matched."""
+        if self._writing and self._writing.error:
+            self._fail(self._writing.error)
+        if not self._writing:
+            return
+        unmatched = False
+        for name in self._topics:
+            topic = self.resolve_topic_name(name)
+            publishers = [each for each in self.get_publishers_info_by_topic(topic) if each.topic_type]
+            if publishers and topic not in self._subscriptions_by_topic and topic not in self._refused:
+                self._subscribe(name, topic, publishers)
+            subscription = self._subscriptions_by_topic.get(topic)
+            if subscription and name in RAW_TOPICS and subscription.get_publisher_count() < len(publishers):
+                unmatched = True
+        if self._status.state == RecorderStatus.STARTING and self._subscriptions_by_topic and not unmatched:
+            self._status.state = RecorderStatus.RECORDING
+            self._publish_status()
+
+    def _subscribe(self, name: str, topic: str, publishers: list[TopicEndpointInfo]) -> None:
+        first = publishers[0]
+        assert self._writing is not None
+        try:
+            kind = message_type(first.topic_type)
+            offered = [_described(each.qos_profile) for each in publishers]
+            self._writing.add_topic(topic, first.topic_type, offered, str(first.topic_type_hash))
+        except (FringedicError, OSError, ImportError, AttributeError) as error:
+            self._refused.add(topic)
+            self._status.error_message = f"{topic} is not recorded: {error}"
+            self.get_logger().error(self._status.error_message)
+            self._publish_status()
+            return
+
+        def take(data: bytes, info: dict[str, Any]) -> None:
+            self._take(name, topic, data, info)
+
+        self._subscriptions_by_topic[topic] = self.create_subscription(
+            kind,
+            topic,
+            take,  # type: ignore[arg-type]
+            _profile(name, publishers),
+            raw=True,
+        )
+
+    def _take(self, name: str, topic: str, data: bytes, info: dict[str, Any]) -> None:
+        if not self._writing:
+            return
+        received = self.get_clock().now().nanoseconds
+        self._writing.put(topic, data, received, info["source_timestamp"] or received)
+        if name == IMAGE:
+            self._status.images += 1
+            self._tally.add_image(header_stamp(data))
+        elif name == EXPOSURE:
+            self._tally.add_exposure(header_stamp(data))
+        elif name == STEP:
+            stage = deserialize_message(data, StepStatus).stage
+            if stage in (StepStatus.END, StepStatus.ERROR):
+                self._tally.end_step()
+                self._writing.sync()
+
+    def _fail(self, reason: str) -> None:
+        if self._status.state != RecorderStatus.FAILED:
+            self.get_logger().error(f"recording has stopped: {reason}")
+        self._status.state = RecorderStatus.FAILED
+        self._status.error_message = reason
+        for subscription in self._subscriptions_by_topic.values():
+            self.destroy_subscription(subscription)
+        self._subscriptions_by_topic.clear()
+        self._close()
+        self._publish_status()
+
+    def _publish_status(self) -> None:
+        self._status.header.stamp = self.get_clock().now().to_msg()
+        self._status.missing_images = self._tally.missing
+        if self._writing:
+            self._status.messages = self._writing.messages
+            self._status.bytes = self._writing.bytes
+        self._status_publisher.publish(self._status)
+
+
+class _WritingThread:
+    """Writes to the bag in the order of `put`, away from the middleware's thread.
+
+    A full queue makes `put` wait: the middleware then holds the images back, which its depth is made for. After an
+    error everything is dropped and `error` says why.
+    """
+
+    def __init__(self, writer: BagWriter, flush_interval_s: float) -> None:
+        self.error = ""
+        self.messages = 0
+        self.bytes = 0
+        self._writer = writer
+        self._writer_lock = threading.Lock()
+        self._flush_interval_s = flush_interval_s
+        self._queue: queue.Queue[tuple[str, bytes, int, int] | Literal["sync", "end"]] = queue.Queue(BACKLOG)
+        self._thread = threading.Thread(target=self._run, name="bag writer", daemon=True)
+        self._thread.start()
+
+    def add_topic(self, topic: str, type_name: str, offered: list[Qos], publisher_hash: str) -> None:
+        with self._writer_lock:
+            self._writer.add_topic(topic, type_name, offered, publisher_hash=publisher_hash)
+
+    def put(self, topic: str, data: bytes, received: int, published: int) -> None:
+        self._queue.put((topic, data, received, published))
+
+    def sync(self) -> None:
+        """Have everything put so far on the disk, where it survives a power cut."""
+        self._queue.put("sync")
+
+    def close(self) -> None:
+        """Write what was put, close the bag and end the thread."""
+        self._queue.put("end")
+        self._thread.join()
+
+    def _run(self) -> None:
+        ended = False
+        while not ended:
+            try:
+                item: tuple[str, bytes, int, int] | Literal["sync", "end", "flush"]
+                item = self._queue.get(timeout=self._flush_interval_s)
+            except queue.Empty:
+                item = "flush"
+            ended = item == "end"
+            if not self.error or ended:
+                try:
+                    with self._writer_lock:
+                        self._handle(item)
+                except (FringedicError, OSError) as error:
+                    self.error = self.error or str(error)
+
+    def _handle(self, item: tuple[str, bytes, int, int] | Literal["sync", "end", "flush"]) -> None:
+        match item:
+            case "end":
+                self._writer.close()
+            case "sync":
+                self._writer.sync()
+                self.bytes = self._writer.size
+            case "flush":
+                self._writer.flush()
+                self.bytes = self._writer.size  # fails when somebody has removed the file
+            case _:
+                self._writer.write(*item)
+                self.messages += 1
+
+
+def _described(profile: QoSProfile) -> Qos:
+    return Qos(
+        depth=profile.depth,
+        reliability="best_effort" if profile.reliability == ReliabilityPolicy.BEST_EFFORT else "reliable",
+        durability="transient_local" if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL else "volatile",
+    )
+
+
+def _profile(name: str, publishers: list[TopicEndpointInfo]) -> QoSProfile:
+    """Return a QoS that every publisher of a topic can serve, as strict as they allow, with a depth of our own."""
+    offered = [each.qos_profile for each in publishers]
+    reliable = all(each.reliability == ReliabilityPolicy.RELIABLE for each in offered)
+    latched = all(each.durability == DurabilityPolicy.TRANSIENT_LOCAL for each in offered)
+    return QoSProfile(
+        depth=IMAGE_DEPTH if name == IMAGE else RECORDING_DEPTH,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def main() -> int:
+    """Run the recorder until SIGINT or SIGTERM, then close the bag."""
+    return run(RecorderNode)

@@ -1,0 +1,58 @@
+"""Which topics of a rig a recording holds, by their names relative to the rig's namespace."""
+
+from __future__ import annotations
+
+STEP = "experiment/step"
+REFERENCE = "experiment/reference"
+CALIBRATION = "calibration"
+NODE_PARAMETERS = "node_parameters"
+IMAGE = "camera/image_raw"
+EXPOSURE = "camera/exposure"
+
+# Everything that the results follow from. Without these a test cannot be evaluated again.
+RAW_TOPICS = (
+    IMAGE,
+    "camera/camera_info",
+    EXPOSURE,
+    STEP,
+    REFERENCE,
+    CALIBRATION,
+    NODE_PARAMETERS,
+    "load_frame/state",
+    "load_frame/wrench",
+    "load_frame/joint_states",
+    "/tf_static",
+)
+
+# What the processing nodes compute from them.
+DERIVED_TOPICS = (
+    "phase/map",
+    "phase/sigma",
+    "phase/modulation",
+    "phase/texture",
+    "phase/status",
+    "dic/displacement",
+    "dic/sigma",
+    "dic/camera_info",
+    "dic/status",
+    "coupling/shape",
+    "coupling/displacement",
+    "coupling/status",
+)
+
+# What each processing node listens to: a replay begins when all of these have found each other.
+PROCESSING_INPUTS = {
+    "phase": (IMAGE, EXPOSURE, STEP),
+    "dic": (IMAGE, EXPOSURE, STEP, REFERENCE, "phase/texture", "phase/status"),
+    "coupling": (
+        STEP,
+        REFERENCE,
+        CALIBRATION,
+        "phase/map",
+        "phase/sigma",
+        "phase/status",
+        "dic/displacement",
+        "dic/sigma",
+        "dic/status",
+    ),
+}

@@ -1,0 +1,235 @@
+"""The recorder node: what it records, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+import yaml
+from sensor_msgs.msg import Image
+
+from experiment_node.tally import ExposureTally
+from fringedic.recording import BagReader
+from fringedic.sequence import FrameRecord, PatternKind, Projection
+from fringedic_msgs.msg import Exposure, LoadState, NodeStatus, RecorderStatus, RigCalibration, StepStatus
+from fringedic_ros.images import image_message
+from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, STATE
+from fringedic_ros.records import exposure_message
+from fringedic_ros.testing import NodeProcess, Peer
+
+DOMAIN = 60
+
+
+class Rig(Peer):
+    """Publishes what a rig would."""
+
+    def __init__(self) -> None:
+        super().__init__("rig")
+        self.images = self.create_publisher(Image, "camera/image_raw", IMAGES)
+        self.exposures = self.create_publisher(Exposure, "camera/exposure", IMAGES)
+        self.steps = self.create_publisher(StepStatus, "experiment/step", EVENTS)
+        self.load = self.create_publisher(LoadState, "load_frame/state", STATE)
+        self.phase = self.create_publisher(NodeStatus, "phase/status", EVENTS)
+        self.calibration = self.create_publisher(RigCalibration, "calibration", LATCHED)
+        self.calibration.publish(RigCalibration(identifier="before the recorder"))
+        self.statuses: list[RecorderStatus] = self.listen(RecorderStatus, "recorder/status", LATCHED)
+
+    def connect(self) -> None:
+        self.wait(lambda: self.state == RecorderStatus.RECORDING, "recording")
+        for publisher in (self.images, self.exposures, self.steps, self.load):
+            self.wait(publisher.get_subscription_count, publisher.topic_name)
+
+    @property
+    def state(self) -> int | None:
+        return self.statuses[-1].state if self.statuses else None
+
+    def image(self, stamp: int, pixels: np.ndarray) -> None:
+        self.images.publish(image_message(pixels, stamp_ns=stamp, frame_id="camera_optical_frame"))
+
+    def exposure(self, stamp: int, index: int = 0, count: int = 4) -> None:
+        record = FrameRecord("test", 0, index, count, Projection(PatternKind.WHITE), stamp, 0.01)
+        self.exposures.publish(exposure_message(record, frame_id="camera_optical_frame"))
+
+    def end_step(self) -> None:
+        self.steps.publish(StepStatus(experiment="test", step=0, stage=StepStatus.END))
+
+
+@pytest.fixture
+def rig(monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    rclpy.init(domain_id=DOMAIN)
+    node = Rig()
+    yield node
+    node.destroy_node()
+    rclpy.shutdown()
+
+
+def recorder(folder: Path, **parameters: Any) -> NodeProcess:
+    return NodeProcess("experiment_node.recorder_node", DOMAIN, folder, {"bag_path": str(folder / "bag")} | parameters)
+
+
+def test_what_was_published_is_in_the_bag_bit_by_bit(rig: Rig, tmp_path: Path) -> None:
+    frames = [np.full((48, 64), value, np.uint8) + np.arange(64, dtype=np.uint8) for value in range(4)]
+    with recorder(tmp_path):
+        rig.connect()
+        for index, pixels in enumerate(frames):
+            rig.image(1000 + index, pixels)
+            rig.exposure(1000 + index, index)
+        rig.load.publish(LoadState(force=12.5, position=1e-3))
+        rig.phase.publish(NodeStatus(node="phase"))
+        rig.end_step()
+        rig.wait(lambda: rig.statuses[-1].messages >= 11, "all messages to be written")
+        status = rig.statuses[-1]
+        assert (status.images, status.missing_images) == (4, 0)
+        assert status.path == str(tmp_path / "bag") and status.bytes > 4 * 48 * 64
+
+    bag = BagReader(tmp_path / "bag")
+    assert not bag.lost
+    assert bag.counts == {
+        "/camera/image_raw": 4,
+        "/camera/exposure": 4,
+        "/experiment/step": 1,
+        "/load_frame/state": 1,
+        "/calibration": 1,
+    } | ({"/node_parameters": 1} if "/node_parameters" in bag.counts else {})
+    recorded = [message for _, message, _ in bag.messages(["/camera/image_raw"])]
+    for index, pixels in enumerate(frames):
+        assert np.array_equal(np.reshape(recorded[index].data, pixels.shape), pixels)
+        assert recorded[index].header.stamp.nanosec == 1000 + index
+    (calibration,) = [message for _, message, _ in bag.messages(["/calibration"])]
+    assert calibration.identifier == "before the recorder"
+    qos = yaml.safe_load(bag.topics["/calibration"].qos)
+    assert qos[0]["durability"] == "transient_local"
+
+
+def test_derived_topics_are_recorded_on_request(rig: Rig, tmp_path: Path) -> None:
+    with recorder(tmp_path, derived=True):
+        rig.connect()
+        rig.wait(rig.phase.get_subscription_count, "subscription to phase/status")
+        rig.phase.publish(NodeStatus(node="phase", step=7))
+        rig.wait(lambda: rig.statuses[-1].messages >= 2, "the message to be written")
+    (status,) = [message for _, message, _ in BagReader(tmp_path / "bag").messages(["/phase/status"])]
+    assert status.step == 7
+
+
+def test_an_exposure_without_image_is_counted(rig: Rig, tmp_path: Path) -> None:
+    pixels = np.zeros((8, 8), np.uint8)
+    with recorder(tmp_path):
+        rig.connect()
+        rig.image(1, pixels)
+        for stamp in (1, 2, 3):
+            rig.exposure(stamp)
+        rig.image(3, pixels)
+        rig.wait(lambda: rig.statuses[-1].missing_images == 1, "the missing image to be told")
+
+
+def test_killed_in_the_middle_it_leaves_a_readable_bag(rig: Rig, tmp_path: Path) -> None:
+    process = recorder(tmp_path, flush_interval_s=0.1)
+    process.__enter__()
+    rig.connect()
+    for stamp in range(20):
+        rig.image(stamp, np.full((480, 640), stamp, np.uint8))
+        rig.serve(0.02)
+    rig.wait(lambda: rig.statuses[-1].images == 20, "twenty images")
+    rig.serve(0.3)
+    process.process.kill()
+    process.process.wait()
+
+    bag = BagReader(tmp_path / "bag")
+    assert bag.lost
+    values = [int(message.data[0]) for _, message, _ in bag.messages(["/camera/image_raw"])]
+    assert values == list(range(20))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_close_the_bag(rig: Rig, tmp_path: Path, number: signal.Signals) -> None:
+    process = recorder(tmp_path)
+    process.__enter__()
+    rig.connect()
+    rig.exposure(1)
+    rig.wait(lambda: rig.statuses[-1].messages >= 2, "the message to be written")
+    process.process.send_signal(number)
+    assert process.process.wait(20) == 0, process.log
+    assert not BagReader(tmp_path / "bag").lost
+
+
+def test_a_removed_folder_fails_the_recording_with_words_and_not_the_node(rig: Rig, tmp_path: Path) -> None:
+    with recorder(tmp_path, flush_interval_s=0.1) as process:
+        rig.connect()
+        shutil.rmtree(tmp_path / "bag")
+        rig.wait(lambda: rig.state == RecorderStatus.FAILED, "the failure to be told")
+        assert str(tmp_path / "bag") in rig.statuses[-1].error_message
+        rig.exposure(1)
+        rig.serve(0.3)
+        assert process.process.poll() is None
+
+
+def test_a_full_disk_fails_the_recording_and_keeps_what_was_written(rig: Rig, tmp_path: Path) -> None:
+    limited = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000)); "
+    command = limited + "from experiment_node.recorder_node import main; sys.exit(main())"
+    arguments = ["--ros-args", "-p", f"bag_path:={tmp_path / 'bag'}", "-p", "flush_interval_s:=0.1"]
+    environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)}
+    with subprocess.Popen([sys.executable, "-c", command, *arguments], env=environment) as process:
+        try:
+            rig.connect()
+            noise = np.random.default_rng(1).integers(0, 255, (1000, 1000), np.uint8)
+            for stamp in range(8):
+                rig.image(stamp, noise)
+            rig.wait(lambda: rig.state == RecorderStatus.FAILED, "the failure to be told")
+            assert "the disk is full" in rig.statuses[-1].error_message
+            assert process.poll() is None
+        finally:
+            process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 0
+    assert BagReader(tmp_path / "bag").counts["/camera/image_raw"] >= 1
+
+
+def test_an_existing_folder_is_not_overwritten(rig: Rig, tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "precious").write_text(json.dumps(1))
+    with recorder(tmp_path):
+        rig.wait(lambda: rig.state == RecorderStatus.FAILED, "the failure to be told")
+        assert "exists already" in rig.statuses[-1].error_message
+    assert os.listdir(tmp_path / "bag") == ["precious"]
+
+
+def test_thirty_images_a_second_lose_none(rig: Rig, tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).integers(0, 255, (960, 1280), np.uint8)
+    frames = 60
+    with recorder(tmp_path):
+        rig.connect()
+        for index in range(frames):
+            rig.image(index + 1, noise)
+            rig.exposure(index + 1, index, frames)
+            rig.serve(1 / 30)
+        rig.end_step()
+        rig.wait(lambda: rig.statuses[-1].messages >= 2 * frames + 2, "all messages to be written")
+        assert (rig.statuses[-1].images, rig.statuses[-1].missing_images) == (frames, 0)
+    stamps = [
+        message.header.stamp.nanosec for _, message, _ in BagReader(tmp_path / "bag").messages(["/camera/image_raw"])
+    ]
+    assert stamps == list(range(1, frames + 1))
+
+
+def test_tally_counts_what_newer_images_overtake() -> None:
+    tally = ExposureTally()
+    tally.add_exposure(10)
+    assert tally.missing == 0  # its image may be on the way
+    tally.add_image(20)
+    assert tally.missing == 1
+    tally.add_exposure(20)
+    tally.add_image(10)  # it was late after all
+    assert tally.missing == 0
+    tally.add_exposure(30)
+    tally.end_step()
+    assert tally.missing == 1
