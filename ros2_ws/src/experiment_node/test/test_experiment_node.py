@@ -13,6 +13,7 @@ from action_msgs.msg import GoalStatus
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.duration import Duration
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 from sensor_msgs.msg import Image
@@ -141,9 +142,20 @@ class Rig(Peer):
         sample.header.stamp = to_msg(self.clock_ns)
         self.load.publish(sample)
 
+    def say_load(self, mode: int) -> None:
+        """Publish a sample and return when the experiment node has taken it."""
+        self.publish_load(mode)
+        self.taken(self.load)
+
+    def taken(self, publisher: Any) -> None:
+        assert publisher.wait_for_all_acked(Duration(seconds=10))
+        # subscriptions are served before services: after any answer the message has been taken
+        self.call(self.set_reference, step=2**31)
+
     def publish_recorder(self, state: int) -> None:
         if self.recorder is None:
             self.recorder = self.create_publisher(RecorderStatus, "recorder/status", LATCHED)
+            self.wait(self.recorder.get_subscription_count, "a reader of the recorder's status")
         self.recorder.publish(RecorderStatus(state=state, error_message="disk full" if state == 3 else ""))
 
     def request(self, **goal: Any) -> Any:
@@ -226,7 +238,7 @@ def rig(running: Rig, request: pytest.FixtureRequest) -> Iterator[Rig]:
 
 def test_a_step_from_begin_to_end(rig: Rig, request: pytest.FixtureRequest) -> None:
     rig.load_mode = LoadState.HOLD
-    rig.publish_load(LoadState.HOLD)
+    rig.say_load(LoadState.HOLD)
     rig.wait(lambda: rig.node_parameters, "the node's parameters")
     assert "pitches_px" in [parameter.name for parameter in rig.node_parameters[0].parameters]
 
@@ -384,16 +396,14 @@ def test_a_failed_node_ends_the_sequence_early(rig: Rig) -> None:
 
 
 def test_the_machine_has_to_hold(rig: Rig) -> None:
-    rig.publish_load(LoadState.MOVING)
+    rig.say_load(LoadState.MOVING)
     failed = rig.step()
     assert failed.error_code == Result.LOAD_NOT_HELD and not rig.captured
-    rig.publish_load(LoadState.HOLD)
-    rig.serve(0.2)
+    rig.say_load(LoadState.HOLD)
     rig.load_mode = LoadState.MOVING  # starts to move during the exposures
     assert rig.step().error_code == Result.LOAD_NOT_HELD
     rig.load_mode = LoadState.IDLE
-    rig.publish_load(LoadState.IDLE)
-    rig.serve(0.2)
+    rig.say_load(LoadState.IDLE)
     assert rig.step().error_code == Result.NONE
 
 
@@ -408,7 +418,7 @@ def test_no_step_without_the_recorder(rig: Rig) -> None:
     rig.publish_recorder(RecorderStatus.RECORDING)
     assert rig.result(running)[1].error_code == Result.NONE
     rig.publish_recorder(RecorderStatus.FAILED)
-    rig.serve(0.2)
+    rig.taken(rig.recorder)
     stopped = rig.step()
     assert stopped.error_code == Result.RECORDER_FAILED and "disk full" in stopped.error_message
 
