@@ -6,9 +6,10 @@ at once, around a smoothed predictor S u:
 
     u = S u + H^-1 W * (grad f e),   e = f - g(x + S u),   H = W * (grad f grad f^T) + tau I
 
-W is a Gaussian of transfer h, S = 1 - (1 - W)^ORDER. The fixed point has the transfer
-T = h / (h + (1 - h)^(ORDER + 1)): flat to the order 2 (ORDER + 1), with bounded noise gain. The sums over pixels are
-taken once per warp and per cell of a few pixels; the fixed point is found on the cells, where a step costs little.
+W is a Gaussian of transfer h, S = 1 - (1 - V)^ORDER with V a narrower Gaussian of transfer v. The fixed point has the
+transfer T = h / (h + (1 - h) (1 - v)^ORDER): flat up to the order 2 (ORDER + 1), then falling like h, with a bounded
+noise gain and without overshoot. The sums over pixels are taken once per warp and per cell of a few pixels; the fixed
+point is found on the cells, where a step costs little.
 """
 
 from __future__ import annotations
@@ -27,49 +28,57 @@ from fringedic.errors import NoCorrelationError
 f4 = np.float32
 
 ORDER = 4
-ITERATIONS = 6  # of the fixed point per warp; it contracts by about a half each time
+NARROWER = 0.75  # the Gaussian of S against that of W
+ITERATIONS = 5  # of the fixed point per warp; it contracts by about a half each time
 # Displacement errors [px] that may be left at each warp of the finest, a middle and the coarsest level.
 EXPECTED = ((0.2, 0.05), (0.3, 0.1, 0.1), (0.5, 0.5, 0.5, 0.3, 0.3, 0.3, 0.1, 0.1))
+SETTLED = 0.1  # [px], largest change after which a coarse level is left
 
 
 @dataclass(frozen=True)
 class Window:
-    """Scale of the filters: nodes on square cells, Gaussian taps in cells, and their noise gain.
+    """Scale of the filters: nodes on square cells, Gaussian taps of W and of S in cells, and their noise gain.
 
     `noise` is the mean of T^2 over the frequencies of the nodes: the variance at a node over that of one cell.
     """
 
     width: int
-    deviation: float  # of the Gaussian [px]
+    deviation: float  # of W [px]
     cell: int
     taps: np.ndarray
+    smoothing: np.ndarray
     noise: float
+
+
+def _transfer(window: np.ndarray, smoothing: np.ndarray) -> np.ndarray:
+    """T of the fixed point from the transfers of W and of the Gaussian that S is made of."""
+    return window / (window + (1 - window) * (1 - smoothing) ** ORDER)
+
+
+def _gaussian(deviation: float) -> np.ndarray:
+    """Taps from the centre on, of unit sum over both sides."""
+    taps = np.exp(-0.5 * (np.arange(kernels.REACH + 1) / deviation) ** 2)
+    return taps / (taps[0] + 2 * taps[1:].sum())
 
 
 @lru_cache(maxsize=16)
 def window_of(width: int) -> Window:
     """Filters with the noise of a bi-triangular window of `width` pixels used on both images.
 
-    Such a window averages noise over the effective length (sum w^2)^2 / sum w^4 = (width - 1) / 1.8 per axis. For the
-    Gaussian of standard deviation s, the integral of T^2 over the frequencies is (n / (sqrt(2) pi s))^2 with
+    Such a window averages noise over the effective length (sum w^2)^2 / sum w^4 = (width - 1) / 1.8 per axis. For a
+    Gaussian W of standard deviation s, the integral of T^2 over the frequencies is (n / (sqrt(2) pi s))^2 with
     n^2 = pi times the integral of T^2 over q^2, h = exp(-q^2); both are made equal.
     """
     q2 = np.linspace(0, 40, 40001)
-    h = np.exp(-q2)
-    transfer = h / (h + (1 - h) ** (ORDER + 1))
+    transfer = _transfer(np.exp(-q2), np.exp(-q2 * NARROWER**2))
     n = np.sqrt(np.pi * np.sum(transfer**2) * (q2[1] - q2[0]))
-    deviation = n / (np.sqrt(2) * np.pi) * (width - 1) / 1.8
-    cell = max(1, width // 8)
-    s = deviation / cell
-    k = np.arange(int(np.ceil(3.2 * s)) + 1)
-    taps = np.exp(-0.5 * (k / s) ** 2)
-    taps /= taps[0] + 2 * taps[1:].sum()
-    angle = 2 * np.pi * np.fft.fftfreq(128)
-    along = taps[0] + 2 * np.cos(np.outer(angle, k[1:])) @ taps[1:]
-    window = np.outer(along, along)
-    smoothed = 1 - (1 - window) ** ORDER
-    gain = window / (1 - smoothed * (1 - window))
-    return Window(width, float(deviation), cell, taps.astype(f4), float(np.mean(gain**2)))
+    deviation = float(n / (np.sqrt(2) * np.pi) * (width - 1) / 1.8)
+    cell = round(width / 8)
+    taps, smoothing = _gaussian(deviation / cell), _gaussian(NARROWER * deviation / cell)
+    waves = np.cos(2 * np.pi * np.outer(np.fft.fftfreq(128), np.arange(kernels.REACH + 1)))
+    waves[:, 1:] *= 2
+    gain = _transfer(np.outer(waves @ taps, waves @ taps), np.outer(waves @ smoothing, waves @ smoothing))
+    return Window(width, deviation, cell, taps.astype(f4), smoothing.astype(f4), float(np.mean(gain**2)))
 
 
 @dataclass
@@ -81,23 +90,17 @@ class Field:
     noise: float  # standard deviation of the residual of a pixel
 
 
-def _solve(sums: np.ndarray, moment: np.ndarray, tau: float) -> np.ndarray:
-    """H^-1 times a moment (2, row, column)."""
-    xx, xy, yy = sums[kernels.GXX] + f4(tau), sums[kernels.GXY], sums[kernels.GYY] + f4(tau)
-    inverse = f4(1) / (xx * yy - xy * xy)
-    return np.stack([(yy * moment[0] - xy * moment[1]) * inverse, (xx * moment[1] - xy * moment[0]) * inverse])
-
-
 def _plane(field: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Affine part of a field (2, row, column): smoothing the rest keeps it exact up to the edges of what is seen."""
     _, rows, columns = field.shape
-    x, y = np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2
-    basis = np.stack([np.ones((rows, columns)), np.broadcast_to(x, (rows, columns)), np.repeat(y[:, None], columns, 1)])
-    weighted = basis * weight
-    normal = np.einsum("iyx,jyx->ij", weighted, basis)
-    right = np.einsum("iyx,cyx->ci", weighted, field)
-    coefficients = np.linalg.lstsq(normal, right.T, rcond=1e-9)[0]
-    return np.einsum("ic,iyx->cyx", coefficients, basis).astype(f4)
+    y, x = np.mgrid[:rows, :columns].astype(f4)
+    basis = np.stack([np.ones_like(x), x / columns, y / rows])
+    few = np.s_[..., ::4, ::4]
+    some, weighted = basis[few], basis[few] * weight[few]
+    normal = np.einsum("iyx,jyx->ij", weighted, some, dtype=np.float64)
+    right = np.einsum("iyx,cyx->ic", weighted, field[few], dtype=np.float64)
+    a = np.linalg.lstsq(normal, right, rcond=1e-9)[0].astype(f4)
+    return a[0, :, None, None] + a[1, :, None, None] * basis[1] + a[2, :, None, None] * basis[2]
 
 
 def _refine(level: Level, spline: np.ndarray, nodes: np.ndarray, window: Window, *, expected: float) -> Field:
@@ -108,7 +111,7 @@ def _refine(level: Level, spline: np.ndarray, nodes: np.ndarray, window: Window,
     cell = window.cell
     rows, columns = level.shape
     _, node_rows, node_columns = nodes.shape
-    lines = np.empty((4, node_rows, columns), f4)
+    lines = np.empty((4, node_rows + 4, columns), f4)
     kernels.widened(nodes, (np.arange(columns) - 0.5 * (cell - 1)) / cell, lines)
     residual = np.empty((rows, columns), f4)
     mean = np.empty((node_rows, node_columns), f4)
@@ -127,29 +130,13 @@ def _refine(level: Level, spline: np.ndarray, nodes: np.ndarray, window: Window,
     # tau: the gradient that the noise of one image alone would show, as an energy per cell.
     tau = cell * cell * max(DERIVATIVE_NOISE * noise**2 / 2, 1e-6 * slope**2)
     seen_cells = cells[kernels.W] / f4(cell * cell) + f4(1e-3)
-    weight = np.empty_like(seen_cells)
-    kernels.windowed(seen_cells[None], window.taps, weight[None])
-    inverse_weight = f4(1) / weight
     plane = _plane(nodes[:2], seen_cells)
     start = nodes[:2] - plane
-    u = start
-    gxx, gxy, gyy = cells[kernels.GXX], cells[kernels.GXY], cells[kernels.GYY]
-    moment, filtered = np.empty_like(start), np.empty_like(start)
-    for _ in range(ITERATIONS):
-        rest, smooth = u, np.zeros_like(u)
-        for _ in range(ORDER):
-            kernels.windowed(rest * seen_cells, window.taps, filtered)
-            filtered *= inverse_weight
-            smooth = smooth + filtered
-            rest = rest - filtered
-        change = smooth - start
-        moment[0] = cells[kernels.GXE] - gxx * change[0] - gxy * change[1]
-        moment[1] = cells[kernels.GYE] - gxy * change[0] - gyy * change[1]
-        kernels.windowed(moment, window.taps, filtered)
-        u = smooth + np.clip(_solve(sums, filtered, tau), -1, 1)
+    u = start.copy()
+    kernels.fixed_point(cells, sums, seen_cells, start, window.taps, window.smoothing, tau, ORDER, ITERATIONS, u)
     fresh = nodes.copy()
     fresh[:2] = u + plane
-    _update_brightness(fresh, sums, noise)
+    kernels.equalised(fresh, sums, noise**2 + 1e-6)
     return Field(fresh, sums, noise)
 
 
@@ -160,18 +147,6 @@ def _moments(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.n
     var_f = np.maximum(sums[kernels.WFF] * inverse - mean_f**2, 0)
     var_e = np.maximum(sums[kernels.WEE] * inverse - mean_e**2, 0)
     return mean_f, mean_e, var_f, var_e, sums[kernels.WEF] * inverse - mean_f * mean_e
-
-
-def _update_brightness(nodes: np.ndarray, sums: np.ndarray, noise: float) -> None:
-    """Gain and offset of g that give it the mean and the standard deviation of f in every window."""
-    mean_f, mean_e, var_f, var_e, covariance = _moments(sums)
-    var_g = np.maximum(var_f - 2 * covariance + var_e, 0)
-    floor = f4(noise**2 + 1e-6)
-    ratio = np.clip(np.sqrt((var_f + floor) / (var_g + floor)), 0.5, 2)
-    known = sums[kernels.W] > 0
-    gain = np.where(known, ratio * nodes[2], nodes[2])
-    offset = np.where(known, ratio * nodes[3] + mean_f - ratio * (mean_f - mean_e), nodes[3])
-    nodes[2], nodes[3] = np.clip(gain, 0.1, 10), offset
 
 
 def _correlation(sums: np.ndarray) -> np.ndarray:
@@ -247,7 +222,10 @@ def displacement_nodes(
         spline = spline_of(deformed[k])
         for expected in EXPECTED[0] if k == 0 else EXPECTED[1] if k < top else EXPECTED[2]:
             field = _refine(levels[k], spline, nodes, window, expected=expected)
+            change = float(np.abs(field.nodes[:2] - nodes[:2]).max())
             nodes = field.nodes
+            if k and change < SETTLED:
+                break
         if k:
             smooth = np.empty_like(nodes[:2])
             kernels.median3(nodes[:2], smooth)
@@ -293,4 +271,6 @@ def judged(field: Field, window: Window) -> Nodes:
     measurable = textured & covered
     valid = measurable & agreed
     check_agreement(int(valid.sum()), int(measurable.sum()))
+    # What is not valid keeps a usual value, so that interpolation between nodes does not overshoot next to it.
+    sigma = np.where(valid, sigma, np.median(sigma[:, valid]))
     return Nodes(field.nodes[:2], sigma.astype(f4), valid)

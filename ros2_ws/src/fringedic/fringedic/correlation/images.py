@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fringedic.correlation import kernels
 from fringedic.errors import (
     ColourImageError,
     EmptyMaskError,
@@ -53,16 +54,13 @@ def grey_range(image: np.ndarray, name: str) -> tuple[float, float]:
     TexturelessImageError
         When no pixel is measured or all are equal.
     """
-    if image.dtype == np.float32:
-        measured = image[np.isfinite(image)].astype(np.float64)
-        if measured.size == 0:
-            raise TexturelessImageError(f"the {name} image holds no measured pixel: all are NaN or infinite")
-        mean, deviation = float(measured.mean()), float(measured.std())
-    else:  # by the histogram: exact, and the same for every order of summation
-        counts = np.bincount(image.ravel())
-        levels = np.arange(counts.size, dtype=np.float64)
-        mean = float(counts @ levels / image.size)
-        deviation = float(np.sqrt(counts @ (levels - mean) ** 2 / image.size))
+    rows = np.empty((image.shape[0], 3))
+    kernels.row_moments(image, rows)
+    count, total, squares = rows.sum(axis=0)
+    if count == 0:
+        raise TexturelessImageError(f"the {name} image holds no measured pixel: all are NaN or infinite")
+    mean = float(total / count)
+    deviation = float(np.sqrt(max(squares / count - mean * mean, 0.0)))
     if not deviation > 1e-6 * max(1.0, abs(mean)):
         raise TexturelessImageError(
             f"the {name} image is constant (grey level {mean:g}): a displacement needs a surface texture in focus"

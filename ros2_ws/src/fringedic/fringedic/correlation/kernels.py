@@ -11,6 +11,8 @@ from numba import njit, prange
 
 f4 = np.float32
 
+# Taps on either side of the centre of a filter of nodes.
+REACH = 6
 # Columns of one block of the warp, and the NaN border of the coefficients that a block may reach into.
 BLOCK = 32
 BORDER = BLOCK + 8
@@ -26,6 +28,20 @@ def normalised(image: np.ndarray, offset: float, factor: float, out: np.ndarray)
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def row_moments(image: np.ndarray, out: np.ndarray) -> None:
+    """Number, sum and sum of squares of the finite pixels of each row, out (row, 3)."""
+    for r in prange(image.shape[0]):
+        count, total, squares = 0.0, 0.0, 0.0
+        for c in range(image.shape[1]):
+            value = float(image[r, c])
+            if np.isfinite(value):
+                count += 1.0
+                total += value
+                squares += value * value
+        out[r, 0], out[r, 1], out[r, 2] = count, total, squares
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def halved(image: np.ndarray, out: np.ndarray) -> None:
     """Image of half the size through the taps (1, 3, 3, 1)/8; pixel (i, j) stands at (2 i + 1/2, 2 j + 1/2).
 
@@ -33,24 +49,21 @@ def halved(image: np.ndarray, out: np.ndarray) -> None:
     """
     rows, columns = image.shape
     for r in prange(out.shape[0]):
-        for c in range(out.shape[1]):
-            total = f4(0)
-            weight = f4(0)
-            for i in range(4):
-                y = 2 * r + i - 1
-                if y < 0 or y >= rows:
-                    continue
-                wy = f4(3) if i == 1 or i == 2 else f4(1)
-                for j in range(4):
-                    x = 2 * c + j - 1
-                    if x < 0 or x >= columns:
-                        continue
-                    value = image[y, x]
-                    if value == value:
-                        w = wy * (f4(3) if j == 1 or j == 2 else f4(1))
-                        total += w * value
-                        weight += w
-            out[r, c] = total / weight if weight >= f4(32) else f4(np.nan)
+        total, weight = np.zeros(columns + 3, f4), np.zeros(columns + 3, f4)
+        inner, inner_weight = total[1 : 1 + columns], weight[1 : 1 + columns]
+        for i in range(max(2 * r - 1, 0), min(2 * r + 3, rows)):
+            source = image[i]
+            w = f4(3) if i // 2 == r else f4(1)
+            for c in range(columns):
+                inner[c] += w * source[c] if source[c] == source[c] else f4(0)
+            for c in range(columns):
+                inner_weight[c] += w if source[c] == source[c] else f4(0)
+        target = out[r]
+        for c in range(target.size):
+            k = 2 * c
+            value = total[k] + total[k + 3] + f4(3) * (total[k + 1] + total[k + 2])
+            seen = weight[k] + weight[k + 3] + f4(3) * (weight[k + 1] + weight[k + 2])
+            target[c] = value / seen if seen >= f4(32) else f4(np.nan)
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
@@ -123,82 +136,94 @@ def spline_coefficients(image: np.ndarray, taps: np.ndarray, out: np.ndarray) ->
 
 
 @njit(nogil=True, error_model="numpy")
-def _cubic(t: np.float32) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Weights of the interpolating cubic (Catmull and Rom) for the nodes -1, 0, 1, 2 at 0 <= t <= 1."""
+def _cubic(position: float, count: int) -> tuple[int, np.float32, np.float32, np.float32, np.float32]:
+    """First of the four nodes around a position given in nodes, and their weights (Catmull and Rom).
+
+    Two nodes, which continue the field linearly, are meant to stand before the first and after the last one; the
+    index counts them.
+    """
+    before = min(max(int(np.floor(position)), -1), count - 1)
+    t = f4(min(max(position - before, 0.0), 1.0))
     half = f4(0.5)
     a = half * t * (t * (f4(2) - t) - f4(1))
     b = half * (t * t * (f4(3) * t - f4(5)) + f4(2))
     c = half * t * (t * (f4(4) - f4(3) * t) + f4(1))
-    return a, b, c, f4(1) - a - b - c
+    return before + 1, a, b, c, f4(1) - a - b - c
 
 
 @njit(nogil=True, error_model="numpy")
-def _place(position: float, count: int) -> tuple[int, float]:
-    """Node before a position given in nodes, and the rest; beyond the outer nodes the rest leaves 0..1."""
-    before = int(np.floor(position))
-    before = min(max(before, 0), count - 2)
-    return before, position - before
-
-
-@njit(nogil=True, error_model="numpy")
-def _neighbours(line: np.ndarray, i: int) -> tuple[float, float, float, float]:
-    """The four nodes around an interval of a line, continued linearly over its ends."""
-    count = line.size
-    first = line[i - 1] if i > 0 else f4(2) * line[0] - line[1]
-    last = line[i + 2] if i + 2 < count else f4(2) * line[count - 1] - line[count - 2]
-    return first, line[i], line[i + 1], last
+def _continued(lines: np.ndarray) -> None:
+    """Fill the two outer entries at either end of axis 0 with the linear continuation of the inner ones."""
+    last = lines.shape[0] - 1
+    two = f4(2)
+    for k in range(lines.shape[1]):
+        lines[1, k] = two * lines[2, k] - lines[3, k]
+        lines[0, k] = two * lines[1, k] - lines[2, k]
+        lines[last - 1, k] = two * lines[last - 2, k] - lines[last - 3, k]
+        lines[last, k] = two * lines[last - 1, k] - lines[last - 2, k]
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def widened(nodes: np.ndarray, positions: np.ndarray, out: np.ndarray) -> None:
-    """Node lines interpolated at column positions given in nodes: (channel, node row, node column) -> (.., .., n)."""
+    """Node lines interpolated at column positions given in nodes.
+
+    nodes (channel, node row, node column) -> out (channel, 2 + node row + 2, position): two lines more at either end.
+    """
     channels, rows, columns = nodes.shape
-    for flat in prange(channels * rows):
-        channel, r = flat // rows, flat % rows
-        line = nodes[channel, r]
-        for k in range(positions.size):
-            i, t = _place(positions[k], columns)
-            p0, p1, p2, p3 = _neighbours(line, i)
-            if t < 0.0 or t > 1.0:
-                out[channel, r, k] = p1 + f4(t) * (p2 - p1)
-            else:
-                a, b, c, d = _cubic(f4(t))
-                out[channel, r, k] = a * p0 + b * p1 + c * p2 + d * p3
+    n = positions.size
+    first = np.empty(n, np.int32)
+    weights = np.empty((4, n), f4)
+    for k in range(n):
+        first[k], weights[0, k], weights[1, k], weights[2, k], weights[3, k] = _cubic(positions[k], columns)
+    for r in prange(rows):
+        line = np.empty((columns + 4, 1), f4)
+        for channel in range(channels):
+            line[2 : 2 + columns, 0] = nodes[channel, r]
+            _continued(line)
+            values = line[:, 0]
+            target = out[channel, r + 2]
+            for k in range(n):
+                i = first[k]
+                target[k] = (
+                    weights[0, k] * values[i]
+                    + weights[1, k] * values[i + 1]
+                    + weights[2, k] * values[i + 2]
+                    + weights[3, k] * values[i + 3]
+                )
+    for channel in range(channels):
+        _continued(out[channel])
 
 
 @njit(nogil=True, error_model="numpy")
 def _row_between(lines: np.ndarray, position: float, out: np.ndarray) -> None:
-    """One image row of a field of widened node lines (node row, column), at a position given in nodes."""
-    count = lines.shape[0]
-    i, t = _place(position, count)
-    p1, p2 = lines[i], lines[i + 1]
-    if t < 0.0 or t > 1.0:
-        w = f4(t)
-        for k in range(out.size):
-            out[k] = p1[k] + w * (p2[k] - p1[k])
-        return
-    a, b, c, d = _cubic(f4(t))
-    if i == 0:  # linear continuation: p0 = 2 p1 - p2
-        b += f4(2) * a
-        c -= a
-        a = f4(0)
-    if i + 2 >= count:  # p3 = 2 p2 - p1
-        c += f4(2) * d
-        b -= d
-        d = f4(0)
-    p0, p3 = lines[max(i - 1, 0)], lines[min(i + 2, count - 1)]
+    """One image row of a field of widened node lines (2 + node row + 2, column), at a position given in nodes."""
+    first, a, b, c, d = _cubic(position, lines.shape[0] - 4)
+    p0, p1, p2, p3 = lines[first], lines[first + 1], lines[first + 2], lines[first + 3]
     for k in range(out.size):
         out[k] = a * p0[k] + b * p1[k] + c * p2[k] + d * p3[k]
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def heightened(lines: np.ndarray, positions: np.ndarray, out: np.ndarray) -> None:
-    """Widened node lines (channel, node row, n) interpolated at row positions given in nodes: -> (channel, m, n)."""
+    """Widened node lines (channel, 2 + node row + 2, n) at row positions given in nodes: out (channel, m, n)."""
     channels = lines.shape[0]
     rows = positions.size
     for flat in prange(channels * rows):
         channel, r = flat // rows, flat % rows
         _row_between(lines[channel], positions[r], out[channel, r])
+
+
+@njit(nogil=True, error_model="numpy")
+def _add_up(line: np.ndarray, cell: int, out: np.ndarray) -> None:
+    """Sums over the cells of a line, the last of which may be cut."""
+    whole = line.size // cell
+    for j in range(whole):
+        out[j] = line[j * cell]
+    for k in range(1, cell):
+        for j in range(whole):
+            out[j] += line[j * cell + k]
+    if whole < out.size:
+        out[whole] = np.sum(line[whole * cell :])
 
 
 @njit(nogil=True, error_model="numpy")
@@ -258,7 +283,7 @@ def residuals(
 ) -> None:
     """e(p) = f(p) - gain(p) g(p + d(p)) - offset(p), and the mean of abs(e) in each cell (NaN where nothing is seen).
 
-    `lines` (4, node row, column) holds d_x, d_y, gain and offset widened to the columns of the image; g is the
+    `lines` (4, 2 + node row + 2, column) holds d_x, d_y, gain and offset widened to the columns of the image; g is the
     spline of `coefficients`. A pixel that any of its 36 coefficients does not cover is NaN.
     """
     rows, columns = values.shape
@@ -279,13 +304,15 @@ def residuals(
             lowest, leftmost = f4(-4), f4(-4)
             highest, rightmost = f4(rows + 3), f4(columns + 3)
             for c in range(columns):
-                x = min(max(dx[c] + f4(c), leftmost), rightmost)
                 y = min(max(dy[c] + f4(r), lowest), highest)
-                fx = np.floor(x)
                 fy = np.floor(y)
-                along_x[c] = x - fx
                 along_y[c] = y - fy
-                keys[c] = (np.int32(fx) - np.int32(c) + np.int32(16384)) + (np.int32(fy) << 15)
+                keys[c] = np.int32(fy) << 15
+            for c in range(columns):
+                x = min(max(dx[c] + f4(c), leftmost), rightmost)
+                fx = np.floor(x)
+                along_x[c] = x - fx
+                keys[c] += np.int32(fx) - np.int32(c) + np.int32(16384)
             target = out[r]
             for begin in range(0, columns, BLOCK):
                 end = min(begin + BLOCK, columns)
@@ -312,23 +339,33 @@ def residuals(
                         done += 1
             source = values[r]
             for c in range(columns):
-                e = source[c] - gain[c] * target[c] - offset[c]
-                target[c] = e
-                good = e == e
-                total[c] += abs(e) if good else f4(0)
+                target[c] = source[c] - gain[c] * target[c] - offset[c]
+            for c in range(columns):
+                good = target[c] == target[c]
+                total[c] += abs(target[c]) if good else f4(0)
                 count[c] += f4(1) if good else f4(0)
-        for j in range(mean.shape[1]):
-            t = f4(0)
-            n = f4(0)
-            for c in range(j * cell, min(j * cell + cell, columns)):
-                t += total[c]
-                n += count[c]
-            mean[node, j] = t / n if n > f4(0) else f4(np.nan)
+        numbers = np.empty(mean.shape[1], f4)
+        means = mean[node]
+        _add_up(total, cell, means)
+        _add_up(count, cell, numbers)
+        for j in range(means.size):
+            means[j] = means[j] / numbers[j] if numbers[j] > f4(0) else f4(np.nan)
 
 
 # Channels of the sums of each cell.
 GXX, GXY, GYY, GXE, GYE, W, WF, WFF, WE, WEF, WEE = range(11)
 CHANNELS = 11
+
+
+@njit(nogil=True, error_model="numpy")
+def _add_products(
+    w: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, sum_ab: np.ndarray, sum_ac: np.ndarray
+) -> None:
+    """Add w a b and w a c."""
+    for k in range(w.size):
+        wa = w[k] * a[k]
+        sum_ab[k] += wa * b[k]
+        sum_ac[k] += wa * c[k]
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
@@ -350,81 +387,203 @@ def accumulated(
     inverse = f4(1.0 / limit)
     for node in prange(out.shape[1]):
         sums = np.zeros((CHANNELS, columns), f4)
-        sxx, sxy, syy, sxe, sye = sums[0], sums[1], sums[2], sums[3], sums[4]
-        sw, swf, swff, swe, swef, swee = sums[5], sums[6], sums[7], sums[8], sums[9], sums[10]
+        weight, clean_f, clean_e = np.empty(columns, f4), np.empty(columns, f4), np.empty(columns, f4)
         for r in range(node * cell, min(node * cell + cell, rows)):
             f, gx, gy, e = values[r], along_x[r], along_y[r], residual[r]
             for c in range(columns):
                 good = e[c] == e[c]
-                ec = e[c] if good else f4(0)
-                fc = f[c] if good else f4(0)
-                over = min(max(abs(ec) * inverse - f4(1), f4(0)), f4(1))
+                clean_e[c] = e[c] if good else f4(0)
+                clean_f[c] = f[c] if good else f4(0)
+            for c in range(columns):
+                over = min(max(abs(clean_e[c]) * inverse - f4(1), f4(0)), f4(1))
                 kept = f4(1) - over * over
-                w = kept * kept if good else f4(0)
-                wx = w * gx[c]
-                wy = w * gy[c]
-                wf = w * fc
-                we = w * ec
-                sxx[c] += wx * gx[c]
-                sxy[c] += wx * gy[c]
-                syy[c] += wy * gy[c]
-                sxe[c] += wx * ec
-                sye[c] += wy * ec
-                sw[c] += w
-                swf[c] += wf
-                swff[c] += wf * fc
-                swe[c] += we
-                swef[c] += we * fc
-                swee[c] += we * ec
+                weight[c] = kept * kept if e[c] == e[c] else f4(0)
+            # Two sums at a time: compilers vectorise loops that write to few arrays.
+            _add_products(weight, gx, gx, gy, sums[GXX], sums[GXY])
+            _add_products(weight, gy, gy, clean_e, sums[GYY], sums[GYE])
+            _add_products(weight, clean_e, gx, clean_e, sums[GXE], sums[WEE])
+            _add_products(weight, clean_f, clean_f, clean_e, sums[WFF], sums[WEF])
+            total, total_f, total_e = sums[W], sums[WF], sums[WE]
+            for c in range(columns):
+                total[c] += weight[c]
+                total_f[c] += weight[c] * clean_f[c]
+            for c in range(columns):
+                total_e[c] += weight[c] * clean_e[c]
         for channel in range(CHANNELS):
-            line = sums[channel]
-            for j in range(out.shape[2]):
-                t = f4(0)
-                for c in range(j * cell, min(j * cell + cell, columns)):
-                    t += line[c]
-                out[channel, node, j] = t
+            _add_up(sums[channel], cell, out[channel, node])
+
+
+@njit(nogil=True, error_model="numpy")
+def _smoothed(padded: np.ndarray, taps: np.ndarray, line: np.ndarray, r: int, out: np.ndarray) -> None:
+    """Row r of the separable filter of an array that has REACH rows of zeros above and below.
+
+    `line` is a scratch of REACH zeros at either end. Loops over a few rows at a time are what compilers vectorise.
+    """
+    columns = out.size
+    body = line[REACH : REACH + columns]
+    t0, t1, t2, t3, t4, t5, t6 = taps[0], taps[1], taps[2], taps[3], taps[4], taps[5], taps[6]
+    c = r + REACH
+    m3, m2, m1, p0, p1, p2, p3 = (
+        padded[c - 3], padded[c - 2], padded[c - 1], padded[c], padded[c + 1], padded[c + 2], padded[c + 3],
+    )  # fmt: skip
+    for k in range(columns):
+        body[k] = t0 * p0[k] + t1 * (m1[k] + p1[k]) + t2 * (m2[k] + p2[k]) + t3 * (m3[k] + p3[k])
+    m6, m5, m4, p4, p5, p6 = padded[c - 6], padded[c - 5], padded[c - 4], padded[c + 4], padded[c + 5], padded[c + 6]
+    for k in range(columns):
+        body[k] += t4 * (m4[k] + p4[k]) + t5 * (m5[k] + p5[k]) + t6 * (m6[k] + p6[k])
+    for k in range(columns):
+        out[k] = (
+            t0 * line[k + 6]
+            + t1 * (line[k + 5] + line[k + 7])
+            + t2 * (line[k + 4] + line[k + 8])
+            + t3 * (line[k + 3] + line[k + 9])
+            + t4 * (line[k + 2] + line[k + 10])
+            + t5 * (line[k + 1] + line[k + 11])
+            + t6 * (line[k] + line[k + 12])
+        )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def windowed(nodes: np.ndarray, taps: np.ndarray, out: np.ndarray) -> None:
-    """Separable symmetric filter of node arrays (channel, node row, node column), zero outside."""
+    """Separable symmetric filter of node arrays (channel, node row, node column), zero outside.
+
+    `taps` are REACH + 1 from the centre on.
+    """
     channels, rows, columns = nodes.shape
-    reach = taps.size - 1
-    for flat in range(channels * rows):
-        channel, r = flat // rows, flat % rows
-        line = np.zeros(columns + 2 * reach, f4)
-        body = line[reach : reach + columns]
-        for k in range(-reach, reach + 1):
-            if 0 <= r + k < rows:
-                source = nodes[channel, r + k]
-                tap = taps[abs(k)]
+    line = np.zeros(columns + 2 * REACH, f4)
+    padded = np.zeros((rows + 2 * REACH, columns), f4)
+    for channel in range(channels):
+        padded[REACH : REACH + rows] = nodes[channel]
+        for r in range(rows):
+            _smoothed(padded, taps, line, r, out[channel, r])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fixed_point(
+    cells: np.ndarray,
+    sums: np.ndarray,
+    seen: np.ndarray,
+    start: np.ndarray,
+    taps: np.ndarray,
+    smoothing: np.ndarray,
+    tau: float,
+    order: int,
+    iterations: int,
+    out: np.ndarray,
+) -> None:
+    """u = S u + H^-1 W * (grad f (e - grad f . (S u - start))) on the nodes; `out` holds the first u (2, row, column).
+
+    S = 1 - (1 - V)^order with V, the filter of the taps `smoothing`, normalised by the weights `seen`; W has `taps`.
+    Steps are limited to one pixel. The nodes are few, and one thread works on them without waiting for another.
+    """
+    _, rows, columns = start.shape
+    line = np.zeros(columns + 2 * REACH, f4)
+    padded = np.zeros((rows + 2 * REACH, columns), f4)
+    padded_y = np.zeros((rows + 2 * REACH, columns), f4)
+    filtered, filtered_y = np.empty(columns, f4), np.empty(columns, f4)
+    smooth, rest = np.empty((2, rows, columns), f4), np.empty((rows, columns), f4)
+    inverse_seen = np.empty((rows, columns), f4)
+    padded[REACH : REACH + rows] = seen
+    for r in range(rows):
+        _smoothed(padded, smoothing, line, r, filtered)
+        for c in range(columns):
+            inverse_seen[r, c] = f4(1) / filtered[c]
+    add = f4(tau)
+    for _ in range(iterations):
+        for channel in range(2):
+            for r in range(rows):
+                total, left, first = smooth[channel, r], rest[r], out[channel, r]
                 for c in range(columns):
-                    body[c] += tap * source[c]
-        target = out[channel, r]
-        for c in range(columns):
-            target[c] = taps[0] * line[c + reach]
-        for k in range(1, reach + 1):
-            left, right = line[reach - k : reach - k + columns], line[reach + k : reach + k + columns]
-            tap = taps[k]
+                    total[c] = f4(0)
+                    left[c] = first[c]
+            for _ in range(order):
+                for r in range(rows):
+                    target, weight, left = padded[r + REACH], seen[r], rest[r]
+                    for c in range(columns):
+                        target[c] = weight[c] * left[c]
+                for r in range(rows):
+                    _smoothed(padded, smoothing, line, r, filtered)
+                    total, left, inverse = smooth[channel, r], rest[r], inverse_seen[r]
+                    for c in range(columns):
+                        value = filtered[c] * inverse[c]
+                        total[c] += value
+                        left[c] -= value
+        for r in range(rows):
+            u, v, u0, v0 = smooth[0, r], smooth[1, r], start[0, r], start[1, r]
+            gxx, gxy, gyy = cells[GXX, r], cells[GXY, r], cells[GYY, r]
+            target, source = padded[r + REACH], cells[GXE, r]
             for c in range(columns):
-                target[c] += tap * (left[c] + right[c])
+                target[c] = source[c] - gxx[c] * (u[c] - u0[c]) - gxy[c] * (v[c] - v0[c])
+            target, source = padded_y[r + REACH], cells[GYE, r]
+            for c in range(columns):
+                target[c] = source[c] - gxy[c] * (u[c] - u0[c]) - gyy[c] * (v[c] - v0[c])
+        for r in range(rows):
+            _smoothed(padded, taps, line, r, filtered)
+            _smoothed(padded_y, taps, line, r, filtered_y)
+            hxx, hxy, hyy = sums[GXX, r], sums[GXY, r], sums[GYY, r]
+            u, target = smooth[0, r], out[0, r]
+            for c in range(columns):
+                xx, xy, yy = hxx[c] + add, hxy[c], hyy[c] + add
+                step = (yy * filtered[c] - xy * filtered_y[c]) / (xx * yy - xy * xy)
+                target[c] = u[c] + min(max(step, f4(-1)), f4(1))
+            v, target = smooth[1, r], out[1, r]
+            for c in range(columns):
+                xx, xy, yy = hxx[c] + add, hxy[c], hyy[c] + add
+                step = (xx * filtered_y[c] - xy * filtered[c]) / (xx * yy - xy * xy)
+                target[c] = v[c] + min(max(step, f4(-1)), f4(1))
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
+def equalised(nodes: np.ndarray, sums: np.ndarray, floor: float) -> None:
+    """Give g, by gain (channel 2) and offset (channel 3), the mean and the standard deviation of f in every window.
+
+    `floor` is a variance below which contrast is not compared.
+    """
+    least = f4(floor)
+    for r in range(nodes.shape[1]):
+        for c in range(nodes.shape[2]):
+            w = sums[W, r, c]
+            if not w > f4(0):
+                continue
+            mean_f, mean_e = sums[WF, r, c] / w, sums[WE, r, c] / w
+            mean_g = mean_f - mean_e
+            var_f = max(sums[WFF, r, c] / w - mean_f * mean_f, f4(0))
+            second_g = (sums[WFF, r, c] - f4(2) * sums[WEF, r, c] + sums[WEE, r, c]) / w
+            var_g = max(second_g - mean_g * mean_g, f4(0))
+            ratio = min(max(np.sqrt((var_f + least) / (var_g + least)), f4(0.5)), f4(2))
+            nodes[2, r, c] = min(max(ratio * nodes[2, r, c], f4(0.1)), f4(10))
+            nodes[3, r, c] = ratio * nodes[3, r, c] + mean_f - ratio * mean_g
+
+
+@njit(nogil=True, error_model="numpy")
+def _median(a: np.float32, b: np.float32, c: np.float32) -> np.float32:
+    return max(min(a, b), min(max(a, b), c))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def median3(nodes: np.ndarray, out: np.ndarray) -> None:
-    """Median over 3 x 3 nodes (fewer at the edges), each channel for itself."""
+    """Median over 3 x 3 nodes of each channel; the outermost nodes are repeated.
+
+    The median of nine is the median of the greatest of the row minima, the median of the row medians and the smallest
+    of the row maxima, rows being sorted triples.
+    """
     channels, rows, columns = nodes.shape
-    for flat in prange(channels * rows):
-        channel, r = flat // rows, flat % rows
-        around = np.empty(9, f4)
-        for c in range(columns):
-            n = 0
-            for i in range(max(r - 1, 0), min(r + 2, rows)):
-                for j in range(max(c - 1, 0), min(c + 2, columns)):
-                    around[n] = nodes[channel, i, j]
-                    n += 1
-            around[:n].sort()
-            out[channel, r, c] = around[n // 2]
+    lowest, middle, highest = np.empty(columns, f4), np.empty(columns, f4), np.empty(columns, f4)
+    for channel in range(channels):
+        for r in range(rows):
+            above, here, below = nodes[channel, max(r - 1, 0)], nodes[channel, r], nodes[channel, min(r + 1, rows - 1)]
+            for c in range(columns):
+                x, y, z = above[c], here[c], below[c]
+                lowest[c] = min(min(x, y), z)
+                middle[c] = _median(x, y, z)
+                highest[c] = max(max(x, y), z)
+            for c in range(columns):
+                left, right = max(c - 1, 0), min(c + 1, columns - 1)
+                out[channel, r, c] = _median(
+                    max(max(lowest[left], lowest[c]), lowest[right]),
+                    _median(middle[left], middle[c], middle[right]),
+                    min(min(highest[left], highest[c]), highest[right]),
+                )
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
@@ -441,3 +600,27 @@ def cell_means(image: np.ndarray, cell: int, out: np.ndarray) -> None:
                         total += image[r, c]
                         count += 1
             out[i, j] = f4(total / count) if count else f4(np.nan)
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def points(
+    lines: np.ndarray,
+    positions: np.ndarray,
+    valid_nodes: np.ndarray,
+    node_rows: np.ndarray,
+    node_columns: np.ndarray,
+    measured: np.ndarray,
+    fields: np.ndarray,
+    valid: np.ndarray,
+) -> None:
+    """Widened node lines at row positions given in nodes, NaN where the nearest node or the pixel is not valid."""
+    for r in prange(positions.size):
+        for channel in range(fields.shape[0]):
+            _row_between(lines[channel], positions[r], fields[channel, r])
+        good, nodes, pixels = valid[r], valid_nodes[node_rows[r]], measured[r]
+        for c in range(good.size):
+            good[c] = nodes[node_columns[c]] and pixels[c] == pixels[c]
+        for channel in range(fields.shape[0]):
+            field = fields[channel, r]
+            for c in range(good.size):
+                field[c] = field[c] if good[c] else f4(np.nan)

@@ -183,12 +183,12 @@ def _dense(
     nodes = dense.judged(field, window)
     centre = 0.5 * (window.cell - 1)
     rows, columns = (reference.rows - centre) / window.cell, (reference.columns - centre) / window.cell
-    displacement = pyramid.resampled(nodes.displacement, rows, columns)
-    sigma = pyramid.resampled(nodes.sigma, rows, columns)
-    node_row = np.clip(np.rint(rows).astype(np.intp), 0, nodes.valid.shape[0] - 1)
-    node_column = np.clip(np.rint(columns).astype(np.intp), 0, nodes.valid.shape[1] - 1)
-    measured = ~np.isnan(reference.values[:: reference.spacing, :: reference.spacing])
-    valid = nodes.valid[np.ix_(node_row, node_column)] & measured
-    displacement[:, ~valid] = np.nan
-    sigma[:, ~valid] = np.nan
-    return displacement, sigma, valid
+    node_rows = np.clip(np.rint(rows).astype(np.intp), 0, nodes.valid.shape[0] - 1)
+    node_columns = np.clip(np.rint(columns).astype(np.intp), 0, nodes.valid.shape[1] - 1)
+    lines = np.empty((4, nodes.valid.shape[0] + 4, columns.size), f4)
+    kernels.widened(np.concatenate([nodes.displacement, nodes.sigma]), columns, lines)
+    fields = np.empty((4, rows.size, columns.size), f4)
+    valid = np.empty((rows.size, columns.size), np.bool_)
+    measured = np.ascontiguousarray(reference.values[:: reference.spacing, :: reference.spacing])
+    kernels.points(lines, rows, nodes.valid, node_rows, node_columns, measured, fields, valid)
+    return fields[:2], fields[2:], valid

@@ -107,7 +107,7 @@ def spline_of(image: np.ndarray) -> np.ndarray:
     return out
 
 
-_SPREAD = np.array([6, 4, 1], dtype=f4) / 16
+_SPREAD = np.array([6, 4, 1] + [0] * (kernels.REACH - 2), dtype=f4) / 16
 
 
 def filled(nodes: np.ndarray) -> np.ndarray:
@@ -151,7 +151,7 @@ def node_counts(shape: tuple[int, int], cell: int) -> tuple[int, int]:
 
 def resampled(nodes: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Node arrays at row and column positions given in nodes."""
-    lines = np.empty((nodes.shape[0], nodes.shape[1], columns.size), f4)
+    lines = np.empty((nodes.shape[0], nodes.shape[1] + 4, columns.size), f4)
     kernels.widened(np.ascontiguousarray(nodes), columns, lines)
     out = np.empty((nodes.shape[0], rows.size, columns.size), f4)
     kernels.heightened(lines, rows, out)

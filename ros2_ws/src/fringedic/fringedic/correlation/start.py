@@ -62,7 +62,7 @@ def _refined(
     corners = np.array([[1, x * columns[-1], y * rows[-1]] for x in (0, 1) for y in (0, 1)]).T
     ones = np.ones(counts)
     basis = np.stack([ones, ones * columns, ones * rows[:, None]]) / scale
-    lines = np.empty((4, counts[0], shape[1]), f4)
+    lines = np.empty((4, counts[0] + 4, shape[1]), f4)
     positions = (np.arange(shape[1]) - 0.5 * (CELL - 1)) / CELL
     residual, mean = np.empty(shape, f4), np.empty(counts, f4)
     sums = np.empty((kernels.CHANNELS, *counts), f4)
