@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -14,6 +16,7 @@ from fringedic.errors import CameraError
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
 # luminance weights of ITU-R 601 in 16 binary digits; they add up to 1, so that grey stays grey
 _BLUE_GREEN_RED = (7471, 38470, 19595)
+_KEPT_IMAGES = 16  # of a source that repeats, so that a short series costs no reading
 
 
 class FilesDriver:
@@ -42,6 +45,7 @@ class FilesDriver:
             raise CameraError(f"no images ({', '.join(SUFFIXES)}) at '{files}'; set files to a folder of images")
         self._files = files
         self._repeat = repeat
+        self._read: Callable[[Path], np.ndarray] = lru_cache(_KEPT_IMAGES)(read_grey) if repeat else read_grey
         self._next = 0
 
     def expose(self, scene: Scene) -> Frame:
@@ -60,7 +64,7 @@ class FilesDriver:
             )
         path = self._paths[self._next]
         self._next += 1
-        return Frame(read_grey(path), time.time_ns())
+        return Frame(self._read(path), time.time_ns())
 
     def close(self) -> None:
         """Nothing is kept open."""
@@ -85,5 +89,5 @@ def read_grey(path: Path) -> np.ndarray:
         raise CameraError(f"{path} has pixels of type {image.dtype}; 8 or 16 bits are needed")
     if image.ndim == 2:
         return image
-    weighted = sum(image[:, :, channel].astype(np.uint64) * weight for channel, weight in enumerate(_BLUE_GREEN_RED))
+    weighted = image[:, :, :3].astype(np.uint64) @ np.array(_BLUE_GREEN_RED, np.uint64)
     return ((weighted + 0x8000) >> 16).astype(image.dtype)
