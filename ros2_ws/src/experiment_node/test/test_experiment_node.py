@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ from rclpy.task import Future
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
+from fringedic.rig import RigModel
+from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import (
     Exposure,
@@ -27,10 +30,12 @@ from fringedic_msgs.msg import (
     NodeStatus,
     RecorderStatus,
     Reference,
+    RigCalibration,
     StepStatus,
 )
 from fringedic_msgs.srv import CaptureFrame, SetReference, ShowPattern, StartExperiment
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
+from fringedic_ros.records import rig_model
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
 
@@ -48,6 +53,7 @@ PARAMETERS = {
     "processing_timeout_s": 2.0,
     "start_timeout_s": START_TIMEOUT,
 }
+CALIBRATION = RigModel(**VirtualRig.from_preset("plate", size="tiny").optics(), identifier="of today")
 Result = MeasureStep.Result
 
 
@@ -218,7 +224,9 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     rclpy.init(domain_id=DOMAIN)
     rig = Rig()
     folder = tmp_path_factory.mktemp("experiment")
-    with NodeProcess("experiment_node.experiment_node", DOMAIN, folder, PARAMETERS):
+    CALIBRATION.to_yaml(folder / "rig_model.yaml")
+    parameters = {**PARAMETERS, "calibration_file": str(folder / "rig_model.yaml")}
+    with NodeProcess("experiment_node.experiment_node", DOMAIN, folder, parameters):
         rig.wait(rig.measure.server_is_ready, "the action server")
         for client in (rig.start, rig.set_reference, rig.set_parameters):
             rig.wait(client.service_is_ready, client.srv_name)
@@ -430,6 +438,25 @@ def test_absent_node_is_named(rig: Rig) -> None:
     assert failed.error_code == Result.NO_SUBSCRIBER and "coupling/status" in failed.error_message
     rig.statuses["coupling"] = rig.create_publisher(NodeStatus, "coupling/status", EVENTS)
     assert rig.step().error_code == Result.NONE
+
+
+def test_calibration_comes_from_the_file(rig: Rig) -> None:
+    heard = rig.listen(RigCalibration, "calibration", LATCHED)
+    rig.wait(lambda: heard, "the calibration")
+    published = rig_model(heard[0])
+    assert published.source == "rig_model.yaml"
+    for field in fields(RigModel):
+        read, written = getattr(published, field.name), getattr(CALIBRATION, field.name)
+        assert field.name == "source" or read == written or read == pytest.approx(written, rel=1e-12), field.name
+
+
+def test_unreadable_calibration_ends_the_start(tmp_path: Path) -> None:
+    (tmp_path / "broken.yaml").write_text("camera_distance_mm: far")
+    process = NodeProcess(
+        "experiment_node.experiment_node", DOMAIN, tmp_path, {"calibration_file": str(tmp_path / "broken.yaml")}
+    )
+    with pytest.raises(AssertionError, match=r"broken\.yaml"), process:
+        process.process.wait(60)
 
 
 def test_impossible_parameters_are_refused(tmp_path: Path) -> None:
