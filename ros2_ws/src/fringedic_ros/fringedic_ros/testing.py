@@ -124,6 +124,10 @@ class Peer(Node):
         self.create_subscription(kind, topic, heard.append, qos)
         return heard
 
+    def serve_also(self, node: Node) -> None:
+        """Spin a node of this process together with this one."""
+        self._executor.add_node(node)
+
     def forget(self) -> None:
         """Empty all lists of what was heard."""
         for heard in self._heard:

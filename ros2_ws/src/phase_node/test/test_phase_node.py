@@ -16,6 +16,7 @@ from fringedic.sequence import FrameCollector
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import NodeStatus
 from fringedic_ros.images import image_array, image_message
+from fringedic_ros.processing import JOINED_STEPS
 from fringedic_ros.qos import DERIVED
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.testing import Bench, Frame, NodeProcess, fringe_step, of_stamp, white_step
@@ -177,6 +178,17 @@ def test_dark_frames_have_too_little_phase(bench: PhaseBench, name: str) -> None
     frames = [(record, np.zeros_like(image)) for record, image in fringe_step(bench.rig, 0.0, name, 0)]
     bench.send(frames)
     assert bench.status_of(name, 0).error_code == NodeStatus.TOO_FEW_VALID
+
+
+def test_steps_that_never_end_are_given_up(bench: PhaseBench, name: str) -> None:
+    for step in range(JOINED_STEPS + 1):
+        bench.send(fringe_step(bench.rig, 0.0, name, step)[:1])
+    status = bench.status_of(name, 0)
+    assert status.error_code == NodeStatus.FRAME_MISSING and "of 16 never arrived" in status.error_message
+    assert len(bench.statuses) == 1
+    for step in range(1, JOINED_STEPS + 1):
+        bench.abort(name, step)
+        assert bench.status_of(name, step).error_code == NodeStatus.STEP_ABORTED
 
 
 def test_abort_answers_an_unfinished_step_once(bench: PhaseBench, name: str) -> None:
