@@ -32,29 +32,31 @@ run() {
     case $said in
     *"No space left on device"* | *"Disk quota exceeded"*)
         stop "the disk is full: free $needed_mb MB where $root and ${TMPDIR:-/tmp} lie and start again (details: $log)" ;;
-    *"name resolution"* | *"Failed to resolve"* | *"Failed to establish a new connection"* | *"Network is unreachable"* | \
-        *"Connection refused"* | *"timed out"* | *"ProxyError"* | *"Max retries exceeded"*)
+    *"connection broken by"* | *"(from versions: none)"* | *"Read timed out"* | *"IncompleteRead"* | *"Connection reset"*)
         stop "the Python package index cannot be reached: connect this computer to the network, or set PIP_INDEX_URL to a mirror, and start again (details: $log)" ;;
     esac
     stop "$what failed: read the reason at the end of $log, mend it and start again"
 }
 
-suits() {
-    "$1" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null
+# What set-up must know of a Python: version, executable, include folder, and whether it can make environments.
+describe() {
+    "$1" - <<'QUESTION' 2>/dev/null
+import importlib.util, sys, sysconfig
+if not (3, 11) <= sys.version_info[:2] <= (3, 13):
+    sys.exit(1)
+venv = all(importlib.util.find_spec(module) for module in ("venv", "ensurepip"))
+print("python%d.%d" % sys.version_info[:2], sys.executable, sysconfig.get_path("include"), venv, sys.version_info[2], sep="|")
+QUESTION
 }
 
 find_python() {
     local candidate
     if [ -n "${PYTHON:-}" ]; then
-        suits "$PYTHON" || stop "PYTHON=$PYTHON is not Python 3.11, 3.12 or 3.13: name one that is, or unset PYTHON"
-        printf '%s' "$PYTHON"
+        describe "$PYTHON" || stop "PYTHON=$PYTHON is not Python 3.11, 3.12 or 3.13: name one that is, or unset PYTHON"
         return
     fi
     for candidate in python3 python3.12 python3.13 python3.11; do
-        if suits "$candidate"; then
-            printf '%s' "$candidate"
-            return
-        fi
+        describe "$candidate" && return
     done
     stop "Python 3.11, 3.12 or 3.13 is needed and $(python3 --version 2>/dev/null || echo 'no Python') was found: install one (Debian, Ubuntu: sudo apt install python3 python3-venv) or name it with PYTHON=..."
 }
@@ -82,13 +84,14 @@ done_for() {
     printf '%s' "$2" >"$stamps/$1"
 }
 
-python=$(find_python)
+interpreter=$(find_python)
+IFS='|' read -r version python python_include has_venv _ <<<"$interpreter"
+[ "$has_venv" = True ] ||
+    stop "Python has no venv module: install it (Debian, Ubuntu: sudo apt install $version-venv) and start again"
 for compiler in gcc g++; do
     command -v "$compiler" >/dev/null ||
         stop "the compiler $compiler is missing: install it (Debian, Ubuntu: sudo apt install g++) and start again"
 done
-"$python" -c 'import venv, ensurepip' 2>/dev/null ||
-    stop "Python has no venv module: install it (Debian, Ubuntu: sudo apt install python3-venv) and start again"
 
 # A sourced ROS 2 installation is used as it is; its compiled messages need NumPy 1.
 if [ -n "${ROS_DISTRO:-}" ] && [[ :${AMENT_PREFIX_PATH:-}: != *":$venv:"* ]]; then
@@ -108,9 +111,6 @@ fi
 exec 9>"$root/.setup.lock"
 flock 9 # two makes at once: the second waits
 
-interpreter=$("$python" -c 'import sys, sysconfig; print(sys.executable, sys.version_info[:3], sysconfig.get_path("include"), sep="|")')
-version=python$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
-python_include=${interpreter##*|}
 if [ ! -f "$python_include/Python.h" ]; then
     python_include=$venv/headers/usr/include/$version
     export CPATH=$venv/headers/usr/include
@@ -123,10 +123,10 @@ if ! current environment "$environment"; then
         stop "the disk is full: $needed_mb MB are needed where $root lies and $free_mb MB are free; free some and start again"
     : >"$log"
     rm -rf "$venv" "$root/ros2_ws/build" "$root/ros2_ws/install" "$root/ros2_ws/log"
-    run "Python environment" "$python" -m venv "${venv_options[@]}" "$venv"
     mkdir -p "$stamps"
-    [ -f "$python_include/Python.h" ] || (run "headers of Python" unpack_headers) ||
+    [ -f "$python_include/Python.h" ] || (run "headers of Python" unpack_headers) 2>/dev/null ||
         stop "the header files of Python are missing: install them (Debian, Ubuntu: sudo apt install $version-dev) and start again (details: $log)"
+    run "Python environment" "$python" -m venv "${venv_options[@]}" "$venv"
     run "$ros" "$venv/bin/python" -m pip install --disable-pip-version-check --no-input --require-hashes --no-deps -r "$lock"
     run "paths inside the ROS packages" "$venv/bin/python" "$root/setup/relocate_ros.py" "$python_include"
     done_for environment "$environment"
@@ -151,7 +151,9 @@ if ! current workspace "$workspace"; then
         printf '%s\n' "$root/ros2_ws/install/lib/$version/site-packages"
         find "$root/ros2_ws/build" -mindepth 2 -maxdepth 2 -name '*.egg-info' -printf '%h\n' | sort
     } >"$venv/lib/$version/site-packages/fringedic_workspace.pth"
-    ln -sf "$root/ros2_ws/install/bin/fringedic" "$venv/bin/fringedic"
+    printf '#!/usr/bin/env bash\n. "%s/setup/environment.sh"\nexec "%s/ros2_ws/install/bin/fringedic" "$@"\n' "$root" "$root" \
+        >"$venv/bin/fringedic"
+    chmod +x "$venv/bin/fringedic"
     done_for workspace "$workspace"
 fi
 

@@ -1,0 +1,141 @@
+"""What set-up says when the machine lacks something: one sentence that names the remedy, and an exit code."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+PYTHON = os.path.realpath(sys.executable)
+TOOLS = (
+    *("awk", "basename", "bash", "cat", "chmod", "cut", "df", "dirname", "env", "find", "flock", "mkdir"),
+    *("printf", "rm", "sha256sum", "sort", "tail", "uname", "wc", "xargs"),
+)
+
+
+class Machine:
+    """A checkout on a computer whose PATH holds only what a test puts there."""
+
+    def __init__(self, folder: Path) -> None:
+        self.checkout = folder / "checkout"
+        shutil.copytree(ROOT / "setup", self.checkout / "setup")
+        self.bin = folder / "bin"
+        self.bin.mkdir()
+        self.environment = {"PATH": str(self.bin), "HOME": str(folder), "LC_ALL": "C", "PIP_CONFIG_FILE": os.devnull}
+        for tool in [*TOOLS, "gcc", "g++"]:
+            found = shutil.which(tool)
+            assert found, f"{tool} is needed to run this test"
+            (self.bin / tool).symlink_to(found)
+        (self.bin / "python3").symlink_to(PYTHON)
+
+    def replace(self, tool: str, script: str) -> None:
+        """Put a shell script in the place of a tool."""
+        (self.bin / tool).unlink()
+        (self.bin / tool).write_text(f"#!{shutil.which('bash')}\n{script}\n")
+        (self.bin / tool).chmod(0o755)
+
+    def customise_python(self, statements: str) -> None:
+        """Let Python execute these statements whenever it starts."""
+        folder = self.bin.parent / "customisation"
+        folder.mkdir()
+        (folder / "sitecustomize.py").write_text(statements)
+        self.environment["PYTHONPATH"] = str(folder)
+
+    def complaint(self) -> str:
+        """Run set-up, which must fail, and return the one sentence it ends with."""
+        script = str(self.checkout / "setup" / "setup.sh")
+        done = subprocess.run([script], env=self.environment, capture_output=True, text=True, timeout=120, check=False)
+        assert done.returncode == 1, done.stdout + done.stderr
+        [sentence] = done.stderr.splitlines()
+        assert sentence.startswith("set-up: ")
+        return sentence
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> Machine:
+    return Machine(tmp_path)
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "g++"])
+def test_missing_compiler(machine: Machine, compiler: str) -> None:
+    (machine.bin / compiler).unlink()
+    assert (
+        f"the compiler {compiler} is missing: install it (Debian, Ubuntu: sudo apt install g++)" in machine.complaint()
+    )
+
+
+def test_old_python(machine: Machine) -> None:
+    machine.replace("python3", 'if [ "$1" = --version ]; then echo Python 3.9.2; else exit 1; fi')
+    sentence = machine.complaint()
+    assert "Python 3.11, 3.12 or 3.13 is needed and Python 3.9.2 was found: install one" in sentence
+
+
+def test_no_python(machine: Machine) -> None:
+    (machine.bin / "python3").unlink()
+    assert "is needed and no Python was found: install one" in machine.complaint()
+
+
+def test_another_python_serves_when_python3_is_too_old(machine: Machine) -> None:
+    machine.replace("python3", "exit 1")
+    (machine.bin / "python3.12").symlink_to(PYTHON)
+    (machine.bin / "g++").unlink()  # the next thing that set-up looks for
+    assert "compiler g++ is missing" in machine.complaint()
+
+
+def test_named_python_does_not_suit(machine: Machine) -> None:
+    machine.environment["PYTHON"] = "/bin/false"
+    assert "PYTHON=/bin/false is not Python 3.11, 3.12 or 3.13: name one that is" in machine.complaint()
+
+
+def test_missing_venv_module(machine: Machine) -> None:
+    machine.customise_python('import sys; sys.modules["ensurepip"] = None')
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    assert f"no venv module: install it (Debian, Ubuntu: sudo apt install {version}-venv)" in machine.complaint()
+
+
+def test_missing_headers_that_cannot_be_fetched(machine: Machine) -> None:
+    machine.customise_python('import sysconfig; sysconfig.get_path = lambda name: "/no/headers/here"')
+    sentence = machine.complaint()
+    assert "header files of Python are missing: install them (Debian, Ubuntu: sudo apt install python3." in sentence
+    assert str(machine.checkout / "setup.log") in sentence
+
+
+def test_other_processor(machine: Machine) -> None:
+    machine.replace("uname", "echo Linux aarch64")
+    assert "install ROS 2 Jazzy, source its setup.bash and start again" in machine.complaint()
+
+
+def test_sourced_ros_of_another_python(machine: Machine) -> None:
+    machine.environment["ROS_DISTRO"] = "jazzy"
+    assert "ROS 2 jazzy is sourced and" in machine.complaint()
+
+
+def test_too_little_space_to_begin_with(machine: Machine) -> None:
+    machine.replace("df", 'echo header; echo "/dev/sda1 20000 19990 10 99% /"')
+    sentence = machine.complaint()
+    assert "the disk is full" in sentence
+    assert "10 MB are free; free some and start again" in sentence
+
+
+def test_disk_fills_up_meanwhile(machine: Machine) -> None:
+    machine.customise_python(
+        "import os, sys\n"
+        "def full(*_, **__): raise OSError(28, os.strerror(28))\n"
+        "if 'venv' in sys.orig_argv: os.makedirs = full\n"
+    )
+    sentence = machine.complaint()
+    assert "the disk is full: free" in sentence
+    assert "No space left" in (machine.checkout / "setup.log").read_text()
+    assert str(machine.checkout / "setup.log") in sentence
+
+
+def test_unreachable_package_index(machine: Machine) -> None:
+    machine.environment |= {"PIP_INDEX_URL": "http://127.0.0.1:9/simple", "PIP_RETRIES": "0", "PIP_NO_CACHE_DIR": "1"}
+    sentence = machine.complaint()
+    assert "package index cannot be reached: connect this computer to the network" in sentence
+    assert str(machine.checkout / "setup.log") in sentence

@@ -1,0 +1,103 @@
+"""The workspace as ROS 2 tools see it: package types, declared dependencies, executables."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+from ament_index_python import get_package_prefix, get_package_share_directory
+
+SOURCES = Path(__file__).parent.parent / "ros2_ws" / "src"
+PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))
+ROSDEP_KEYS = {
+    "cv2": "python3-opencv",
+    "h5py": "python3-h5py",
+    "matplotlib": "python3-matplotlib",
+    "PIL": "python3-pil",
+    "numpy": "python3-numpy",
+    "scipy": "python3-scipy",
+    "yaml": "python3-yaml",
+}
+# these come from the lock file: rosdep has no key for them, or one for a version that is too old
+WITHOUT_KEY = {
+    *("annotated_types", "h5netcdf", "mcap", "numba", "pydantic", "rich", "rosbags", "typer", "xarray", "zstandard"),
+}
+EXECUTABLES = {
+    "camera_node": ["camera"],
+    "coupling_node": ["coupling"],
+    "dic_node": ["dic"],
+    "experiment_node": ["experiment", "player", "recorder"],
+    "fringe_projector_node": ["projector"],
+    "load_frame_node": ["load_frame"],
+    "phase_node": ["phase"],
+}
+
+
+def imported_by(folder: Path) -> set[str]:
+    """Top-level modules, other than Python's own, that the files of a folder import."""
+    modules = set()
+    for file in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                modules |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+                modules.add(node.module.split(".")[0])
+    return modules - sys.stdlib_module_names
+
+
+def test_every_package_has_its_ros_type() -> None:
+    # an invalid package.xml would turn a package into a plain Python one without a word
+    command = [sys.executable, "-m", "colcon", "--log-base", os.devnull, "list", "--base-paths", str(SOURCES)]
+    listed = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    types = {line.split("\t")[0]: line.split("\t")[2] for line in listed.splitlines()}
+    expected = dict.fromkeys(PACKAGES, "(ros.ament_python)") | {"fringedic_msgs": "(ros.ament_cmake)"}
+    assert types == expected
+    assert len(types) == 11
+
+
+@pytest.mark.parametrize("package", [package for package in PACKAGES if package != "fringedic_msgs"])
+def test_declared_dependencies_are_the_imported_ones(package: str) -> None:
+    manifest = ElementTree.parse(SOURCES / package / "package.xml")
+    declared = {element.text for element in manifest.iter("exec_depend")}
+    declared_for_tests = {element.text for element in manifest.iter("test_depend")}
+
+    def keys(folder: str) -> set[str]:
+        modules = imported_by(SOURCES / package / folder) - WITHOUT_KEY - {package, "pytest"}
+        return {ROSDEP_KEYS.get(module, module) for module in modules}
+
+    missing = (keys(package) | keys("launch")) - declared
+    missing_for_tests = keys("test") - declared - declared_for_tests
+    assert not missing, f"{package}/package.xml lacks exec_depend {missing}"
+    assert not missing_for_tests, f"{package}/package.xml lacks test_depend {missing_for_tests}"
+
+
+def test_library_declares_what_it_imports() -> None:
+    names = {"cv2": "opencv-python-headless", "yaml": "pyyaml"}
+    needed = {names.get(module, module) for module in imported_by(SOURCES / "fringedic" / "fringedic")} - {"fringedic"}
+    declared = (SOURCES / "fringedic" / "setup.py").read_text()
+    assert not {name for name in needed if f'"{name}' not in declared}
+
+
+def test_library_imports_no_ros() -> None:
+    ros = {"rclpy", "ament_index_python", "launch", *(package for package in PACKAGES if package != "fringedic")}
+    modules = imported_by(SOURCES / "fringedic" / "fringedic")
+    assert not {module for module in modules if module in ros or module.endswith(("_msgs", "_srvs", "_interfaces"))}
+
+
+@pytest.mark.parametrize(("package", "names"), EXECUTABLES.items())
+def test_executables_stand_where_ros2_run_looks(package: str, names: list[str]) -> None:
+    folder = Path(get_package_prefix(package), "lib", package)
+    assert sorted(path.name for path in folder.iterdir()) == names
+    assert all(os.access(folder / name, os.X_OK) for name in names)
+
+
+def test_launch_and_rig_files_are_installed() -> None:
+    share = Path(get_package_share_directory("fringedic_bringup"))
+    for folder in ("launch", "config"):
+        source = {path.name for path in (SOURCES / "fringedic_bringup" / folder).iterdir() if path.is_file()}
+        assert {path.name for path in (share / folder).iterdir()} == source
