@@ -1,20 +1,19 @@
-"""Drives a rig from a script: move, hold, measure, next.
-
-from fringedic_bringup.client import RigClient
+"""A rig from a script: move the machine, hold, measure.
 
 with RigClient("rig") as rig:
+    rig.wait_until_ready(["camera", "phase", "dic", "coupling", "experiment", "load_frame"])
     for position in (0.0, 0.1e-3, 0.2e-3):
         rig.move(position, speed=1e-3)
         result = rig.measure()
-        print(result.force_mean, result.rms_displacement)
+        print(result.step, result.force_mean, result.rms_displacement)
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Literal
 
 import rclpy
 from rclpy.action import ActionClient
@@ -23,129 +22,189 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 
+from experiment_node.topics import DERIVED_TOPICS, RAW_TOPICS
 from fringedic.errors import NotAnsweredError, StepFailedError
 from fringedic_msgs.action import MeasureStep, MoveCrosshead
+from fringedic_msgs.msg import RecorderStatus
+from fringedic_msgs.srv import SetReference, StartExperiment
+from fringedic_ros.qos import LATCHED
 
-ANSWER_TIMEOUT_S = 30.0
+MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
+START_TIMEOUT_S = 60.0
+# The experiment node ends every step by itself; this only ends the wait for one that is gone.
+STEP_TIMEOUT_S = 3600.0
 
 
 class RigClient:
-    """The actions of a running rig as plain calls that return when they are done.
-
-    The machine is in charge of its limits and its emergency stop; this client, like the whole system, only requests.
+    """Calls the actions and services of one rig and waits for their results.
 
     Parameters
     ----------
     namespace
-        Namespace of the rig.
-    domain
-        ROS_DOMAIN_ID of the rig; None takes the one of the environment.
+        The rig's namespace, without slashes around it.
     watch
-        Called several times a second while waiting; what it raises ends the waiting.
+        Called about ten times a second while waiting; what it raises ends the wait.
     """
 
-    def __init__(
-        self, namespace: str = "rig", *, domain: int | None = None, watch: Callable[[], None] | None = None
-    ) -> None:
+    def __init__(self, namespace: str = "rig", *, watch: Callable[[], None] = lambda: None) -> None:
         self._watch = watch
-        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         self._context = Context()
-        rclpy.init(context=self._context, domain_id=domain)
-        self.node = Node("client", namespace=namespace, context=self._context)
+        rclpy.init(context=self._context)
+        self._node = Node("client", namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        self._measure = ActionClient(self.node, MeasureStep, "measure_step")
-        self._move = ActionClient(self.node, MoveCrosshead, "move_crosshead")
+        self._executor.add_node(self._node)
+        self._measure = ActionClient(self._node, MeasureStep, "measure_step")
+        self._move = ActionClient(self._node, MoveCrosshead, "move_crosshead")
+        self._start = self._node.create_client(StartExperiment, "experiment/start")
+        self._set_reference = self._node.create_client(SetReference, "experiment/set_reference")
+        self._recorder: RecorderStatus | None = None
+        self._node.create_subscription(RecorderStatus, "recorder/status", self._take_recorder, LATCHED)
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> RigClient:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Leave the rig; it goes on without this client."""
         self._executor.shutdown()
-        self._measure.destroy()
-        self._move.destroy()
-        self.node.destroy_node()
+        self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
-    def move(self, position: float, *, speed: float = 1e-3) -> MoveCrosshead.Result:
-        """Ask the load frame to move to a position [m] at a speed [m/s] and hold there.
+    @property
+    def recorder(self) -> RecorderStatus | None:
+        """What the recorder said last."""
+        return self._recorder
+
+    def wait_until_ready(self, nodes: Iterable[str], timeout_s: float = START_TIMEOUT_S) -> None:
+        """Wait for nodes, for the actions, and for a recorder among the nodes to hear every recorded topic.
+
+        Raises
+        ------
+        NotAnsweredError
+            Not all of them came in time; the message names what is missing.
+        StepFailedError
+            The recorder cannot record.
+        """
+        expected = set(nodes)
+
+        def missing() -> list[str]:
+            absent = sorted(expected - {name for name, _ in self._node.get_node_names_and_namespaces()})
+            if "experiment" in expected and not self._measure.server_is_ready():
+                absent.append("action measure_step")
+            if "load_frame" in expected and not self._move.server_is_ready():
+                absent.append("action move_crosshead")
+            if "recorder" in expected:
+                absent += [f"recorder on {topic}" for topic in self._unrecorded()]
+            return absent
+
+        self._wait(lambda: not missing(), timeout_s, lambda: f"not ready: {', '.join(missing())}")
+
+    def start_experiment(self, name: str) -> None:
+        """Begin a new experiment with step 0.
 
         Raises
         ------
         StepFailedError
-            The load frame did not get there.
-        NotAnsweredError
-            There is no load frame.
+            It is refused.
         """
-        goal = MoveCrosshead.Goal(position=float(position), speed=float(speed))
-        return self._ask(self._move, goal, f"moving to {position * 1e3:g} mm", None)
+        response = self._call(self._start, StartExperiment.Request(experiment=name))
+        if not response.success:
+            raise StepFailedError(response.message)
+
+    def set_reference(self, step: int | None = None) -> None:
+        """Make a step the reference of the following ones; None: the one measured next.
+
+        Raises
+        ------
+        StepFailedError
+            It is refused.
+        """
+        response = self._call(self._set_reference, SetReference.Request(next=step is None, step=step or 0))
+        if not response.success:
+            raise StepFailedError(response.message)
+
+    def move(self, position: float, speed: float = 1e-3) -> MoveCrosshead.Result:
+        """Move the crosshead to a position [m] at a speed [m/s] and hold there.
+
+        Raises
+        ------
+        StepFailedError
+            The machine did not get there.
+        """
+        goal = MoveCrosshead.Goal(position=position, speed=speed)
+        return self._act(self._move, goal, f"crosshead to {position * 1e3:.4f} mm", lambda _: None)
 
     def measure(
         self,
+        mode: Literal["fringes", "white"] = "fringes",
         *,
-        white: bool = False,
         set_reference: bool = False,
-        feedback: Callable[[MeasureStep.Feedback], None] | None = None,
+        feedback: Callable[[MeasureStep.Feedback], None] = lambda _: None,
     ) -> MeasureStep.Result:
-        """Measure one load step.
+        """Measure one step.
 
         Parameters
         ----------
-        white
-            One frame and the in-plane displacement only.
+        mode
+            ``fringes``: shape and displacement; ``white``: one frame, in-plane displacement.
         set_reference
-            Make this step the reference of the following ones.
+            The step becomes the reference of the following ones.
         feedback
-            Called with the stage and the number of frames taken.
+            Called with stage and frame while the step runs.
 
         Raises
         ------
         StepFailedError
-            The step failed; the message says why.
-        NotAnsweredError
-            There is no experiment node.
+            The step ended with an error; the message names experiment and step.
         """
-        mode = MeasureStep.Goal.WHITE if white else MeasureStep.Goal.FRINGES
-        goal = MeasureStep.Goal(mode=mode, set_reference=set_reference)
-        return self._ask(self._measure, goal, "measuring", feedback)
+        goal = MeasureStep.Goal(mode=MODES[mode], set_reference=set_reference)
+        return self._act(self._measure, goal, "measure_step", feedback)
 
-    def wait(self, done: Callable[[], bool], timeout_s: float, what: str) -> None:
-        """Serve this client's subscriptions until something is true.
+    def sleep(self, seconds: float) -> None:
+        """Wait, and notice what `watch` notices."""
+        end = time.monotonic() + seconds
+        self._wait(lambda: time.monotonic() >= end, seconds + 1.0, lambda: "the clock stands still")
 
-        Raises
-        ------
-        NotAnsweredError
-            It was not within ``timeout_s``.
-        """
-        end = self.node.get_clock().now().nanoseconds + int(timeout_s * 1e9)
-        while not done():
-            if self.node.get_clock().now().nanoseconds > end:
-                raise NotAnsweredError(f"{what} did not come within {timeout_s:g} s")
-            self._spin()
-
-    def _ask(self, client: ActionClient, goal: Any, what: str, feedback: Callable[[Any], None] | None) -> Any:
-        self.wait(client.server_is_ready, ANSWER_TIMEOUT_S, f"{what}: a server of the action")
-        callback = None if feedback is None else lambda message: feedback(message.feedback)
-        handle = self._result(client.send_goal_async(goal, feedback_callback=callback))
+    def _act(self, client: ActionClient, goal: Any, what: str, feedback: Callable[[Any], None]) -> Any:
+        sent = client.send_goal_async(goal, feedback_callback=lambda message: feedback(message.feedback))
+        handle = self._await(sent, START_TIMEOUT_S, what)
         if not handle.accepted:
-            raise StepFailedError(f"{what}: the request was rejected")
-        result = self._result(handle.get_result_async()).result
+            raise StepFailedError(f"{what}: refused")
+        result = self._await(handle.get_result_async(), STEP_TIMEOUT_S, what).result
         if result.error_code:
-            raise StepFailedError(f"{what}: {result.error_message} (code {result.error_code})")
+            raise StepFailedError(f"{result.error_message} (error {result.error_code})")
         return result
 
-    def _result(self, future: Future) -> Any:
-        while not future.done():
-            self._spin()
+    def _call(self, client: Any, request: Any) -> Any:
+        return self._await(client.call_async(request), START_TIMEOUT_S, client.srv_name)
+
+    def _await(self, future: Future, timeout_s: float, what: str) -> Any:
+        self._wait(future.done, timeout_s, lambda: f"{what}: no answer")
         return future.result()
 
-    def _spin(self) -> None:
-        self._executor.spin_once(timeout_sec=0.05)
-        if self._watch is not None:
+    def _wait(self, done: Callable[[], bool], timeout_s: float, words: Callable[[], str]) -> None:
+        end = time.monotonic() + timeout_s
+        while not done():
+            self._executor.spin_once(timeout_sec=0.1)
             self._watch()
+            if time.monotonic() > end:
+                raise NotAnsweredError(f"{words()} after {timeout_s:g} s")
+
+    def _unrecorded(self) -> list[str]:
+        """Topics that somebody publishes and the recorder does not hear yet."""
+        if self._recorder is not None and self._recorder.state == RecorderStatus.FAILED:
+            raise StepFailedError(f"the recorder failed: {self._recorder.error_message}")
+        if self._recorder is None or self._recorder.state != RecorderStatus.RECORDING:
+            return ["everything"]
+        topics = [self._node.resolve_topic_name(name) for name in (*RAW_TOPICS, *DERIVED_TOPICS)]
+        heard = [
+            topic
+            for topic in topics
+            if any(each.node_name == "recorder" for each in self._node.get_subscriptions_info_by_topic(topic))
+        ]
+        derived = {self._node.resolve_topic_name(name) for name in DERIVED_TOPICS}
+        wanted = topics if derived & set(heard) else [topic for topic in topics if topic not in derived]
+        return [topic for topic in wanted if topic not in heard and self._node.count_publishers(topic)]
+
+    def _take_recorder(self, message: RecorderStatus) -> None:
+        self._recorder = message

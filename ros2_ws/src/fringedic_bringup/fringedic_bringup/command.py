@@ -1,307 +1,242 @@
-"""The ``fringedic`` command."""
+"""The ``fringedic`` command. ROS is imported only by what starts nodes: the rest works on any machine."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 import yaml
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn
-from rich.progress import Progress as Bar
 from rich.table import Table
 
-from fringedic.errors import FringedicError, ImageTypeError, ParameterError, RigFileError
+from fringedic.errors import FringedicError, ParameterError, RigFileError
+from fringedic_bringup.display import LiveProgress, report_table
 
-# Commands without ROS must start without it: what needs rclpy is imported by the command that uses it.
+if TYPE_CHECKING:
+    from fringedic_bringup.report import RunReport
 
 app = typer.Typer(
-    help="3D shape and 3D displacement of a surface with one camera and one projector.",
+    help="3D shape and displacement of surfaces, measured with one camera and one projector.",
     no_args_is_help=True,
-    rich_markup_mode="markdown",
+    add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
 )
-console = Console()
+console = Console(width=None if sys.stdout.isatty() else 120)
+CONFIG = Path(__file__).resolve().parent.parent / "config"
 
-Bag = Annotated[Path, typer.Argument(help="Folder of a recording.", metavar="BAG")]
-Output = Annotated[Path, typer.Option("--output", "-o", help="Folder for everything that the command writes.")]
-Overrides = Annotated[
-    list[str] | None, typer.Option("--set", help="A parameter in place of the recorded one, such as dic.window=24.")
+Bag = Annotated[Path, typer.Argument(help="Folder of a recording.")]
+Output = Annotated[Path | None, typer.Option(help="Folder for what is written.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="Replaces a recorded parameter; may be repeated."),
 ]
 
 
-@app.command()
+class Specimen(StrEnum):
+    """The virtual experiments of the demo."""
+
+    PLATE = "plate"
+    SKIN = "skin"
+    LEATHER = "leather"
+
+
+@app.command(epilog="Example: fringedic run plate.yaml --programme slow.yaml --output recordings/plate-7")
 def run(
-    rig: Annotated[Path, typer.Argument(help="Rig file (YAML).", metavar="RIG.yaml")],
-    programme: Annotated[
-        Path | None, typer.Option("--programme", "-p", help="Load steps (YAML); by default those in the rig file.")
-    ] = None,
-    output: Output = Path("experiment"),
+    rig: Annotated[Path, typer.Argument(help="Rig file; those that come with fringedic are found by their name.")],
+    programme: Annotated[Path | None, typer.Option(help="Load steps instead of those in the rig file.")] = None,
+    output: Output = None,
+    images: Annotated[Path | None, typer.Option(help="Folder of images for a rig whose camera reads files.")] = None,
 ) -> None:
-    """Run a programme of load steps on a rig: move, hold, measure, next; everything is recorded.
+    """Run the load steps of a rig: start its nodes, move, hold and measure, record everything."""
+    from fringedic_bringup.run import load_rig, run_experiment
 
-    Example: `fringedic run plate.yaml --programme tension.yaml --output tension_1`
-
-    The machine's own limits and emergency stop are in charge; this command only requests.
-    """
-    from fringedic.rig_file import load_programme, load_rig_file
-    from fringedic_bringup.run import run_programme
-
-    chosen = load_programme(programme) if programme else load_rig_file(rig).programme
-    if chosen is None:
-        raise RigFileError(f"{rig}: has no section programme; give one with --programme")
-    with _progress(chosen.experiment) as progress:
-        ran = run_programme(rig, chosen, output, progress=progress)
-    console.print(_answers(ran.results))
-    console.print(f"recording: {ran.bag} ({ran.missing_images} images missing)")
+    path = _rig_path(rig)
+    rig_file, steps = load_rig(path, programme, images)
+    stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
+    folder = output or Path(rig_file.recording.folder) / f"{steps.experiment}-{stamp}"
+    with LiveProgress(console) as progress:
+        report = run_experiment(rig_file, path, steps, folder, progress)
+    _finish([report])
 
 
-@app.command()
+@app.command(epilog="Example: fringedic demo --output demo plate leather")
 def demo(
-    specimens: Annotated[
-        list[str] | None,
-        typer.Argument(help="plate, skin, leather, or the path of a virtual rig file; all by default."),
-    ] = None,
-    output: Output = Path("demo"),
+    specimens: Annotated[list[Specimen] | None, typer.Argument(help="Which experiments; all by default.")] = None,
+    output: Annotated[Path, typer.Option(help="Folder for recordings, datasets and pictures.")] = Path("demo"),
 ) -> None:
-    """Run virtual experiments through the real nodes and compare them with the exact truth.
+    """Measure the three virtual specimens through the real nodes and compare them with the truth."""
+    from fringedic_bringup.run import load_rig, run_experiment
 
-    Example: `fringedic demo skin --output demo`
-
-    Leaves per specimen the recording, maps of shape, displacement and error, and one dataset.
-    """
-    from fringedic_bringup.demo import SPECIMENS, run_demo
-    from fringedic_bringup.processes import private_domain
-
-    finished = []
-    with private_domain() as domain:
-        for specimen in specimens or SPECIMENS:
-            rig = Path(specimen) if specimen.endswith(".yaml") else configuration(f"{specimen}.yaml")
-            with _progress(rig.stem) as progress:
-                finished.append(
-                    run_demo(
-                        rig,
-                        output / rig.stem,
-                        domain=domain,
-                        progress=progress,
-                        say=lambda what, name=rig.stem: console.print(f"{name}: {what}"),
-                    )
-                )
-    table = Table(title="measured minus true, root mean square")
-    for heading in (
-        "experiment",
-        "step",
-        "u [µm]",
-        "v [µm]",
-        "w [µm]",
-        "z [µm]",
-        "valid [%]",
-        "lost frames",
-        "cloud after [s]",
-    ):
-        table.add_column(heading, justify="left" if heading == "experiment" else "right")
-    for result in finished:
-        for number, answer in enumerate(result.run.results):
-            errors = result.errors.isel(step=number)
-            table.add_row(
-                result.specimen,
-                str(answer.step),
-                *(f"{float(errors[f'error_{name}']):.3f}" for name in "uvwz"),
-                f"{100 * float(errors.measured_fraction):.1f}",
-                str(result.run.missing_images),
-                f"{answer.processing_time:.2f}",
-            )
-    console.print(table)
-    for result in finished:
-        console.print(f"{result.folder}: recording, results.nc, truth.nc, pictures")
+    folder = _unused(output)
+    reports = []
+    with LiveProgress(console) as progress:
+        for specimen in specimens or list(Specimen):
+            path = CONFIG / f"{specimen}.yaml"
+            rig, programme = load_rig(path, None, None)
+            reports.append(run_experiment(rig, path, programme, folder / specimen, progress))
+    _finish(reports)
 
 
-@app.command()
-def replay(bag: Bag, set_: Overrides = None, output: Output = Path("replay")) -> None:
-    """Play a recording through fresh phase, dic and coupling nodes, as fast as they go, into a new recording.
+@app.command(epilog="Example: fringedic replay recordings/plate-7/bag --set dic.window=24 --output window-24")
+def replay(bag: Bag, settings: Settings = None, output: Output = None) -> None:
+    """Process a recording again by fresh nodes, as fast as they go, and record the results."""
+    from fringedic_bringup.replay import replay as replay_bag
 
-    Example: `fringedic replay my_test/bag --set dic.window=24 --output window_24`
-
-    With unchanged parameters the results are the recorded ones, bit by bit.
-    """
-    from fringedic_bringup.processes import private_domain
-    from fringedic_bringup.run import replay as play
-
-    with private_domain() as domain:
-        summary = play(bag, output / "bag", domain=domain, overrides=_overrides(set_), progress=console.print)
-    console.print(f"{output / 'bag'}: {summary}")
+    _existing(bag)
+    folder = output or _unused(bag.with_name(f"{bag.name}_replayed"))
+    with LiveProgress(console) as progress:
+        target = replay_bag(bag, folder, progress, overrides=_by_node(_values(settings)))
+    console.print(f"recording: {target}", markup=False, highlight=False)
 
 
-@app.command()
+@app.command(epilog="Example: fringedic process recordings/plate-7/bag --set coupling.z_filter_px=4 --output new.nc")
 def process(
     bag: Bag,
-    set_: Overrides = None,
-    steps: Annotated[str | None, typer.Option(help="Steps to measure, such as 0,3,7; all by default.")] = None,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="NetCDF file; by default beside BAG.")] = None,
+    settings: Settings = None,
+    output: Annotated[Path | None, typer.Option(help="NetCDF file; beside the recording by default.")] = None,
     overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False,
 ) -> None:
-    """Measure a recording again without ROS: the same arrays as the nodes give.
-
-    Example: `fringedic process my_test/bag --set dic.window=24 --output window_24.nc`
-    """
+    """Measure a recording again without ROS and write the results as NetCDF."""
     from fringedic.results import process_bag
 
-    def said(step: int, error: str) -> None:
-        console.print(f"step {step}: {error or 'done'}")
+    with LiveProgress(console) as progress:
+        progress.stage(f"processing {bag}")
+        target = process_bag(
+            bag,
+            output=output,
+            overrides=_values(settings),
+            overwrite=overwrite,
+            progress=lambda step, error: progress.note(f"step {step}: {error or 'measured'}"),
+        )
+    console.print(f"dataset: {target}", markup=False, highlight=False)
 
-    chosen = None if steps is None else _numbers(steps)
-    file = process_bag(bag, output=output, overrides=_overrides(set_), steps=chosen, overwrite=overwrite, progress=said)
-    console.print(f"dataset: {file}")
 
-
-@app.command()
+@app.command(epilog="Example: fringedic info recordings/plate-7/bag")
 def info(bag: Bag) -> None:
-    """Say what a recording holds, and whether it is whole.
+    """Say what a recording holds and whether it is whole."""
+    from fringedic.recording import info as bag_info
 
-    Example: `fringedic info my_test/bag`
-    """
-    from fringedic.recording import info as read
-
-    found = read(bag)
-    table = Table(title=f"{bag}: {(found.end_time - found.start_time) * 1e-9:.1f} s, {found.size * 1e-6:.1f} MB")
-    for heading in ("topic", "type", "messages"):
-        table.add_column(heading, justify="right" if heading == "messages" else "left")
-    for name, (type_name, messages) in found.topics.items():
-        table.add_row(name, type_name, str(messages))
+    summary = bag_info(bag)
+    start = datetime.fromtimestamp(summary.start_time * 1e-9, UTC).isoformat(sep=" ", timespec="seconds")
+    duration = (summary.end_time - summary.start_time) * 1e-9
+    table = Table(title=f"{bag}: {start} UTC, {duration:.1f} s, {summary.size / 1e6:.1f} MB", title_justify="left")
+    table.add_column("topic")
+    table.add_column("type")
+    table.add_column("messages", justify="right")
+    for name, (type_name, count) in summary.topics.items():
+        table.add_row(name, type_name, str(count))
     console.print(table)
-    console.print(f"damaged: {found.lost}" if found.lost else "whole")
+    if summary.lost:
+        console.print(f"damaged: {summary.lost}; `fringedic recover {bag}` saves the rest", markup=False)
 
 
-@app.command()
-def recover(
-    bag: Bag,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="New recording; by default BAG_recovered.")
-    ] = None,
-) -> None:
-    """Make a whole recording of everything that can be read in a damaged one.
+@app.command(epilog="Example: fringedic recover recordings/plate-7/bag --output saved")
+def recover(bag: Bag, output: Output = None) -> None:
+    """Write a whole recording from what can be read of a damaged one."""
+    from fringedic.recording import recover as recover_bag
 
-    Example: `fringedic recover my_test/bag`
-    """
-    from fringedic.recording import recover as rescue
-
-    console.print(f"recovered: {rescue(bag, output)}")
+    console.print(f"recording: {recover_bag(bag, output)}", markup=False, highlight=False)
 
 
-@app.command()
-def export(
-    bag: Bag,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="NetCDF file; by default beside BAG.")] = None,
-) -> None:
-    """Write what the nodes published as one labelled NetCDF dataset.
-
-    Example: `fringedic export my_test/bag --output my_test.nc`
-    """
-    from fringedic.results import dataset_from_derived
-
-    console.print(f"dataset: {dataset_from_derived(bag, output=output)}")
-
-
-@app.command()
+@app.command(epilog="Example: fringedic measure reference.tif loaded-1.tif loaded-2.tif --window 24 --output measured")
 def measure(
-    images: Annotated[list[Path], typer.Argument(help="The reference image, then deformed ones.", metavar="IMAGES...")],
-    window: Annotated[int, typer.Option(help="Width of the window [px].")] = 32,
-    output: Output = Path("displacement"),
+    images: Annotated[list[Path], typer.Argument(help="The reference image, then the deformed ones in their order.")],
+    window: Annotated[int, typer.Option(min=8, max=256, help="Width of the correlation window [px].")] = 32,
+    spacing: Annotated[int, typer.Option(min=1, max=256, help="Distance of the measured points [px].")] = 1,
+    output: Annotated[Path, typer.Option(help="Folder for dataset and pictures.")] = Path("measured"),
 ) -> None:
-    """Measure the in-plane displacement between images, without a rig.
-
-    Example: `fringedic measure reference.tif load_1.tif load_2.tif --window 32 --output plate`
-    """
+    """Measure the in-plane displacement between images and write it as NetCDF and PNG."""
     from fringedic_bringup.images import measure_images
 
-    if len(images) < 2:
-        raise ImageTypeError("at least two images are needed: the reference first, then deformed ones")
-    for file in measure_images(images, output, window=window):
-        console.print(f"written: {file}")
+    with LiveProgress(console) as progress:
+        dataset, pictures = measure_images(images, output, progress, window=window, spacing=spacing)
+    console.print(f"dataset: {dataset}\npictures: {len(pictures)} in {output}", markup=False, highlight=False)
 
 
-def configuration(name: str) -> Path:
-    """Return the path of a rig file that comes with the package."""
-    from ament_index_python.packages import get_package_share_directory
+@app.command(epilog="Example: fringedic export recordings/plate-7/bag --output plate-7")
+def export(bag: Bag, output: Output = None) -> None:
+    """Write what the nodes published as a labelled dataset (NetCDF) and as pictures (PNG)."""
+    from fringedic.pictures import save_pictures
+    from fringedic.results import dataset_from_derived, open_experiment
 
-    path = Path(get_package_share_directory("fringedic_bringup"), "config", name)
-    if not path.exists():
-        known = ", ".join(sorted(each.stem for each in path.parent.glob("*.yaml")))
-        raise RigFileError(f"there is no rig '{path.stem}'; known are {known}, or give the path of a .yaml file")
-    return path
-
-
-def _overrides(given: list[str] | None) -> dict[str, Any]:
-    overrides = {}
-    for each in given or []:
-        name, separator, value = each.partition("=")
-        if not separator or name.partition(".")[0] not in ("phase", "dic", "coupling"):
-            raise ParameterError(f"--set {each}: expected phase|dic|coupling.PARAMETER=VALUE, such as dic.window=24")
-        overrides[name] = yaml.safe_load(value)
-    return overrides
+    folder = output or _unused(bag.with_name(f"{bag.name}_exported"))
+    folder.mkdir(parents=True, exist_ok=True)
+    target = dataset_from_derived(bag, output=folder / f"{bag.name}.nc")
+    with open_experiment(target) as dataset:
+        pictures = save_pictures(dataset, folder)
+    console.print(f"dataset: {target}\npictures: {len(pictures)} in {folder}", markup=False, highlight=False)
 
 
-def _numbers(text: str) -> list[int]:
-    try:
-        return [int(each) for each in text.split(",")]
-    except ValueError:
-        raise ParameterError(f"--steps {text}: expected numbers such as 0,3,7") from None
-
-
-@contextmanager
-def _progress(name: str) -> Iterator[Callable[[Any], None]]:
-    """Show stage, frame and step: a bar on a terminal, a line per step elsewhere."""
-    if not console.is_terminal:
-        last: list[tuple[int, str]] = []
-
-        def line(progress: Any) -> None:
-            if (progress.step, progress.stage) not in last:
-                last.append((progress.step, progress.stage))
-                console.print(f"{name}: step {progress.step + 1} of {progress.steps}: {progress.stage}")
-
-        yield line
-        return
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Bar(*columns, console=console) as bar:
-        task = bar.add_task(name)
-
-        def show(progress: Any) -> None:
-            words = f"{name}: step {progress.step + 1} of {progress.steps}, {progress.stage}"
-            bar.update(task, description=words, completed=progress.frame, total=progress.frames or None)
-
-        yield show
-
-
-def _answers(results: list[Any]) -> Table:
-    table = Table(title="load steps")
-    for heading in ("step", "valid [%]", "rms displacement", "force [N]", "position [mm]", "cloud after [s]"):
-        table.add_column(heading, justify="right")
-    for each in results:
-        table.add_row(
-            str(each.step),
-            f"{100 * each.valid_fraction:.1f}",
-            f"{each.rms_displacement * 1e6:.1f} µm"
-            if each.rms_displacement < 0.1
-            else f"{each.rms_displacement:.3f} px",
-            f"{each.force_mean:.1f}",
-            f"{each.position_mean * 1e3:.4f}",
-            f"{each.processing_time:.2f}",
-        )
-    return table
-
-
-def main() -> int:
-    """Run the command; whatever is wrong is said in one sentence."""
+def main() -> None:
+    """Run the command; an error is one sentence on the error stream and exit code 1."""
     try:
         app()
     except FringedicError as error:
-        Console(stderr=True).print(f"fringedic: {error}", markup=False, highlight=False)
-        return 1
+        print(error, file=sys.stderr)
+        sys.exit(1)
     except KeyboardInterrupt:
-        print("fringedic: interrupted", file=sys.stderr)
-        return 130
-    return 0
+        print("interrupted; the nodes have ended and the recording is closed", file=sys.stderr)
+        sys.exit(130)
+
+
+def _rig_path(rig: Path) -> Path:
+    """Return a rig file as given, or the one that comes with fringedic under this name."""
+    shipped = CONFIG / rig.with_suffix(".yaml").name
+    return shipped if not rig.exists() and rig.parent == Path() and shipped.exists() else rig
+
+
+def _values(settings: list[str] | None) -> dict[str, Any]:
+    """Return ``["dic.window=24"]`` as {"dic.window": 24}."""
+    values = {}
+    for setting in settings or []:
+        name, equals, text = setting.partition("=")
+        if not equals or name.count(".") != 1:
+            raise ParameterError(f"--set {setting}: write it as node.parameter=value, for example dic.window=24")
+        values[name] = yaml.safe_load(text)
+    return values
+
+
+def _by_node(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    from fringedic_bringup.graph import PROCESSING_NODES
+
+    nodes: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        node, parameter = name.split(".")
+        if node not in PROCESSING_NODES:
+            raise ParameterError(f"--set {name}: a replay runs {', '.join(PROCESSING_NODES)}, not {node}")
+        nodes.setdefault(node, {})[parameter] = value
+    return nodes
+
+
+def _existing(bag: Path) -> None:
+    from fringedic.recording import BagReader
+
+    BagReader(bag).find("camera/image_raw", "camera/exposure", "experiment/step")
+
+
+def _unused(folder: Path) -> Path:
+    """Return a folder name that is free: demo, demo-2, demo-3 ..."""
+    candidate, number = folder, 1
+    while candidate.exists():
+        number += 1
+        candidate = folder.with_name(f"{folder.name}-{number}")
+    return candidate
+
+
+def _finish(reports: list[RunReport]) -> None:
+    for report in reports:
+        console.print(report_table(report))
+        console.print(
+            f"{report.folder}: bag, {report.experiment}.nc, {len(report.pictures)} pictures",
+            markup=False,
+            highlight=False,
+        )
+    failed = [report.experiment for report in reports if report.failed]
+    if failed:
+        raise RigFileError(f"steps failed or frames are missing in: {', '.join(failed)}")

@@ -1,7 +1,4 @@
-"""The one description of the graph: which nodes a rig or a replay consists of, with which parameters.
-
-The command starts these processes itself; `launch/rig.launch.py` hands the same description to a stock ROS 2.
-"""
+"""The graph of a rig: which nodes run with which parameters, for the command, the launch file and the tests."""
 
 from __future__ import annotations
 
@@ -12,26 +9,16 @@ from typing import Any
 
 import yaml
 
-from fringedic.rig_file import RigFile, load_calibration, load_rig_file
+from fringedic.recording import BagReader
+from fringedic.rig_file import RigFile, load_calibration
 
-PROCESSING = {"phase": "phase_node", "dic": "dic_node", "coupling": "coupling_node"}
-RECORDER = "recorder"
-PLAYER = "player"
+PROCESSING_NODES = {"phase": "phase_node", "dic": "dic_node", "coupling": "coupling_node"}
+STEP_TOPIC = "experiment/step"
 
 
 @dataclass(frozen=True)
 class NodeEntry:
-    """One node process.
-
-    Attributes
-    ----------
-    name
-        Name of the node, first part of its topics.
-    package, executable
-        What ``ros2 run`` would start.
-    parameters
-        Values of its parameters.
-    """
+    """One node process: ``ros2 run package executable`` under a name, with parameters."""
 
     name: str
     package: str
@@ -41,115 +28,130 @@ class NodeEntry:
 
 @dataclass(frozen=True)
 class Graph:
-    """Nodes that belong together, in the order in which they are started; the recorder comes first.
-
-    Attributes
-    ----------
-    namespace
-        ROS namespace of all nodes, without leading slash; empty for none.
-    nodes
-        The node processes.
-    """
+    """Nodes in the order in which they start, and their common namespace without the leading slash."""
 
     namespace: str
     nodes: tuple[NodeEntry, ...]
 
+    @property
+    def names(self) -> list[str]:
+        """Names of the nodes."""
+        return [node.name for node in self.nodes]
 
-def rig_graph(rig_file: Path, output: Path, *, experiment: str) -> Graph:
-    """Return the graph of a rig that records one experiment.
+
+def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "") -> Graph:
+    """Return the nodes of a rig that records one run into a folder.
+
+    The folder gets the calibration of the rig file as ``calibration.yaml``; the nodes write the recording ``bag`` and,
+    on a virtual rig, the ground truth ``truth.nc`` into it.
 
     Parameters
     ----------
-    rig_file
-        Description of the rig; the calibration in it is written to ``output`` for the experiment node.
-    output
-        Folder of the experiment; the recording becomes its ``bag``.
+    rig, rig_path
+        The rig file and where it was read, from where its relative paths start.
+    folder
+        Made when it is not there.
     experiment
-        Name of the first experiment.
+        Name of the experiment; empty names it after the time of its start.
 
     Raises
     ------
     RigFileError
-        The rig file cannot be used.
+        The calibration file cannot be read.
     """
-    rig = load_rig_file(rig_file)
-    output.mkdir(parents=True, exist_ok=True)
-    recording = {
-        "bag_path": str(output / "bag"),
-        "derived": rig.recording.derived,
-        "compression": rig.recording.compression,
-    }
-    nodes = [NodeEntry(RECORDER, "experiment_node", "recorder", recording)]
+    folder.mkdir(parents=True, exist_ok=True)
+    calibration = load_calibration(rig, rig_path)
+    calibration_file = ""
+    if calibration is not None:
+        calibration_file = str((folder / "calibration.yaml").absolute())
+        calibration.to_yaml(calibration_file)
+
+    nodes = [
+        NodeEntry("recorder", "experiment_node", "recorder", _recorder(rig, folder)),
+        *_processing_nodes(
+            {
+                "phase": rig.nodes.phase.model_dump(),
+                "dic": rig.nodes.dic.model_dump(),
+                "coupling": rig.nodes.coupling.model_dump(),
+            }
+        ),
+    ]
     if rig.load_frame is not None and rig.load_frame.source == "simulated":
-        parameters = {"rate_hz": rig.load_frame.rate_hz, "virtual_rig": yaml.safe_dump(rig.virtual_rig)}
+        parameters = {"rate_hz": rig.load_frame.rate_hz, "virtual_rig": _virtual_rig(rig)}
         nodes.append(NodeEntry("load_frame", "load_frame_node", "load_frame", parameters))
-    if rig.projector is not None:
-        width, height = rig.projector_size() or (0, 0)
-        nodes.append(
-            NodeEntry("projector", "fringe_projector_node", "projector", {"width_px": width, "height_px": height})
-        )
-    nodes.append(NodeEntry("camera", "camera_node", "camera", _camera(rig, rig_file, output)))
-    nodes += _processing({name: getattr(rig.nodes, name).model_dump() for name in PROCESSING})
+    size = rig.projector_size()
+    if size is not None:
+        parameters = {"width_px": size[0], "height_px": size[1]}
+        nodes.append(NodeEntry("projector", "fringe_projector_node", "projector", parameters))
+    nodes.append(NodeEntry("camera", "camera_node", "camera", _camera(rig, rig_path, folder)))
     nodes.append(
-        NodeEntry("experiment", "experiment_node", "experiment", _experiment(rig, rig_file, output, experiment))
+        NodeEntry("experiment", "experiment_node", "experiment", _experiment(rig, experiment, calibration_file))
     )
     return Graph(rig.namespace, tuple(nodes))
 
 
-def replay_graph(bag: Path, output: Path, *, overrides: Mapping[str, Any], derived: bool = True) -> Graph:
-    """Return the graph that replays a recording through fresh processing nodes into a new recording.
+def replay_graph(bag: Path, output: Path, overrides: Mapping[str, Mapping[str, Any]]) -> Graph:
+    """Return the nodes that process a recording again and record what comes of it.
 
     Parameters
     ----------
     bag
         The recording to play.
     output
-        Folder of the new recording; must not exist.
+        Folder of the new recording.
     overrides
-        Parameters that replace the recorded ones, ``{"dic.window": 24}``.
-    derived
-        Also record what the processing nodes compute.
+        Parameters that replace the recorded ones, ``{"dic": {"window": 24}}``.
+
+    Raises
+    ------
+    MissingTopicError
+        The recording lacks the topic ``experiment/step``.
     """
-    values: dict[str, dict[str, Any]] = {name: {} for name in PROCESSING}
-    for name, value in overrides.items():
-        node, parameter = name.split(".", 1)
-        values[node][parameter] = value
+    step_topic = BagReader(bag).find(STEP_TOPIC)[STEP_TOPIC]
+    player: dict[str, Any] = {"bag_path": str(bag.absolute()), "recorder": True}
+    replaced = [f"{node}.{name}" for node, values in overrides.items() for name in values]
+    if replaced:
+        player["overrides"] = replaced
     return Graph(
-        "replay",
+        step_topic.removesuffix(STEP_TOPIC).strip("/"),
         (
-            NodeEntry(RECORDER, "experiment_node", "recorder", {"bag_path": str(output), "derived": derived}),
-            *_processing(values),
-            NodeEntry(
-                PLAYER,
-                "experiment_node",
-                "player",
-                {"bag_path": str(bag), "recorder": True, "overrides": ",".join(overrides)},
-            ),
+            NodeEntry("recorder", "experiment_node", "recorder", {"bag_path": str(output.absolute()), "derived": True}),
+            *_processing_nodes(overrides),
+            NodeEntry("player", "experiment_node", "player", player),
         ),
     )
 
 
-def _processing(parameters: Mapping[str, Mapping[str, Any]]) -> list[NodeEntry]:
-    return [NodeEntry(name, package, name, parameters[name]) for name, package in PROCESSING.items()]
+def _processing_nodes(parameters: Mapping[str, Mapping[str, Any]]) -> list[NodeEntry]:
+    return [NodeEntry(name, package, name, parameters.get(name, {})) for name, package in PROCESSING_NODES.items()]
 
 
-def _camera(rig: RigFile, rig_file: Path, output: Path) -> dict[str, Any]:
+def _recorder(rig: RigFile, folder: Path) -> dict[str, Any]:
+    return {
+        "bag_path": str((folder / "bag").absolute()),
+        "derived": rig.recording.derived,
+        "compression": rig.recording.compression,
+    }
+
+
+def _camera(rig: RigFile, rig_path: Path, folder: Path) -> dict[str, Any]:
     camera = rig.camera
     parameters: dict[str, Any] = {
         "source": camera.source,
         "exposure_time_s": camera.exposure_time,
         "settle_time_s": camera.settle_time,
     }
-    if camera.source == "virtual":
-        parameters |= {"virtual_rig": yaml.safe_dump(rig.virtual_rig), "truth_folder": str(output)}
     if camera.files is not None:
-        parameters["files"] = str((rig_file.parent / camera.files).resolve())
+        parameters["files"] = str((rig_path.parent / camera.files).absolute())
+    if rig.virtual_rig is not None:
+        parameters |= {"virtual_rig": _virtual_rig(rig), "truth_folder": str(folder.absolute())}
     return parameters
 
 
-def _experiment(rig: RigFile, rig_file: Path, output: Path, experiment: str) -> dict[str, Any]:
+def _experiment(rig: RigFile, experiment: str, calibration_file: str) -> dict[str, Any]:
     parameters: dict[str, Any] = {
         "experiment": experiment,
+        "calibration_file": calibration_file,
         "projector": rig.projector is not None,
         "recording_required": True,
     }
@@ -159,13 +161,12 @@ def _experiment(rig: RigFile, rig_file: Path, output: Path, experiment: str) -> 
         parameters |= {
             "projector_width_px": size[0],
             "projector_height_px": size[1],
-            "pitches_px": [float(pitch) for pitch in pitches],
+            "pitches_px": pitches,
             "shifts": [rig.sequence.shifts] * len(pitches),
             "orientation": rig.sequence.orientation,
         }
-    calibration = load_calibration(rig, rig_file)
-    if calibration is not None:
-        file = output / "calibration.yaml"
-        calibration.to_yaml(file)
-        parameters["calibration_file"] = str(file)
     return parameters
+
+
+def _virtual_rig(rig: RigFile) -> str:
+    return yaml.safe_dump(rig.virtual_rig, default_flow_style=True, width=10_000).strip()

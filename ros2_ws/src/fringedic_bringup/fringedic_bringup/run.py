@@ -1,192 +1,164 @@
-"""Runs a programme of load steps on a rig, and replays recordings: starts the graph, drives it, ends it."""
+"""One measured experiment from start to end: start the nodes, drive move -> hold -> measure, write the results."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+import os
+from collections import defaultdict
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
-from fringedic.errors import NotAnsweredError, RecordingError
-from fringedic.recording import BagReader
-from fringedic.rig_file import Programme
-from fringedic_bringup.client import RigClient
-from fringedic_bringup.graph import PLAYER, RECORDER, replay_graph, rig_graph
-from fringedic_bringup.processes import RunningGraph
+import xarray as xr
+
+from camera_node.drivers.files import SUFFIXES
+from fringedic.errors import RigFileError, StepFailedError
+from fringedic.pictures import save_pictures
+from fringedic.recording import BagReader, frame_record, stamp_of
+from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
+from fringedic.rig_file import Programme, ProgrammeStep, RigFile, load_programme, load_rig_file
+from fringedic_bringup.graph import Graph, rig_graph
+from fringedic_bringup.processes import RunningGraph, node_environment
+from fringedic_bringup.report import Progress, RunReport, StepReport
 from fringedic_msgs.action import MeasureStep
-from fringedic_msgs.msg import RecorderStatus
-from fringedic_ros.qos import LATCHED
-
-CLOSING_TIMEOUT_S = 20.0
 
 
-@dataclass(frozen=True)
-class Progress:
-    """How far an experiment is.
-
-    Attributes
-    ----------
-    step, steps
-        Present step, from 0, and their number.
-    stage
-        What is being done: move, capture, process.
-    frame, frames
-        Frames of the step taken and needed.
-    """
-
-    step: int
-    steps: int
-    stage: str
-    frame: int = 0
-    frames: int = 0
-
-
-@dataclass(frozen=True)
-class ExperimentRun:
-    """What came of an experiment.
-
-    Attributes
-    ----------
-    bag
-        The recording.
-    results
-        What `measure_step` answered for each step.
-    missing_images
-        Exposure records whose image was not recorded.
-    """
-
-    bag: Path
-    results: list[MeasureStep.Result]
-    missing_images: int
-
-
-def run_programme(
-    rig_file: Path,
-    programme: Programme,
-    output: Path,
-    *,
-    domain: int | None = None,
-    environment: Mapping[str, str] | None = None,
-    progress: Callable[[Progress], None] = lambda _: None,
-) -> ExperimentRun:
-    """Start a rig, measure the steps of a programme, and end the rig.
+def load_rig(rig_path: Path, programme_path: Path | None, images: Path | None) -> tuple[RigFile, Programme]:
+    """Read what a run needs.
 
     Parameters
     ----------
-    rig_file
-        The rig.
-    programme
-        The load steps.
-    output
-        Folder for the recording (``bag``) and the nodes' logs (``logs``).
-    domain
-        ROS_DOMAIN_ID; None takes the one of the environment.
-    environment
-        Further environment variables of the nodes.
-    progress
-        Called whenever something has gone on.
+    rig_path, programme_path
+        The rig file, and a programme that replaces the one in it.
+    images
+        Folder or pattern that replaces ``camera.files``.
 
     Raises
     ------
     RigFileError
-        The rig file cannot be used.
-    RecordingError
-        There is a recording in the folder already.
-    StepFailedError
-        A step or a movement failed; everything recorded before stays readable.
-    NodeDiedError
-        A node ended; the message holds the end of its log.
+        A file is not valid, names images that do not exist, or nothing says which steps to measure.
     """
-    bag = output / "bag"
-    if bag.exists():
-        raise RecordingError(f"{bag}: exists already; choose another output folder, recordings are never overwritten")
-    graph = rig_graph(rig_file, output, experiment=programme.experiment)
-    steps = programme.load_steps()
-    has_load_frame = any(entry.name == "load_frame" for entry in graph.nodes)
-    results: list[MeasureStep.Result] = []
-    recorder: list[RecorderStatus] = []
-    with (
-        RunningGraph(graph, output / "logs", domain=domain, environment=environment) as running,
-        RigClient(graph.namespace, domain=domain, watch=running.check) as client,
-    ):
-        client.node.create_subscription(RecorderStatus, "recorder/status", recorder.append, LATCHED)
-        for number, step in enumerate(steps):
-            if step.position is not None and has_load_frame:
-                progress(Progress(number, len(steps), "move"))
-                client.move(step.position, speed=step.speed)
-            time.sleep(step.hold_s)
-            results.append(
-                client.measure(
-                    white=step.mode == "white",
-                    set_reference=step.set_reference,
-                    feedback=lambda said, number=number: progress(
-                        Progress(number, len(steps), said.stage, said.frame, said.frames)
-                    ),
-                )
-            )
-        running.stop(entry.name for entry in graph.nodes if entry.name != RECORDER)
-        missing = recorder[-1].missing_images if recorder else 0
-    return ExperimentRun(bag, results, missing)
+    rig = load_rig_file(rig_path)
+    if images is not None:
+        if rig.camera.source != "files":
+            raise RigFileError(f"{rig_path}: camera.source is {rig.camera.source}; only 'files' takes images")
+        rig = rig.model_copy(update={"camera": rig.camera.model_copy(update={"files": str(images.absolute())})})
+    programme = load_programme(programme_path) if programme_path is not None else rig.programme
+    if rig.camera.files is not None:
+        place = rig_path.parent / rig.camera.files
+        found = place.iterdir() if place.is_dir() else place.parent.glob(place.name)
+        count = sum(path.suffix.lower() in SUFFIXES for path in found)
+        if not count:
+            raise RigFileError(f"{place}: no images there; name their folder with --images")
+        if programme is None:
+            programme = Programme(experiment=rig_path.stem, steps=[ProgrammeStep(mode="white")] * count)
+    if programme is None:
+        raise RigFileError(f"{rig_path}: has no programme; add one or give it with --programme")
+    return rig, programme
 
 
-def replay(
-    bag: Path,
-    output: Path,
-    *,
-    domain: int,
-    overrides: Mapping[str, Any] | None = None,
-    derived: bool = True,
-    environment: Mapping[str, str] | None = None,
-    progress: Callable[[str], None] = lambda _: None,
-) -> str:
-    """Play a recording through fresh processing nodes into a new recording.
+def run_experiment(rig: RigFile, rig_path: Path, programme: Programme, folder: Path, progress: Progress) -> RunReport:
+    """Run a programme on a rig and leave recording, dataset, pictures and logs in a folder.
 
-    Parameters
-    ----------
-    bag, output
-        The recording to play, and the folder of the new one.
-    domain
-        ROS_DOMAIN_ID, one that no rig uses.
-    overrides
-        Parameters that replace the recorded ones, ``{"dic.window": 24}``.
-    derived
-        Also record what the processing nodes compute.
-    environment
-        Further environment variables of the nodes.
-    progress
-        Called with each line that the player writes.
-
-    Returns
-    -------
-    str
-        The player's summary.
+    A step that fails is reported and the programme goes on, unless the recording or a node has failed.
 
     Raises
     ------
-    RecordingError, MissingTopicError
-        The recording cannot be played, or the output exists.
-    NodeDiedError
-        A node ended, or the player gave up; the message holds the end of its log.
+    RigFileError
+        The folder holds a recording already.
+    NodeDiedError, NotAnsweredError, StepFailedError
+        The nodes did not start, or one of them ended.
     """
-    BagReader(bag).find("camera/image_raw", "camera/exposure", "experiment/step")
-    if output.exists():
-        raise RecordingError(f"{output}: exists already; choose another output, recordings are never overwritten")
-    logs = output.parent / f"{output.name}.logs"
-    graph = replay_graph(bag, output, overrides=overrides or {}, derived=derived)
-    with RunningGraph(graph, logs, domain=domain, environment=environment) as running:
-        running.expect_end(PLAYER)
-        said = 0
-        while True:
-            ended = running.exit_code(PLAYER) is not None
-            lines = running.log(PLAYER).read_text(errors="replace").splitlines()
-            for line in lines[said:]:
-                progress(line)
-            said = len(lines)
-            running.check()
-            if ended:
-                break
-            time.sleep(0.1)
-    if not lines:
-        raise NotAnsweredError(f"the player ended without a summary; its log is {running.log(PLAYER)}")
-    return lines[-1]
+    if (folder / "bag").exists():
+        raise RigFileError(f"{folder} holds a recording already; choose another --output")
+    graph = rig_graph(rig, rig_path, folder, experiment=programme.experiment)
+    progress.stage(f"{programme.experiment}: starting {len(graph.nodes)} nodes")
+    with RunningGraph(graph, folder / "logs") as running:
+        steps = drive(graph, programme, running.check, progress)
+        progress.stage(f"{programme.experiment}: closing the recording")
+    progress.stage(f"{programme.experiment}: writing dataset and pictures")
+    return write_results(programme.experiment, folder, steps)
+
+
+def drive(graph: Graph, programme: Programme, watch: Callable[[], None], progress: Progress) -> list[StepReport]:
+    """Move, hold and measure, step by step, as the controller of a load frame would."""
+    os.environ.update({name: value for name, value in node_environment().items() if name.startswith("ROS_")})
+    # the client joins the rig's domain, so only now
+    from fringedic_bringup.client import RigClient
+
+    reports = []
+    steps = programme.load_steps()
+    with RigClient(graph.namespace, watch=watch) as rig:
+        rig.wait_until_ready(graph.names)
+        for number, step in enumerate(steps, start=1):
+
+            def show(feedback: MeasureStep.Feedback, number: int = number) -> None:
+                progress.step(number, len(steps), feedback.stage, feedback.frame, feedback.frames)
+
+            report = StepReport(len(reports))
+            reports.append(report)
+            try:
+                if step.position is not None and "load_frame" in graph.names:
+                    progress.step(number, len(steps), f"move to {step.position * 1e3:.3f} mm")
+                    rig.move(step.position, step.speed)
+                if step.hold_s:
+                    progress.step(number, len(steps), "hold")
+                    rig.sleep(step.hold_s)
+                result = rig.measure(step.mode, set_reference=step.set_reference, feedback=show)
+            except StepFailedError as error:
+                report.error = str(error)
+                progress.note(report.error)
+                continue
+            report.step = result.step
+            report.position, report.force = result.position_mean, result.force_mean
+            report.valid_fraction, report.processing_time = result.valid_fraction, result.processing_time
+        if rig.recorder is not None and rig.recorder.error_message:
+            progress.note(f"recorder: {rig.recorder.error_message}")
+    return reports
+
+
+def write_results(experiment: str, folder: Path, steps: list[StepReport]) -> RunReport:
+    """Write dataset and pictures of a recording, and add losses and errors against the truth to the steps."""
+    bag = folder / "bag"
+    target = folder / f"{experiment}.nc"
+    if BagReader(bag).find_optional("phase/status"):
+        dataset_from_derived(bag, output=target, experiment=experiment)
+    else:
+        process_bag(bag, output=target, experiment=experiment)
+    losses = frame_losses(bag)
+    truth_file = folder / "truth.nc"
+    with open_experiment(target) as dataset:
+        errors = compare_with_truth(dataset, truth_file) if truth_file.exists() else None
+        if truth_file.exists():
+            with open_truth(truth_file) as truth:
+                pictures = save_pictures(dataset, folder / "pictures", truth=truth)
+        else:
+            pictures = save_pictures(dataset, folder / "pictures")
+    for report in steps:
+        report.dropped, report.missing = losses.get(report.step, (0, 0))
+        if errors is not None and report.step in errors.step.values:
+            report.errors = _errors_of(errors, report.step)
+    return RunReport(experiment, folder, steps, pictures)
+
+
+def frame_losses(bag: Path) -> dict[int, tuple[int, int]]:
+    """Return (frames that the camera dropped, exposures without image in the recording) of each step."""
+    reader = BagReader(bag)
+    names = reader.find("camera/image_raw", "camera/exposure")
+    images, records = set(), defaultdict(list)
+    for topic, message, _ in reader.messages(names.values()):
+        if topic == names["camera/image_raw"]:
+            images.add(stamp_of(message))
+        else:
+            record = frame_record(message)
+            records[record.step].append(record)
+    losses: dict[int, tuple[int, int]] = {}
+    dropped_before = 0
+    for step, exposures in sorted(records.items()):
+        dropped = max(record.dropped for record in exposures)
+        losses[step] = dropped - dropped_before, sum(record.stamp not in images for record in exposures)
+        dropped_before = dropped
+    return losses
+
+
+def _errors_of(errors: xr.Dataset, step: int) -> dict[str, float]:
+    row = errors.sel(step=step)
+    return {name: float(row[f"error_{name}"]) for name in ("u", "v", "w", "z")}

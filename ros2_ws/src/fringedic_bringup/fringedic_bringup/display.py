@@ -1,0 +1,100 @@
+"""What a person sees while a command runs: live bars on a terminal, plain lines elsewhere."""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bars
+from rich.table import Table
+
+from fringedic_bringup.report import RunReport
+
+
+class LiveProgress:
+    """Stage, step and frame of a run.
+
+    Parameters
+    ----------
+    console
+        Where to write; without a terminal every load step gives one line at its begin and one before its results.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._bars = Bars(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[where]}"),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task = self._bars.add_task("starting", total=None, where="")
+        self._last = ""
+
+    def __enter__(self) -> LiveProgress:
+        self._bars.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._bars.stop()
+
+    def stage(self, text: str) -> None:
+        """Say what is being done now."""
+        self._bars.update(self._task, description=text, total=None, where="")
+        self._plain(text)
+
+    def step(self, number: int, steps: int, text: str, frame: int = 0, frames: int = 0) -> None:
+        """Say where a load step is; `number` counts from 1."""
+        where = f"step {number} of {steps}: {text}"
+        done = number - 1 + (frame / frames if frames else 0.0)
+        counted = f"frame {frame} of {frames}" if frames else ""
+        self._bars.update(self._task, description=where, total=steps, completed=done, where=counted)
+        self._plain(where)
+
+    def note(self, text: str) -> None:
+        """Say something that stays on the screen."""
+        self._console.print(text, markup=False, highlight=False)
+
+    def _plain(self, text: str) -> None:
+        if not self._console.is_terminal and text != self._last:
+            self.note(text)
+        self._last = text
+
+
+def report_table(report: RunReport) -> Table:
+    """Return the steps of a run as a table: errors against the truth, valid part, lost frames, time to the cloud."""
+    table = Table(title=f"{report.experiment}: {report.folder}", min_width=70, title_justify="left")
+    with_truth = any(step.errors for step in report.steps)
+    table.add_column("step", justify="right")
+    table.add_column("position\n[mm]", justify="right")
+    table.add_column("force\n[N]", justify="right")
+    if with_truth:
+        for name in ("u", "v", "w"):
+            table.add_column(f"error {name}\n[µm RMS]", justify="right")
+    table.add_column("valid\n[%]", justify="right")
+    table.add_column("frames lost\ncamera / bag", justify="right")
+    table.add_column("exposure to\ncloud [s]", justify="right")
+    for step in report.steps:
+        if step.error:
+            table.add_row(str(step.step), "failed")
+            continue
+        cells = [str(step.step), _figure(step.position * 1e3, 3), _figure(step.force, 2)]
+        if with_truth:
+            cells += [_figure(step.errors.get(name, float("nan")), 2) for name in ("u", "v", "w")]
+        cells += [
+            _figure(step.valid_fraction * 100, 1),
+            f"{step.dropped} / {step.missing}",
+            _figure(step.processing_time, 2),
+        ]
+        table.add_row(*cells)
+    return table
+
+
+def _figure(value: float, digits: int) -> str:
+    return "-" if value != value else f"{value:.{digits}f}"

@@ -1,0 +1,64 @@
+"""In-plane displacement between image files, without a rig and without ROS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import xarray as xr
+
+from camera_node.drivers.files import read_grey
+from fringedic import Reference, measure_displacement
+from fringedic.errors import CameraError, FringedicError
+from fringedic.pictures import IN_PLANE, maps_figure
+from fringedic_bringup.report import Progress
+
+
+def measure_images(
+    images: list[Path], folder: Path, progress: Progress, *, window: int, spacing: int
+) -> tuple[Path, list[Path]]:
+    """Measure each image against the first one; each start from the result before, so that motions may add up.
+
+    Parameters
+    ----------
+    images
+        The reference and at least one deformed image.
+    folder
+        Gets ``displacement.nc`` over (step, row, column) and one picture per image.
+    progress
+        Told which image is measured.
+    window, spacing
+        See `fringedic.measure_displacement` [px].
+
+    Returns
+    -------
+    tuple
+        The dataset's file and the pictures.
+
+    Raises
+    ------
+    CameraError
+        There is only one image, or one cannot be read.
+    FringedicError
+        An image does not show the surface of the reference.
+    """
+    if len(images) < 2:
+        raise CameraError("give a reference image and at least one deformed image")
+    reference = Reference(read_grey(images[0]), window=window, spacing=spacing)
+    folder.mkdir(parents=True, exist_ok=True)
+    fields: list[xr.Dataset] = []
+    pictures = []
+    for number, path in enumerate(images[1:], start=1):
+        progress.step(number, len(images) - 1, path.name)
+        try:
+            field = measure_displacement(reference, read_grey(path), initial=fields[-1] if fields else None)
+        except FringedicError as error:
+            raise type(error)(f"{path}: {error}") from error
+        fields.append(field)
+        maps = field.rename(sigma_x="displacement_sigma_x", sigma_y="displacement_sigma_y")
+        figure = maps_figure(maps, IN_PLANE, title=f"{path.name} against {images[0].name}")
+        pictures.append(folder / f"{path.stem}.png")
+        figure.savefig(pictures[-1])
+    target = folder / "displacement.nc"
+    names = xr.DataArray([path.name for path in images[1:]], dims="step", name="image")
+    xr.concat(fields, dim=names).to_netcdf(target, engine="h5netcdf")
+    return target, pictures

@@ -1,0 +1,68 @@
+"""What a run tells while it goes on, and what is known of its steps afterwards."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+
+class Progress(Protocol):
+    """What a run tells while it goes on."""
+
+    def stage(self, text: str) -> None:
+        """Say what is being done now."""
+
+    def step(self, number: int, steps: int, text: str, frame: int = 0, frames: int = 0) -> None:
+        """Say where a load step is; `number` counts from 1."""
+
+    def note(self, text: str) -> None:
+        """Say something that stays on the screen."""
+
+
+@dataclass
+class StepReport:
+    """What is known of one load step after a run.
+
+    Attributes
+    ----------
+    step
+        Number in the experiment.
+    position, force
+        Mean over the exposures [m], [N].
+    valid_fraction
+        Measured points over all points.
+    processing_time
+        From the last exposure to the last result [s].
+    dropped, missing
+        Frames that the camera lost; exposures whose image is not in the recording.
+    errors
+        RMS of measured minus true u, v, w and z [µm]; empty without a ground truth.
+    error
+        Why the step failed, empty when it did not.
+    """
+
+    step: int
+    position: float = float("nan")
+    force: float = float("nan")
+    valid_fraction: float = float("nan")
+    processing_time: float = float("nan")
+    dropped: int = 0
+    missing: int = 0
+    errors: dict[str, float] = field(default_factory=dict)
+    error: str = ""
+
+
+@dataclass
+class RunReport:
+    """One run: its folder, which holds recording, dataset and pictures, and its steps."""
+
+    experiment: str
+    folder: Path
+    steps: list[StepReport]
+    pictures: list[Path]
+
+    @property
+    def failed(self) -> bool:
+        """Whether a step failed or a frame was lost."""
+        return any(step.error or step.missing for step in self.steps)
