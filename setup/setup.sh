@@ -21,6 +21,8 @@ run() {
     local what=$1 started=$SECONDS from said
     shift
     printf 'set-up: %s ... ' "$what"
+    [ -n "${logging:-}" ] || : >"$log"
+    logging=yes
     from=$(($(wc -l <"$log") + 1))
     printf '== %s: %s\n' "$what" "$*" >>"$log"
     if "$@" >>"$log" 2>&1 </dev/null; then
@@ -121,7 +123,6 @@ if ! current environment "$environment"; then
     free_mb=$(df -Pm "$root" | awk 'NR == 2 { print $4 }')
     [ "$free_mb" -ge "$needed_mb" ] ||
         stop "the disk is full: $needed_mb MB are needed where $root lies and $free_mb MB are free; free some and start again"
-    : >"$log"
     rm -rf "$venv" "$root/ros2_ws/build" "$root/ros2_ws/install" "$root/ros2_ws/log"
     mkdir -p "$stamps"
     [ -f "$python_include/Python.h" ] || (run "headers of Python" unpack_headers) 2>/dev/null ||
