@@ -30,6 +30,7 @@ from fringedic_ros.work import Worker
 
 FRAME_ID = "camera_optical_frame"
 Request = CaptureFrame.Request
+_BUFFERS = 4  # exposures of the free run that may be under way, as in a camera driver
 
 
 class CameraParameters(HardwareParameters):
@@ -170,7 +171,7 @@ class CameraNode(HardwareNode[CameraParameters]):
 
     # one frame on request
 
-    async def _capture(self, request: Request, response: CaptureFrame.Response) -> CaptureFrame.Response:
+    async def _capture(self, request: CaptureFrame.Request, response: CaptureFrame.Response) -> CaptureFrame.Response:
         started = time.monotonic()
         try:
             self._check(request)
@@ -190,7 +191,7 @@ class CameraNode(HardwareNode[CameraParameters]):
         response.subscribers = self._subscribers()
         return response
 
-    def _check(self, request: Request) -> None:
+    def _check(self, request: CaptureFrame.Request) -> None:
         if not self.active:
             raise CameraError("the camera is not active; configure and activate it")
         if self._free_run is not None:
@@ -228,7 +229,9 @@ class CameraNode(HardwareNode[CameraParameters]):
             self._worker = Worker(self)
             raise
 
-    def _fail(self, request: Request, response: CaptureFrame.Response, code: int, error: Exception) -> None:
+    def _fail(
+        self, request: CaptureFrame.Request, response: CaptureFrame.Response, code: int, error: Exception
+    ) -> None:
         response.error_code = code
         response.error_message = f"step {request.step}, frame {request.index}: {error}"
         self.get_logger().error(response.error_message)
@@ -247,7 +250,7 @@ class CameraNode(HardwareNode[CameraParameters]):
         self._exposures.publish(exposure)
         return self._stamp_ns
 
-    def _save_truth(self, request: Request, scene: Scene) -> None:
+    def _save_truth(self, request: CaptureFrame.Request, scene: Scene) -> None:
         """Write the truth of a step when its last frame is taken."""
         folder = self.parameters.value.truth_folder
         if not folder or not isinstance(self._driver, VirtualDriver) or request.index + 1 < request.count:
@@ -260,7 +263,7 @@ class CameraNode(HardwareNode[CameraParameters]):
     # free run
 
     def _expose_freely(self) -> None:
-        if self._worker.pending:
+        if self._worker.pending >= _BUFFERS:
             self._dropped += 1
             self.diagnostics.drop()
             return
@@ -284,7 +287,7 @@ class CameraNode(HardwareNode[CameraParameters]):
         self.diagnostics.success()
 
 
-def _record(request: Request) -> FrameRecord:
+def _record(request: CaptureFrame.Request) -> FrameRecord:
     """Record of the frame that a request asks for; stamp and exposure time are filled in when it is published."""
     try:
         projection = projection_of(request)

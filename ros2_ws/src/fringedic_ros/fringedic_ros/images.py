@@ -13,22 +13,16 @@ from sensor_msgs.msg import Image
 from fringedic.errors import ImageMessageError
 from fringedic_ros.stamps import to_msg
 
-_LAYOUTS: dict[str, tuple[type[np.generic], int]] = {
-    "mono8": (np.uint8, 1),
-    "mono16": (np.uint16, 1),
-    "32FC1": (np.float32, 1),
-    "32FC2": (np.float32, 2),
-    "rgb8": (np.uint8, 3),
-    "bgr8": (np.uint8, 3),
+_LAYOUTS: dict[str, tuple[np.dtype, int]] = {
+    "mono8": (np.dtype(np.uint8), 1),
+    "mono16": (np.dtype(np.uint16), 1),
+    "32FC1": (np.dtype(np.float32), 1),
+    "32FC2": (np.dtype(np.float32), 2),
+    "rgb8": (np.dtype(np.uint8), 3),
+    "bgr8": (np.dtype(np.uint8), 3),
 }
 
-_DEFAULT_ENCODINGS = {
-    (np.dtype(np.uint8), 1): "mono8",
-    (np.dtype(np.uint16), 1): "mono16",
-    (np.dtype(np.float32), 1): "32FC1",
-    (np.dtype(np.float32), 2): "32FC2",
-    (np.dtype(np.uint8), 3): "rgb8",
-}
+_DEFAULT_ENCODINGS = {layout: encoding for encoding, layout in _LAYOUTS.items() if encoding != "bgr8"}
 
 
 def image_message(pixels: np.ndarray, *, stamp_ns: int, frame_id: str, encoding: str | None = None) -> Image:
@@ -82,8 +76,8 @@ def image_array(message: Image) -> np.ndarray:
         raise ImageMessageError(
             f"image encoding '{message.encoding}' is not supported; known encodings: {', '.join(_LAYOUTS)}"
         )
-    scalar, channels = _LAYOUTS[message.encoding]
-    dtype = np.dtype(scalar).newbyteorder(">" if message.is_bigendian else "<")
+    native, channels = _LAYOUTS[message.encoding]
+    dtype = native.newbyteorder(">" if message.is_bigendian else "<")
     row_bytes = message.width * channels * dtype.itemsize
     if message.step < row_bytes or len(message.data) != message.step * message.height:
         raise ImageMessageError(
@@ -100,5 +94,5 @@ def image_array(message: Image) -> np.ndarray:
 def as_bytes(values: np.ndarray) -> array.array:
     """Copy of a C-contiguous array's bytes in the type that rclpy's byte sequences take over as it is."""
     data = array.array("B")
-    data.frombytes(memoryview(values).cast("B") if values.size else b"")
+    data.frombytes(values.data.cast("B") if values.size else b"")
     return data

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import h5netcdf
 import numpy as np
@@ -57,10 +58,12 @@ class TruthFile:
 
     def add(self, step: int, position: float) -> None:
         """Write the truth of a step at a crosshead position [m]; steps left out stay NaN, and invalid."""
+        first = self._reference_position is None
         if self._reference_position is None:
             self._reference_position = position
-            self._create(self._rig.truth(position, position))
         truth = self._rig.truth(position, self._reference_position)
+        if first:
+            self._create(truth)
         with h5netcdf.File(self._path, "a") as file:
             file.resize_dimension("step", max(step + 1, file.dimensions["step"].size))
             for name in _of_step(truth):
@@ -73,19 +76,13 @@ class TruthFile:
         file = xr.merge([truth.drop_vars(_of_step(truth)), empty], combine_attrs="drop")
         file["position"] = ("step", np.empty(0), {"units": "m", "long_name": "crosshead position"})
         file.attrs = {"reference_position_m": truth.attrs["reference_position_m"]}
-        shape = (1, *self._rig.shape)
-        encoding = {
-            name: {"dtype": "f4", "_FillValue": np.float32(np.nan), "zlib": True, "complevel": 1}
-            | ({"chunksizes": shape} if "step" in file[name].dims else {})
-            for name in file.data_vars
-            if file[name].ndim > 1 and file[name].dtype != bool
-        }
-        encoding |= {
-            name: {"dtype": "i1", "zlib": True, "complevel": 1}
-            | ({"chunksizes": shape} if "step" in file[name].dims else {})
-            for name in file.data_vars
-            if file[name].dtype == bool
-        }
+        encoding: dict[str, dict[str, Any]] = {}
+        for name, variable in file.data_vars.items():
+            if variable.ndim > 1:
+                flag = variable.dtype == bool
+                encoding[str(name)] = {"dtype": "i1"} if flag else {"dtype": "f4", "_FillValue": np.float32(np.nan)}
+                if "step" in variable.dims:
+                    encoding[str(name)]["chunksizes"] = (1, *self._rig.shape)
         self._path.parent.mkdir(parents=True, exist_ok=True)
         file.to_netcdf(self._path, engine="h5netcdf", encoding=encoding, unlimited_dims=["step"])
 
