@@ -203,9 +203,14 @@ class CameraNode(HardwareNode[CameraParameters]):
     def _subscribers(self) -> int:
         return min(self._images.get_subscription_count(), self._exposures.get_subscription_count())
 
+    def _are_connected(self, needed: int) -> bool:
+        # viewers read images alone: of the records no more readers are expected than there are
+        readers = min(needed, self.count_subscribers(self._exposures.topic_name))
+        return self._images.get_subscription_count() >= needed and self._exposures.get_subscription_count() >= readers
+
     async def _await_subscribers(self, needed: int) -> None:
         try:
-            await until(self, lambda: self._subscribers() >= needed, self.parameters.value.timeout_s)
+            await until(self, lambda: self._are_connected(needed), self.parameters.value.timeout_s)
         except WaitTimeoutError:
             raise NoSubscriberError(
                 f"camera/image_raw has {self._images.get_subscription_count()} and camera/exposure "

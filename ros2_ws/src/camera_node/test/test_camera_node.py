@@ -210,6 +210,19 @@ def test_waits_for_subscribers(studio: Studio, tmp_path: Path) -> None:
         other.destroy_node()
 
 
+def test_viewers_of_images_alone_hold_nothing_up(studio: Studio, tmp_path: Path) -> None:
+    save(tmp_path, "0.png", np.zeros((4, 4), np.uint8))
+    with NodeProcess(MODULE, DOMAIN, tmp_path, {"source": "files", "files": str(tmp_path), "timeout_s": 2.0}):
+        viewers = [Peer(f"viewer_{number}") for number in range(2)]
+        for viewer in viewers:
+            viewer.listen(Image, "camera/image_raw", IMAGES)
+        response = studio.capture(minimum_subscribers=3)
+        assert (response.error_code, response.subscribers) == (Request.NONE, 1), response.error_message
+        studio.frame(response.stamp)
+        for viewer in viewers:
+            viewer.destroy_node()
+
+
 def test_free_run_counts_every_frame(studio: Studio, tmp_path: Path) -> None:
     for name in range(3):
         save(tmp_path, f"{name}.tif", np.full((40, 60), name, np.uint8))
