@@ -21,7 +21,14 @@ import numpy as np
 
 from fringedic.correlation import kernels
 from fringedic.correlation.images import SMALLEST_WINDOW
-from fringedic.correlation.pyramid import DERIVATIVE_NOISE, INTERPOLATION_NOISE, Level, spline_of, transferred
+from fringedic.correlation.pyramid import (
+    DERIVATIVE_NOISE,
+    INTERPOLATION_NOISE,
+    Level,
+    node_counts,
+    spline_of,
+    transferred,
+)
 from fringedic.correlation.start import WIDEST, affine_field, global_motion
 from fringedic.errors import NoCorrelationError
 
@@ -83,11 +90,11 @@ def window_of(width: int) -> Window:
 
 @dataclass
 class Field:
-    """What is known at the nodes of a level: displacement and brightness, windowed sums and the noise of a pixel."""
+    """What is known at the nodes of a level: displacement and brightness, and sums over cells and over windows."""
 
     nodes: np.ndarray  # (4, node row, node column): d_x, d_y [px of the level], gain and offset of g
-    sums: np.ndarray  # (CHANNELS, node row, node column), windowed
-    noise: float  # standard deviation of the residual of a pixel
+    cells: np.ndarray  # (CHANNELS, node row, node column)
+    sums: np.ndarray  # the same, windowed
 
 
 def _plane(field: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -103,8 +110,10 @@ def _plane(field: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return a[0, :, None, None] + a[1, :, None, None] * basis[1] + a[2, :, None, None] * basis[2]
 
 
-def _refine(level: Level, spline: np.ndarray, nodes: np.ndarray, window: Window, *, expected: float) -> Field:
-    """One warp of the deformed image and the fixed point around it.
+def _summed(
+    level: Level, spline: np.ndarray, nodes: np.ndarray, window: Window, expected: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Sums over cells and windows after one warp of the deformed image, and the noise of a pixel's residual.
 
     `expected` [px] is the displacement error that may still be there: residuals it explains are not taken for outliers.
     """
@@ -120,24 +129,40 @@ def _refine(level: Level, spline: np.ndarray, nodes: np.ndarray, window: Window,
     if seen.size == 0:
         raise NoCorrelationError("no pixel of the reference is seen in the deformed image: nothing can be measured")
     noise = float(np.median(seen)) * (1.4826 if cell == 1 else np.sqrt(np.pi / 2))
-    slope = float(np.sqrt(np.mean(level.along_x[::4, ::4] ** 2 + level.along_y[::4, ::4] ** 2) / 2))
-    limit = 3 * np.hypot(noise, expected * slope)
+    limit = 3 * np.hypot(noise, expected * level.slope)
     cells = np.empty((kernels.CHANNELS, node_rows, node_columns), f4)
     kernels.accumulated(level.values, level.along_x, level.along_y, residual, limit, cell, cells)
     sums = np.empty_like(cells)
     kernels.windowed(cells, window.taps, sums)
+    return cells, sums, noise
 
+
+def _equalise(nodes: np.ndarray, sums: np.ndarray, seen: np.ndarray, window: Window, floor: float) -> None:
+    """Follow the brightness of every window; where little is seen, under glare, the neighbours' holds."""
+    kernels.equalised(nodes, sums, floor)
+    plane = _plane(nodes[2:], seen)
+    weighted, spread = np.empty((3, *seen.shape), f4), np.empty((3, *seen.shape), f4)
+    weighted[0], weighted[1:] = seen, (nodes[2:] - plane) * seen
+    kernels.windowed(weighted, window.taps, spread)
+    own = np.clip(2 * spread[0], 0, 1)
+    nodes[2:] = own * nodes[2:] + (1 - own) * (plane + spread[1:] / spread[0])
+
+
+def _refine(level: Level, spline: np.ndarray, nodes: np.ndarray, window: Window, expected: float) -> Field:
+    """One warp of the deformed image and the fixed point around it."""
+    cells, sums, noise = _summed(level, spline, nodes, window, expected)
     # tau: the gradient that the noise of one image alone would show, as an energy per cell.
-    tau = cell * cell * max(DERIVATIVE_NOISE * noise**2 / 2, 1e-6 * slope**2)
-    seen_cells = cells[kernels.W] / f4(cell * cell) + f4(1e-3)
-    plane = _plane(nodes[:2], seen_cells)
+    cell2 = window.cell**2
+    tau = cell2 * max(DERIVATIVE_NOISE * noise**2 / 2, 1e-6 * level.slope**2)
+    seen = _rich(cells, tau) / f4(cell2) + f4(1e-3)
+    plane = _plane(nodes[:2], seen)
     start = nodes[:2] - plane
     u = start.copy()
-    kernels.fixed_point(cells, sums, seen_cells, start, window.taps, window.smoothing, tau, ORDER, ITERATIONS, u)
+    kernels.fixed_point(cells, sums, seen, start, window.taps, window.smoothing, tau, ORDER, ITERATIONS, u)
     fresh = nodes.copy()
     fresh[:2] = u + plane
-    kernels.equalised(fresh, sums, noise**2 + 1e-6)
-    return Field(fresh, sums, noise)
+    _equalise(fresh, sums, seen, window, noise**2 + 1e-6)
+    return Field(fresh, cells, sums)
 
 
 def _moments(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -159,26 +184,50 @@ def _correlation(sums: np.ndarray) -> np.ndarray:
 def explained(correlation: np.ndarray, speckles: np.ndarray) -> np.ndarray:
     """Coefficient of determination r^2 of a fit, adjusted for its parameters (two of motion, two of brightness).
 
-    A window with few independent speckles can be made to agree with anything; the adjustment is limited to a factor 5.
+    A window with few independent speckles can be made to agree with anything; the adjustment is limited to a factor 10.
     """
     freedom = np.maximum(speckles - 1, 1e-6)
-    return 1 - (1 - np.clip(correlation, 0, 1) ** 2) * freedom / np.maximum(freedom - 4, freedom / 5)
+    return 1 - (1 - np.clip(correlation, 0, 1) ** 2) * freedom / np.maximum(freedom - 4, freedom / 10)
 
 
 SMALLEST_EXPLAINED = 0.25
-SMALLEST_AGREEMENT = 0.2
+SMALLEST_AGREEMENT = 0.1
+TEXTURE = 1.5  # gradient energy of a texture over that of noise alone
+# Texture is looked for in 3 x 3 cells, sharply bounded: a window's far end must not lend its texture to a bare middle.
+AROUND = np.array([1, 1] + [0] * (kernels.REACH - 1), dtype=f4) / 3
 
 
-def check_agreement(agreed: int, measurable: int) -> None:
-    """Refuse a pair of images of which less than a fifth of the measurable windows agree.
+def _gradient_energy(cells: np.ndarray) -> np.ndarray:
+    """Sum of (df/dx)^2 + (df/dy)^2 per cell, averaged over 3 x 3 cells."""
+    energy = np.empty_like(cells[:1])
+    kernels.windowed(cells[kernels.GXX : kernels.GXX + 1] + cells[kernels.GYY : kernels.GYY + 1], AROUND, energy)
+    return energy[0]
+
+
+def _rich(cells: np.ndarray, tau: np.ndarray | float) -> np.ndarray:
+    """Weight of the cells that have texture, zero for the others; tau is the energy of noise along one axis."""
+    return np.where(_gradient_energy(cells) > 2 * TEXTURE * tau, cells[kernels.W], f4(0))
+
+
+def textured_cells(level: Level, cell: int) -> int:
+    """Cells of a reference with a tenth of the gradient energy of its richest parts: where a match can be expected."""
+    cells = np.empty((kernels.CHANNELS, *node_counts(level.shape, cell)), f4)
+    still = np.where(np.isnan(level.values), f4(np.nan), f4(0))
+    kernels.accumulated(level.values, level.along_x, level.along_y, still, 1.0, cell, cells)
+    energy = _gradient_energy(cells)
+    return int(np.count_nonzero(energy > 0.1 * np.quantile(energy, 0.95)))
+
+
+def check_agreement(agreed: int, offered: int) -> None:
+    """Refuse a pair of images of which less than a tenth of the textured reference agrees.
 
     Raises
     ------
     NoCorrelationError
     """
-    if agreed <= SMALLEST_AGREEMENT * measurable:
+    if agreed <= SMALLEST_AGREEMENT * offered:
         raise NoCorrelationError(
-            f"the deformed image does not correlate with the reference: {agreed} of {measurable} windows with texture "
+            f"the deformed image does not correlate with the reference: {agreed} of {offered} windows with texture "
             "agree. Check that both show the same surface, in focus; give `initial` from the step before if the motion "
             "between them is large"
         )
@@ -213,15 +262,19 @@ def displacement_nodes(
         last = len(levels) - 1
         top = next((k for k, level in enumerate(levels) if max(level.shape) <= WIDEST), last)
         window = window_at(width, top)
-        motion = global_motion(levels, reference, deformed, brightness)
+        motion = global_motion(reference, deformed)
         nodes = affine_field(motion, top, levels[top].shape, window.cell, *brightness)
     for k in range(top, -1, -1):
         window = window_at(width, k)
         if k < top:
             nodes = transferred(nodes, (k + 1, window_at(width, k + 1).cell), (k, window.cell), levels[k].shape)
         spline = spline_of(deformed[k])
+        if k == top:
+            # Shading first: mean and contrast of every window, before any residual is called an outlier.
+            _, sums, _ = _summed(levels[k], spline, nodes, window, np.inf)
+            kernels.equalised(nodes, sums, 1e-3)
         for expected in EXPECTED[0] if k == 0 else EXPECTED[1] if k < top else EXPECTED[2]:
-            field = _refine(levels[k], spline, nodes, window, expected=expected)
+            field = _refine(levels[k], spline, nodes, window, expected)
             change = float(np.abs(field.nodes[:2] - nodes[:2]).max())
             nodes = field.nodes
             if k and change < SETTLED:
@@ -242,35 +295,41 @@ class Nodes:
     valid: np.ndarray
 
 
-def judged(field: Field, window: Window) -> Nodes:
-    """Uncertainty and validity of a finished field.
+def judged(field: Field, window: Window, offered: int) -> Nodes:
+    """Uncertainty and validity of a finished field, of which `offered` nodes could have been measured.
 
     The covariance of a point is s^2 H^-1 times the mean of T^2, with s^2 the local variance of the residual, set right
-    for what interpolation averages away of the deformed image's noise. A point is valid where its window sees at least
-    half of its pixels, where texture exceeds what noise alone would show, and where f and g correlate.
+    for what interpolation averages away of the deformed image's noise. A point is valid where at least half of its
+    window is seen and has texture beyond what noise alone would show, and where f and g correlate.
+
+    Raises
+    ------
+    NoCorrelationError
     """
-    sums, cell2 = field.sums, window.cell**2
+    cells, sums, cell2 = field.cells, field.sums, f4(window.cell**2)
     gain = field.nodes[2]
     _, _, var_f, var_e, _ = _moments(sums)
     fraction = field.nodes[:2] - np.floor(field.nodes[:2])
     steps = INTERPOLATION_NOISE.size - 1
     kept = INTERPOLATION_NOISE[np.rint(fraction * steps).astype(np.intp)].prod(axis=0)
     pixel = (var_e * (1 + gain**2) / (1 + gain**2 * kept)).astype(f4)
-    tau = f4(cell2 * DERIVATIVE_NOISE) * pixel / 2
+    tau = f4(DERIVATIVE_NOISE / 2) * cell2 * pixel
     xx, xy, yy = sums[kernels.GXX], sums[kernels.GXY], sums[kernels.GYY]
-    determinant = np.maximum(xx * yy - xy * xy, f4(1e-30))
-    variance = pixel * f4(window.noise) / determinant
+    variance = pixel * f4(window.noise) / np.maximum(xx * yy - xy * xy, f4(1e-30))
     sigma = np.sqrt(np.stack([variance * yy, variance * xx]))
+
+    covered = np.empty_like(cells[:1])
+    kernels.windowed(_rich(cells, tau)[None], window.taps, covered)
     smallest = (xx + yy) / 2 - np.sqrt((xx - yy) ** 2 / 4 + xy * xy)
-    textured = smallest > np.maximum(2 * tau, f4(1e-5) * np.median(xx + yy))
-    covered = sums[kernels.W] >= f4(0.5 * cell2)
     # Speckles in a window of the effective area 4 pi s^2, each of the area 2 pi r^2 with r^2 = var f / (2 var df/dx).
     speckle = np.pi * var_f / np.maximum((xx + yy) / 2, f4(1e-12)) * np.maximum(sums[kernels.W], f4(1e-6))
     speckles = 4 * np.pi * window.deviation**2 / np.maximum(speckle, f4(1e-6))
-    agreed = explained(_correlation(sums), speckles) > SMALLEST_EXPLAINED
-    measurable = textured & covered
-    valid = measurable & agreed
-    check_agreement(int(valid.sum()), int(measurable.sum()))
+    # Agreement is looked for in a window twice as large: a few speckles can be made to agree with anything.
+    wide = np.empty_like(sums)
+    kernels.windowed(sums, window.taps, wide)
+    agreed = explained(_correlation(wide), 2 * speckles) > SMALLEST_EXPLAINED
+    valid = (covered[0] >= cell2 / 2) & (smallest > TEXTURE * tau) & agreed
+    check_agreement(int(valid.sum()), offered)
     # What is not valid keeps a usual value, so that interpolation between nodes does not overshoot next to it.
     sigma = np.where(valid, sigma, np.median(sigma[:, valid]))
     return Nodes(field.nodes[:2], sigma.astype(f4), valid)

@@ -43,6 +43,7 @@ class Reference:
         self.values = values
         self.images = pyramid.pyramid_of(values)
         self.levels = [pyramid.reference_level(level) for level in self.images]
+        self.textured = dense.textured_cells(self.levels[0], dense.window_of(self.window).cell)
         self.rows = np.arange(0, self.shape[0], self.spacing)
         self.columns = np.arange(0, self.shape[1], self.spacing)
 
@@ -180,7 +181,7 @@ def _dense(
     field = dense.displacement_nodes(
         reference.levels, reference.images, pyramid.pyramid_of(values), reference.window, initial, brightness
     )
-    nodes = dense.judged(field, window)
+    nodes = dense.judged(field, window, reference.textured)
     centre = 0.5 * (window.cell - 1)
     rows, columns = (reference.rows - centre) / window.cell, (reference.columns - centre) / window.cell
     node_rows = np.clip(np.rint(rows).astype(np.intp), 0, nodes.valid.shape[0] - 1)

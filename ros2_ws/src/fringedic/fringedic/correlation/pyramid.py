@@ -57,6 +57,7 @@ class Level:
     values: np.ndarray
     along_x: np.ndarray
     along_y: np.ndarray
+    slope: float  # root mean square of the gradient along one axis
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -78,14 +79,15 @@ def reference_level(image: np.ndarray) -> Level:
     """Gradient of an image and the pixels where it is known."""
     values, along_x, along_y = np.empty_like(image), np.empty_like(image), np.empty_like(image)
     kernels.gradient(image, DERIVATIVE, values, along_x, along_y)
-    return Level(values, along_x, along_y)
+    slope = float(np.sqrt(np.mean(along_x[::4, ::4] ** 2 + along_y[::4, ::4] ** 2) / 2))
+    return Level(values, along_x, along_y, slope)
 
 
 def spline_of(image: np.ndarray) -> np.ndarray:
     """Coefficients of the quintic spline through an image, NaN around pixels that are not measured, and outside.
 
     Missing pixels are filled with the mean of their surroundings first; what the fill changes dies out as .43 per
-    pixel, so two pixels around it are given up.
+    pixel, and the four pixels around it that a coefficient reaches are given up.
     """
     rows, columns = image.shape
     border = kernels.BORDER
@@ -95,18 +97,17 @@ def spline_of(image: np.ndarray) -> np.ndarray:
         kernels.spline_coefficients(image, SPLINE_INVERSE, out)
         return out
     kernels.spline_coefficients(filled(image[None])[0], SPLINE_INVERSE, out)
-    grown = missing.copy()
-    for shift in (1, 2):
-        grown[shift:] |= missing[:-shift]
-        grown[:-shift] |= missing[shift:]
-    across = grown.copy()
-    for shift in (1, 2):
-        across[:, shift:] |= grown[:, :-shift]
-        across[:, :-shift] |= grown[:, shift:]
+    near = missing.copy()
+    near[1:] |= missing[:-1]
+    near[:-1] |= missing[1:]
+    across = near.copy()
+    across[:, 1:] |= near[:, :-1]
+    across[:, :-1] |= near[:, 1:]
     out[border:-border, border:-border][across] = np.nan
     return out
 
 
+_SURROUNDINGS = np.full(kernels.REACH + 1, 1 / (2 * kernels.REACH + 1), dtype=f4)
 _SPREAD = np.array([6, 4, 1] + [0] * (kernels.REACH - 2), dtype=f4) / 16
 
 
@@ -142,6 +143,18 @@ def blurred(image: np.ndarray) -> np.ndarray:
     out = np.empty_like(image[None])
     kernels.windowed(filled(image[None]), _SPREAD, out)
     return np.where(np.isnan(image), f4(np.nan), out[0])
+
+
+def flattened(image: np.ndarray) -> np.ndarray:
+    """Image without shading: minus its local mean, over its local deviation; NaN become zero."""
+    known = np.where(np.isnan(image), f4(0), f4(1))
+    grey = np.where(np.isnan(image), f4(0), image)
+    local = np.empty((3, *image.shape), f4)
+    kernels.windowed(np.stack([known, grey, grey * grey]), _SURROUNDINGS, local)
+    weight = np.maximum(local[0], f4(1e-6))
+    mean = local[1] / weight
+    deviation = np.sqrt(np.maximum(local[2] / weight - mean * mean, 0))
+    return known * (grey - mean) / np.maximum(deviation, f4(0.1) * np.mean(deviation) + f4(1e-6))
 
 
 def node_counts(shape: tuple[int, int], cell: int) -> tuple[int, int]:

@@ -10,7 +10,15 @@ import numpy as np
 import scipy.fft
 
 from fringedic.correlation import kernels
-from fringedic.correlation.pyramid import Level, blurred, node_counts, node_pixels, reference_level, spline_of
+from fringedic.correlation.pyramid import (
+    Level,
+    blurred,
+    flattened,
+    node_counts,
+    node_pixels,
+    reference_level,
+    spline_of,
+)
 
 f4 = np.float32
 
@@ -22,8 +30,8 @@ CLEAR_PEAK = 15.0  # standard deviations of the correlation surface: no other st
 def correlation_peak(reference: np.ndarray, deformed: np.ndarray) -> tuple[float, float, float]:
     """Whole-pixel displacement (d_x, d_y) at the peak of the cross-correlation, and its height in deviations."""
     shape = [scipy.fft.next_fast_len(2 * n, real=True) for n in reference.shape]
-    f = scipy.fft.rfft2(np.nan_to_num(reference - np.nanmean(reference)), shape)
-    g = scipy.fft.rfft2(np.nan_to_num(deformed - np.nanmean(deformed)), shape)
+    f = scipy.fft.rfft2(flattened(reference), shape)
+    g = scipy.fft.rfft2(flattened(deformed), shape)
     surface = scipy.fft.irfft2(np.conj(f) * g, shape)
     peak = np.unravel_index(int(np.argmax(surface)), surface.shape)
     dy, dx = (float((p + n // 2) % n - n // 2) for p, n in zip(peak, shape, strict=True))
@@ -51,9 +59,7 @@ def affine_field(
     return nodes
 
 
-def _refined(
-    level: Level, spline: np.ndarray, k: int, affine: np.ndarray, gain: float, offset: float, passes: int
-) -> tuple[np.ndarray, float]:
+def _refined(level: Level, spline: np.ndarray, k: int, affine: np.ndarray, passes: int) -> tuple[np.ndarray, float]:
     """Affine motion after some Gauss-Newton steps on level k, and the correlation coefficient that it reached."""
     shape = level.shape
     scale = 2**k
@@ -68,7 +74,7 @@ def _refined(
     sums = np.empty((kernels.CHANNELS, *counts), f4)
     correlation = -1.0
     for _ in range(passes):
-        kernels.widened(affine_field(affine, k, shape, CELL, gain, offset), positions, lines)
+        kernels.widened(affine_field(affine, k, shape, CELL, 1.0, 0.0), positions, lines)
         kernels.residuals(level.values, spline, lines, CELL, residual, mean)
         if not np.isfinite(mean).any():
             return affine, -1.0
@@ -93,9 +99,7 @@ def _refined(
     return affine, correlation
 
 
-def global_motion(
-    levels: list[Level], reference: list[np.ndarray], deformed: list[np.ndarray], brightness: tuple[float, float]
-) -> np.ndarray:
+def global_motion(reference: list[np.ndarray], deformed: list[np.ndarray]) -> np.ndarray:
     """Affine motion (2, 3) [px of the full image] that brings the images to the best agreement."""
     top = len(reference) - 1
     finest = next((k for k, image in enumerate(reference) if max(image.shape) <= 2 * WIDEST), top)
@@ -108,15 +112,15 @@ def global_motion(
     else:
         starts.append(np.zeros((2, 3)))
     finest = min(finest + 1, top)
-    gain, offset = brightness
-    smooth = reference_level(blurred(reference[top]))
-    smooth_spline = spline_of(blurred(deformed[top]))
-    splines = {k: spline_of(deformed[k]) for k in range(finest, top + 1)}
+    flat = {
+        k: (reference_level(flattened(reference[k])), spline_of(flattened(deformed[k]))) for k in range(finest, top + 1)
+    }
+    smooth = reference_level(blurred(flattened(reference[top]))), spline_of(blurred(flattened(deformed[top])))
     best, agreement = starts[0], -2.0
     for start in starts:
-        affine, _ = _refined(smooth, smooth_spline, top, start, gain, offset, 12)
+        affine, _ = _refined(*smooth, top, start, 12)
         for k in range(top, finest - 1, -1):
-            affine, correlation = _refined(levels[k], splines[k], k, affine, gain, offset, 8)
+            affine, correlation = _refined(*flat[k], k, affine, 8)
         if correlation > agreement:
             best, agreement = affine, correlation
     return best
