@@ -10,6 +10,7 @@ with RigClient("rig") as rig:
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterable
 from types import TracebackType
@@ -42,14 +43,19 @@ class RigClient:
     ----------
     namespace
         The rig's namespace, without slashes around it.
+    domain
+        ROS_DOMAIN_ID; None takes the one of the environment.
     watch
         Called about ten times a second while waiting; what it raises ends the wait.
     """
 
-    def __init__(self, namespace: str = "rig", *, watch: Callable[[], None] = lambda: None) -> None:
+    def __init__(
+        self, namespace: str = "rig", *, domain: int | None = None, watch: Callable[[], None] = lambda: None
+    ) -> None:
         self._watch = watch
         self._context = Context()
-        rclpy.init(context=self._context)
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        rclpy.init(context=self._context, domain_id=domain)
         self._node = Node("client", namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)

@@ -28,7 +28,6 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 console = Console(width=None if sys.stdout.isatty() else 120)
-CONFIG = Path(__file__).resolve().parent.parent / "config"
 
 Bag = Annotated[Path, typer.Argument(help="Folder of a recording.")]
 Output = Annotated[Path | None, typer.Option(help="Folder for what is written.")]
@@ -71,15 +70,16 @@ def demo(
     output: Annotated[Path, typer.Option(help="Folder for recordings, datasets and pictures.")] = Path("demo"),
 ) -> None:
     """Measure the three virtual specimens through the real nodes and compare them with the truth."""
+    from fringedic_bringup.processes import private_domain
     from fringedic_bringup.run import load_rig, run_experiment
 
     folder = _unused(output)
     reports = []
-    with LiveProgress(console) as progress:
+    with LiveProgress(console) as progress, private_domain() as domain:
         for specimen in specimens or list(Specimen):
-            path = CONFIG / f"{specimen}.yaml"
+            path = _rig_path(Path(specimen))
             rig, programme = load_rig(path, None, None)
-            reports.append(run_experiment(rig, path, programme, folder / specimen, progress))
+            reports.append(run_experiment(rig, path, programme, folder / specimen, progress, domain=domain))
     _finish(reports)
 
 
@@ -100,6 +100,7 @@ def process(
     bag: Bag,
     settings: Settings = None,
     output: Annotated[Path | None, typer.Option(help="NetCDF file; beside the recording by default.")] = None,
+    steps: Annotated[list[int] | None, typer.Option("--step", help="Only this step; may be repeated.")] = None,
     overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False,
 ) -> None:
     """Measure a recording again without ROS and write the results as NetCDF."""
@@ -111,6 +112,7 @@ def process(
             bag,
             output=output,
             overrides=_values(settings),
+            steps=steps or None,
             overwrite=overwrite,
             progress=lambda step, error: progress.note(f"step {step}: {error or 'measured'}"),
         )
@@ -187,8 +189,15 @@ def main() -> None:
 
 def _rig_path(rig: Path) -> Path:
     """Return a rig file as given, or the one that comes with fringedic under this name."""
-    shipped = CONFIG / rig.with_suffix(".yaml").name
-    return shipped if not rig.exists() and rig.parent == Path() and shipped.exists() else rig
+    if rig.exists() or rig.parent != Path():
+        return rig
+    from ament_index_python.packages import get_package_share_directory
+
+    shipped = Path(get_package_share_directory("fringedic_bringup"), "config")
+    if (shipped / f"{rig.stem}.yaml").exists():
+        return shipped / f"{rig.stem}.yaml"
+    names = ", ".join(sorted(path.stem for path in shipped.glob("*.yaml")))
+    raise RigFileError(f"{rig}: no such rig file; {names} come with fringedic")
 
 
 def _values(settings: list[str] | None) -> dict[str, Any]:
@@ -233,7 +242,7 @@ def _finish(reports: list[RunReport]) -> None:
     for report in reports:
         console.print(report_table(report))
         console.print(
-            f"{report.folder}: bag, {report.experiment}.nc, {len(report.pictures)} pictures",
+            f"{report.folder}: recording (bag), dataset (results.nc), {len(report.pictures)} pictures",
             markup=False,
             highlight=False,
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
@@ -14,9 +13,10 @@ from fringedic.errors import RigFileError, StepFailedError
 from fringedic.pictures import save_pictures
 from fringedic.recording import BagReader, frame_record, stamp_of
 from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
-from fringedic.rig_file import Programme, ProgrammeStep, RigFile, load_programme, load_rig_file
+from fringedic.rig_file import Programme, RigFile, load_programme, load_rig_file
+from fringedic_bringup.client import RigClient
 from fringedic_bringup.graph import Graph, rig_graph
-from fringedic_bringup.processes import RunningGraph, node_environment
+from fringedic_bringup.processes import RunningGraph
 from fringedic_bringup.report import Progress, RunReport, StepReport
 from fringedic_msgs.action import MeasureStep
 
@@ -49,16 +49,37 @@ def load_rig(rig_path: Path, programme_path: Path | None, images: Path | None) -
         if not count:
             raise RigFileError(f"{place}: no images there; name their folder with --images")
         if programme is None:
-            programme = Programme(experiment=rig_path.stem, steps=[ProgrammeStep(mode="white")] * count)
+            programme = Programme.model_validate({"experiment": rig_path.stem, "steps": [{"mode": "white"}] * count})
     if programme is None:
         raise RigFileError(f"{rig_path}: has no programme; add one or give it with --programme")
     return rig, programme
 
 
-def run_experiment(rig: RigFile, rig_path: Path, programme: Programme, folder: Path, progress: Progress) -> RunReport:
+def run_experiment(
+    rig: RigFile,
+    rig_path: Path,
+    programme: Programme,
+    folder: Path,
+    progress: Progress,
+    *,
+    domain: int | None = None,
+) -> RunReport:
     """Run a programme on a rig and leave recording, dataset, pictures and logs in a folder.
 
-    A step that fails is reported and the programme goes on, unless the recording or a node has failed.
+    A step that fails is reported and the programme goes on, unless a node has ended.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file, and where it was read.
+    programme
+        The load steps.
+    folder
+        Gets ``bag``, ``logs``, the dataset ``results.nc``, a picture per step and, of a virtual rig, ``truth.nc``.
+    progress
+        Told what goes on.
+    domain
+        ROS_DOMAIN_ID; None takes the one of the environment.
 
     Raises
     ------
@@ -71,22 +92,25 @@ def run_experiment(rig: RigFile, rig_path: Path, programme: Programme, folder: P
         raise RigFileError(f"{folder} holds a recording already; choose another --output")
     graph = rig_graph(rig, rig_path, folder, experiment=programme.experiment)
     progress.stage(f"{programme.experiment}: starting {len(graph.nodes)} nodes")
-    with RunningGraph(graph, folder / "logs") as running:
-        steps = drive(graph, programme, running.check, progress)
+    with RunningGraph(graph, folder / "logs", domain=domain) as running:
+        steps = drive(graph, programme, running.check, progress, domain=domain)
         progress.stage(f"{programme.experiment}: closing the recording")
     progress.stage(f"{programme.experiment}: writing dataset and pictures")
     return write_results(programme.experiment, folder, steps)
 
 
-def drive(graph: Graph, programme: Programme, watch: Callable[[], None], progress: Progress) -> list[StepReport]:
+def drive(
+    graph: Graph,
+    programme: Programme,
+    watch: Callable[[], None],
+    progress: Progress,
+    *,
+    domain: int | None = None,
+) -> list[StepReport]:
     """Move, hold and measure, step by step, as the controller of a load frame would."""
-    os.environ.update({name: value for name, value in node_environment().items() if name.startswith("ROS_")})
-    # the client joins the rig's domain, so only now
-    from fringedic_bringup.client import RigClient
-
-    reports = []
+    reports: list[StepReport] = []
     steps = programme.load_steps()
-    with RigClient(graph.namespace, watch=watch) as rig:
+    with RigClient(graph.namespace, domain=domain, watch=watch) as rig:
         rig.wait_until_ready(graph.names)
         for number, step in enumerate(steps, start=1):
 
@@ -118,7 +142,7 @@ def drive(graph: Graph, programme: Programme, watch: Callable[[], None], progres
 def write_results(experiment: str, folder: Path, steps: list[StepReport]) -> RunReport:
     """Write dataset and pictures of a recording, and add losses and errors against the truth to the steps."""
     bag = folder / "bag"
-    target = folder / f"{experiment}.nc"
+    target = folder / "results.nc"
     if BagReader(bag).find_optional("phase/status"):
         dataset_from_derived(bag, output=target, experiment=experiment)
     else:
@@ -129,9 +153,9 @@ def write_results(experiment: str, folder: Path, steps: list[StepReport]) -> Run
         errors = compare_with_truth(dataset, truth_file) if truth_file.exists() else None
         if truth_file.exists():
             with open_truth(truth_file) as truth:
-                pictures = save_pictures(dataset, folder / "pictures", truth=truth)
+                pictures = save_pictures(dataset, folder, truth=truth)
         else:
-            pictures = save_pictures(dataset, folder / "pictures")
+            pictures = save_pictures(dataset, folder)
     for report in steps:
         report.dropped, report.missing = losses.get(report.step, (0, 0))
         if errors is not None and report.step in errors.step.values:
