@@ -30,6 +30,7 @@ from fringedic_ros.work import Worker
 
 FRAME_ID = "camera_optical_frame"
 Request = CaptureFrame.Request
+_TRUTH_TIMEOUT_S = 10.0
 _BUFFERS = 4  # exposures of the free run that may be under way, as in a camera driver
 
 
@@ -121,7 +122,10 @@ class CameraNode(HardwareNode[CameraParameters]):
             self._free_run = None
 
     def close(self) -> None:
-        """Give the camera back."""
+        """Give the camera back; what is still to be written of the truth is written first."""
+        deadline = time.monotonic() + _TRUTH_TIMEOUT_S
+        while self._truth is not None and self._worker.pending and time.monotonic() < deadline:
+            time.sleep(0.01)
         self._worker.stop()
         self._worker = Worker(self)
         if self._driver is not None:
