@@ -556,7 +556,9 @@ class _Timeline:
         self._states = np.array([state[1:] for state in states], dtype=float).reshape(-1, 2)
 
     def complete(self, row: _Row) -> None:
-        """Average force and position over the exposures of a step."""
+        """Average force and position over the exposures of a step; one that failed before its first has none."""
+        if row.step not in self._exposed:
+            return
         begin, end = self._exposed[row.step]
         within = (self._stamps >= begin) & (self._stamps <= end)
         if within.any():

@@ -14,6 +14,8 @@ from fringedic.rig_file import RigFile, load_calibration
 
 PROCESSING_NODES = {"phase": "phase_node", "dic": "dic_node", "coupling": "coupling_node"}
 STEP_TOPIC = "experiment/step"
+# A virtual camera renders: the first frame at a new position takes seconds, on a busy computer many.
+RENDERING_TIMEOUT_S = 120.0
 
 
 @dataclass(frozen=True)
@@ -144,7 +146,11 @@ def _camera(rig: RigFile, rig_path: Path, folder: Path) -> dict[str, Any]:
     if camera.files is not None:
         parameters["files"] = str((rig_path.parent / camera.files).absolute())
     if rig.virtual_rig is not None:
-        parameters |= {"virtual_rig": _virtual_rig(rig), "truth_folder": str(folder.absolute())}
+        parameters |= {
+            "virtual_rig": _virtual_rig(rig),
+            "truth_folder": str(folder.absolute()),
+            "timeout_s": RENDERING_TIMEOUT_S,
+        }
     return parameters
 
 
@@ -155,6 +161,8 @@ def _experiment(rig: RigFile, experiment: str, calibration_file: str) -> dict[st
         "projector": rig.projector is not None,
         "recording_required": True,
     }
+    if rig.virtual_rig is not None:
+        parameters["camera_timeout_s"] = RENDERING_TIMEOUT_S
     size = rig.projector_size()
     if size is not None:
         pitches = rig.pitches()
