@@ -179,7 +179,7 @@ class CameraNode(HardwareNode[CameraParameters]):
         started = time.monotonic()
         try:
             self._check(request)
-            await self._await_subscribers(request.minimum_subscribers)
+            await self._await_subscribers(request.image_subscribers, request.exposure_subscribers)
             await self._settle(to_nanoseconds(request.shown))
             scene = await self._scene(to_nanoseconds(request.shown))
             frame = await self._expose(scene)
@@ -207,18 +207,19 @@ class CameraNode(HardwareNode[CameraParameters]):
     def _subscribers(self) -> int:
         return min(self._images.get_subscription_count(), self._exposures.get_subscription_count())
 
-    def _are_connected(self, needed: int) -> bool:
-        # viewers read images alone: of the records no more readers are expected than there are
-        readers = min(needed, self.count_subscribers(self._exposures.topic_name))
-        return self._images.get_subscription_count() >= needed and self._exposures.get_subscription_count() >= readers
+    async def _await_subscribers(self, images: int, exposures: int) -> None:
+        def connected() -> bool:
+            return (
+                self._images.get_subscription_count() >= images
+                and self._exposures.get_subscription_count() >= exposures
+            )
 
-    async def _await_subscribers(self, needed: int) -> None:
         try:
-            await until(self, lambda: self._are_connected(needed), self.parameters.value.timeout_s)
+            await until(self, connected, self.parameters.value.timeout_s)
         except WaitTimeoutError:
             raise NoSubscriberError(
-                f"camera/image_raw has {self._images.get_subscription_count()} and camera/exposure "
-                f"{self._exposures.get_subscription_count()} subscribers, {needed} are expected"
+                f"camera/image_raw has {self._images.get_subscription_count()} subscribers and {images} are expected, "
+                f"camera/exposure has {self._exposures.get_subscription_count()} and {exposures} are expected"
             ) from None
 
     async def _settle(self, shown_ns: int) -> None:

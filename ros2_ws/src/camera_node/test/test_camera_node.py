@@ -64,7 +64,8 @@ class Studio(Peer):
 
     def capture(self, index: int = 0, count: int = 100, **fields: object) -> CaptureFrame.Response:
         self.wait(self._capture.service_is_ready, "the camera's service")
-        request = Request(**{"experiment": "test", "index": index, "count": count, "minimum_subscribers": 1, **fields})
+        expected = {"image_subscribers": 1, "exposure_subscribers": 1}
+        request = Request(**{"experiment": "test", "index": index, "count": count, **expected, **fields})
         future = self._capture.call_async(request)
         self.wait(future.done, "the camera's answer", 30)
         return future.result()
@@ -199,13 +200,16 @@ def test_files_with_faults_and_what_comes_after(studio: Studio, tmp_path: Path) 
 def test_waits_for_subscribers(studio: Studio, tmp_path: Path) -> None:
     save(tmp_path, "0.png", np.zeros((4, 4), np.uint8))
     with NodeProcess(MODULE, DOMAIN, tmp_path, {"source": "files", "files": str(tmp_path), "timeout_s": 0.5}):
-        response = studio.capture(minimum_subscribers=2)
+        response = studio.capture(image_subscribers=2)
         assert (response.error_code, response.subscribers) == (Request.NO_SUBSCRIBER, 1)
-        assert "2 are expected" in response.error_message
+        assert "camera/image_raw has 1 subscribers and 2 are expected" in response.error_message
+        response = studio.capture(exposure_subscribers=2)
+        assert response.error_code == Request.NO_SUBSCRIBER
+        assert "camera/exposure has 1 and 2 are expected" in response.error_message
         other = Peer("other")
         other.listen(Image, "camera/image_raw", IMAGES)
         other.listen(Exposure, "camera/exposure", IMAGES)
-        response = studio.capture(minimum_subscribers=2)
+        response = studio.capture(image_subscribers=2, exposure_subscribers=2)
         assert (response.error_code, response.subscribers) == (Request.NONE, 2)
         other.destroy_node()
 
@@ -216,7 +220,7 @@ def test_viewers_of_images_alone_hold_nothing_up(studio: Studio, tmp_path: Path)
         viewers = [Peer(f"viewer_{number}") for number in range(2)]
         for viewer in viewers:
             viewer.listen(Image, "camera/image_raw", IMAGES)
-        response = studio.capture(minimum_subscribers=3)
+        response = studio.capture(image_subscribers=3)
         assert (response.error_code, response.subscribers) == (Request.NONE, 1), response.error_message
         studio.frame(response.stamp)
         for viewer in viewers:

@@ -254,8 +254,7 @@ class ExperimentNode(Node):
             timeout,
             lambda: (Result.NO_SUBSCRIBER, f"nobody publishes {', '.join(absent())}; start the nodes they belong to"),
         )
-        # the nodes find each other while this one finds them, and it cannot see when they are done
-        await self._pause(step, CONNECTING_TIME - (time.monotonic() - self._connected_at))
+        await self._await_quiet_graph(step)
         await self._wait_polling(
             step,
             lambda: self._steps.get_subscription_count() >= self.count_subscribers("experiment/step"),
@@ -270,6 +269,18 @@ class ExperimentNode(Node):
                 lambda: (Result.RECORDER_FAILED, "recording is required and no recorder is recording; start it"),
             )
             self._check_recorder(parameters)
+
+    async def _await_quiet_graph(self, step: RunningStep) -> None:
+        """Wait for subscribers that may still be on their way: nodes find each other while this one finds them."""
+
+        def listeners() -> list[int]:
+            return [self.count_subscribers(topic) for topic in ("camera/image_raw", "camera/exposure")]
+
+        found, since = listeners(), self._connected_at
+        while (left := since + CONNECTING_TIME - time.monotonic()) > 0:
+            await self._pause(step, min(left, 0.1))
+            if found != (found := listeners()):
+                since = time.monotonic()
 
     def _begin_step(self, step: RunningStep) -> None:
         if step.is_reference:
@@ -328,6 +339,7 @@ class ExperimentNode(Node):
     async def _capture_frame(
         self, step: RunningStep, index: int, projection: Projection, shown: Time, parameters: ExperimentParameters
     ) -> None:
+        first = index == 0  # whoever reads frames must be connected before: a camera may have been started anew
         request = CaptureFrame.Request(
             experiment=self._experiment,
             step=step.number,
@@ -339,10 +351,11 @@ class ExperimentNode(Node):
             shift=projection.shift,
             shifts=projection.shifts,
             shown=shown,
-            minimum_subscribers=0 if self._ready or index else self.count_subscribers("camera/image_raw"),
+            image_subscribers=self.count_subscribers("camera/image_raw") if first else 0,
+            exposure_subscribers=self.count_subscribers("camera/exposure") if first else 0,
         )
         # a first frame waits for subscribers, and the camera knows better than a time-out which are not there
-        timeout = parameters.camera_timeout_s + (parameters.start_timeout_s if request.minimum_subscribers else 0.0)
+        timeout = parameters.camera_timeout_s + (parameters.start_timeout_s if first else 0.0)
         response = await self._call(step, self._capture, request, timeout, Result.CAMERA_TIMEOUT, f"frame {index}")
         if response.error_code != CaptureFrame.Request.NONE:
             code = CAPTURE_ERRORS.get(response.error_code, Result.CAMERA_FAILED)

@@ -260,7 +260,7 @@ def test_a_step_from_begin_to_end(rig: Rig, request: pytest.FixtureRequest) -> N
     assert [captured.index for captured in rig.captured] == list(range(FRAMES))
     assert {captured.count for captured in rig.captured} == {FRAMES}
     assert all(to_nanoseconds(captured.shown) > 0 for captured in rig.captured)
-    assert [captured.minimum_subscribers for captured in rig.captured] == [1] + [0] * (FRAMES - 1)
+    assert [captured.image_subscribers for captured in rig.captured] == [1] + [0] * (FRAMES - 1)
     assert rig.stages_of(0) == [StepStatus.BEGIN, *[StepStatus.CAPTURE] * FRAMES, StepStatus.PROCESS, StepStatus.END]
     assert rig.steps[0].reference and [message.step for message in rig.references] == [0]
     last = to_nanoseconds(result.stamp)
