@@ -38,8 +38,8 @@ ORDER = 4
 NARROWER = 0.75  # the Gaussian of S against that of W
 ITERATIONS = 5  # of the fixed point per warp; it contracts by about a half each time
 # Displacement errors [px] that may be left at each warp of the finest, a middle and the coarsest level.
-EXPECTED = ((0.2, 0.05), (0.3, 0.1, 0.1), (0.5, 0.5, 0.5, 0.3, 0.3, 0.3, 0.1, 0.1))
-SETTLED = 0.1  # [px], largest change after which a coarse level is left
+EXPECTED = ((0.2, 0.05, 0.05, 0.05), (0.3, 0.1, 0.1), (0.5, 0.3, 0.1, 0.1, 0.1, 0.1))
+SETTLED = 0.02  # [px], root mean square change after which a level is left
 
 
 @dataclass(frozen=True)
@@ -273,11 +273,13 @@ def displacement_nodes(
             # Shading first: mean and contrast of every window, before any residual is called an outlier.
             _, sums, _ = _summed(levels[k], spline, nodes, window, np.inf)
             kernels.equalised(nodes, sums, 1e-3)
-        for expected in EXPECTED[0] if k == 0 else EXPECTED[1] if k < top else EXPECTED[2]:
+        steps = EXPECTED[0] if k == 0 else EXPECTED[1] if k < top else EXPECTED[2]
+        least = steps[-1]
+        for expected in steps:
             field = _refine(levels[k], spline, nodes, window, expected)
-            change = float(np.abs(field.nodes[:2] - nodes[:2]).max())
+            change = float(np.sqrt(np.mean((field.nodes[:2] - nodes[:2]) ** 2)))
             nodes = field.nodes
-            if k and change < SETTLED:
+            if change < SETTLED and (k or expected == least):
                 break
         if k:
             smooth = np.empty_like(nodes[:2])

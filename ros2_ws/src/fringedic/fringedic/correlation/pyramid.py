@@ -22,7 +22,7 @@ def _spline_inverse(reach: int) -> np.ndarray:
     return np.asarray(taps / (taps[0] + 2 * taps[1:].sum()), dtype=f4)
 
 
-SPLINE_INVERSE = _spline_inverse(10)
+SPLINE_INVERSE = _spline_inverse(12)
 
 
 def _interpolation_noise(positions: int = 64) -> np.ndarray:
