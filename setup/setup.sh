@@ -129,7 +129,7 @@ if ! current environment "$environment"; then
         stop "the header files of Python are missing: install them (Debian, Ubuntu: sudo apt install $version-dev) and start again (details: $log)"
     run "Python environment" "$python" -m venv "${venv_options[@]}" "$venv"
     run "$ros" "$venv/bin/python" -m pip install --disable-pip-version-check --no-input --require-hashes --no-deps -r "$lock"
-    run "paths inside the ROS packages" "$venv/bin/python" "$root/setup/relocate_ros.py" "$python_include"
+    [ -n "${venv_options[*]}" ] || run "paths inside the ROS packages" "$venv/bin/python" "$root/setup/relocate_ros.py" "$python_include"
     done_for environment "$environment"
 fi
 
