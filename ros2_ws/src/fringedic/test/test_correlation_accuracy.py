@@ -71,6 +71,7 @@ def test_dense_noise_and_bias(speckle, expose):
         assert mean <= bias
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [5, 10, 31])
 @pytest.mark.parametrize("strain", [0.0, 0.01])
 def test_uncertainty_is_that_of_the_errors(speckle, expose, noise, strain):

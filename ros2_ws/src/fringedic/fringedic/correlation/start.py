@@ -102,7 +102,7 @@ def _refined(level: Level, spline: np.ndarray, k: int, affine: np.ndarray, passe
 def global_motion(reference: list[np.ndarray], deformed: list[np.ndarray]) -> np.ndarray:
     """Affine motion (2, 3) [px of the full image] that brings the images to the best agreement."""
     top = len(reference) - 1
-    finest = next((k for k, image in enumerate(reference) if max(image.shape) <= 2 * WIDEST), top)
+    finest = next((k for k, image in enumerate(reference) if max(image.shape) <= WIDEST), top)
     starts: list[np.ndarray] = []
     for k in range(finest, top + 1):
         dx, dy, height = correlation_peak(reference[k], deformed[k])
@@ -111,7 +111,6 @@ def global_motion(reference: list[np.ndarray], deformed: list[np.ndarray]) -> np
             break
     else:
         starts.append(np.zeros((2, 3)))
-    finest = min(finest + 1, top)
     flat = {
         k: (reference_level(flattened(reference[k])), spline_of(flattened(deformed[k]))) for k in range(finest, top + 1)
     }
