@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
@@ -36,16 +37,19 @@ from fringedic_ros.parameters import declare
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
 from fringedic_ros.stamps import to_nanoseconds
 
-# Frames on their way at once; half of what the nodes' image subscriptions keep.
-FRAMES_AHEAD = 32
 PROFILES = {
     IMAGE: IMAGES,
     EXPOSURE: IMAGES,
     "load_frame/state": STATE,
+    "load_frame/wrench": STATE,
+    "load_frame/joint_states": STATE,
     REFERENCE: LATCHED,
     CALIBRATION: LATCHED,
     NODE_PARAMETERS: LATCHED_BY_MANY,
 }
+
+# What nodes must know before they take the next frame.
+ANNOUNCEMENTS = (REFERENCE, CALIBRATION)
 
 
 class PlayerParameters(BaseModel):
@@ -88,6 +92,7 @@ class PlayerNode(Node):
         self._overrides = set(self.parameters.value.overrides)
         self._publishers_by_topic: dict[str, Publisher] = {}
         self._answers: dict[str, NodeStatus] = {}
+        self._ahead: Counter[str] = Counter()
         self._spinner = SingleThreadedExecutor()
         self._spinner.add_node(self)
         for node in PROCESSING_INPUTS:
@@ -123,6 +128,8 @@ class PlayerNode(Node):
             frames += self._play_step(step)
             steps += step.begin is not None
         self._barrier()
+        for publisher in self._publishers_by_topic.values():
+            publisher.wait_for_all_acked()
         return f"{steps} steps, {frames} frames, {len(self.problems)} problems"
 
     def _play_step(self, step: RecordedStep) -> int:
@@ -131,29 +138,29 @@ class PlayerNode(Node):
         complete = step.begin is not None and is_complete(step)
         if step.begin is not None:
             self.get_logger().info(f"{_name(step.begin)}")
-        frames = 0
-        settled = False
         for message in step.messages:
-            if message.topic == IMAGE:
-                if frames % FRAMES_AHEAD == 0 or not settled:
-                    self._barrier()
-                    settled = True
-                frames += 1
-            elif message.topic == NODE_PARAMETERS and self._give_parameters(message):
+            if message.topic == NODE_PARAMETERS and self._give_parameters(message):
                 continue
-            elif message.topic in (REFERENCE, CALIBRATION):
-                settled = False
-            elif message.topic == STEP and _ends(message):
+            if message.topic == STEP and _ends(message):
                 if complete:
                     self._wait_for_answers(step.begin)
                 else:
                     self._barrier()
-            self._publishers_by_topic[message.topic].publish(message.data)
+            self._publish(message)
         if complete:
             self._wait_for_answers(step.begin)
         elif step.begin is not None:
             self._end_incomplete(step)
-        return frames
+        return sum(message.topic == IMAGE for message in step.messages)
+
+    def _publish(self, message: RawMessage) -> None:
+        """Publish one message, when everybody has taken those that it depends on and those that it could push out."""
+        name = message.topic
+        announced = any(self._ahead[each] for each in ANNOUNCEMENTS)
+        if (name == IMAGE and announced) or self._ahead[name] >= _depth(name) / 2:
+            self._barrier()
+        self._publishers_by_topic[name].publish(message.data)
+        self._ahead[name] += 1
 
     def _end_incomplete(self, step: RecordedStep) -> None:
         """Settle a step whose last frame is not in the recording: nodes answer it only if its end was an error."""
@@ -211,12 +218,15 @@ class PlayerNode(Node):
         """Return when every node has handled what was published so far.
 
         A node's executor takes messages before service requests, so that its answer to a request follows the
-        handling of every message that had reached it; the acknowledgement says that they have.
+        handling of every message that had reached it. Small messages reach it before the request, in their order;
+        many images may be on their way longer, so their acknowledgement is waited for. (That of small messages can
+        take up to the middleware's heartbeat of 3 s.)
         """
-        for publisher in self._publishers_by_topic.values():
-            publisher.wait_for_all_acked()
+        if self._ahead[IMAGE] >= _depth(IMAGE) / 2:
+            self._publishers_by_topic[IMAGE].wait_for_all_acked()
         calls = {node: client.call_async(GetParameters.Request()) for node, client in self._get.items()}
         self._wait_for_calls(calls)
+        self._ahead.clear()
 
     def _give_parameters(self, message: RawMessage) -> bool:
         """Set recorded parameters in the processing node that they belong to; False when it is not among them."""
@@ -224,6 +234,8 @@ class PlayerNode(Node):
         if recorded.node not in self._set:
             return False
         chosen = [each for each in recorded.parameters if f"{recorded.node}.{each.name}" not in self._overrides]
+        if not chosen:
+            return True
         request = SetParametersAtomically.Request(parameters=chosen)
         call = self._set[recorded.node].call_async(request)
         self._wait_for_calls({recorded.node: call})
@@ -293,6 +305,10 @@ def is_complete(step: RecordedStep) -> bool:
             if exposure.index == exposure.count - 1 and to_nanoseconds(exposure.header.stamp) in images:
                 return True
     return False
+
+
+def _depth(name: str) -> int:
+    return PROFILES.get(name, EVENTS).depth
 
 
 def _has_subscribers(publisher: Publisher, count: int) -> bool:

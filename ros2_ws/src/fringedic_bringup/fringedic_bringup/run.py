@@ -142,8 +142,11 @@ def drive(
 def write_results(experiment: str, folder: Path, steps: list[StepReport]) -> RunReport:
     """Write dataset and pictures of a recording, and add losses and errors against the truth to the steps."""
     bag = folder / "bag"
+    recorded = BagReader(bag)
+    if not recorded.find_optional("camera/exposure"):
+        return RunReport(experiment, folder, steps, [])
     target = folder / "results.nc"
-    if BagReader(bag).find_optional("phase/status"):
+    if recorded.find_optional("phase/status"):
         dataset_from_derived(bag, output=target, experiment=experiment)
     else:
         process_bag(bag, output=target, experiment=experiment)
