@@ -16,7 +16,7 @@ NUMPY_INCLUDE = re.compile(r"/opt/python/cp\d+-cp\d+/lib/python\d+\.\d+/site-pac
 
 
 def main() -> None:
-    """Rewrite ``share/**/*.cmake`` of the environment this Python belongs to; the argument is Python's include folder."""
+    """Rewrite ``share/**/*.cmake`` of this Python's environment; the argument is its include folder."""
     python_include = sys.argv[1]
     changed = 0
     for file in Path(sys.prefix, "share").rglob("*.cmake"):
