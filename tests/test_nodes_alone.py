@@ -1,0 +1,89 @@
+"""Every node starts alone by hand, from its executable, and ends at Ctrl-C."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+from ament_index_python.packages import get_package_prefix
+from conftest import wait_until
+
+NODES = {
+    "projector": ("fringe_projector_node", []),
+    "camera": ("camera_node", ["-p", 'virtual_rig:="{preset: plate, size: tiny}"']),
+    "load_frame": ("load_frame_node", []),
+    "phase": ("phase_node", []),
+    "dic": ("dic_node", []),
+    "coupling": ("coupling_node", []),
+    "experiment": ("experiment_node", []),
+    "recorder": ("experiment_node", []),
+}
+
+
+def executable(package: str, name: str) -> str:
+    return str(Path(get_package_prefix(package), "lib", package, name))
+
+
+def test_every_node_starts_and_ends_by_hand(tmp_path: Path) -> None:
+    import rclpy
+    from rclpy.context import Context
+
+    context = Context()
+    rclpy.init(context=context)
+    observer = rclpy.create_node("observer", context=context)
+    started = {}
+    for name, (package, arguments) in NODES.items():
+        with (tmp_path / name).open("w") as log:
+            started[name] = subprocess.Popen(
+                [executable(package, name), "--ros-args", "-r", "__ns:=/bench", *arguments],
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                stdin=subprocess.DEVNULL,
+            )
+    try:
+        wait_until(
+            lambda: (
+                {("/bench", name) for name in NODES}
+                <= {(space, name) for name, space in observer.get_node_names_and_namespaces()}
+            ),
+            "the start of every node",
+        )
+        codes = {}
+        for process in started.values():
+            process.send_signal(signal.SIGINT)
+        for name, process in started.items():
+            codes[name] = process.wait(timeout=30)
+        assert codes == dict.fromkeys(NODES, 0), {
+            name: (tmp_path / name).read_text() for name, code in codes.items() if code
+        }
+    finally:
+        for process in started.values():
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+        observer.destroy_node()
+        context.try_shutdown()
+
+
+@pytest.mark.parametrize(
+    ("package", "name", "parameter", "words"),
+    [
+        ("dic_node", "dic", "window:=-1", "window"),
+        ("camera_node", "camera", "exposure_time_s:=.nan", "exposure_time_s"),
+        ("experiment_node", "experiment", "calibration_file:=/no/such/file.yaml", "/no/such/file.yaml"),
+    ],
+)
+def test_unusable_parameters_at_start(package: str, name: str, parameter: str, words: str) -> None:
+    done = subprocess.run(
+        [executable(package, name), "--ros-args", "-p", parameter],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+        env=os.environ,
+    )
+    assert done.returncode == 1
+    assert words in done.stderr + done.stdout
