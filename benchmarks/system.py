@@ -1,0 +1,282 @@
+"""What the running system carries: frames to the phase node and the recorder, time from exposure to cloud, memory.
+
+Real nodes in processes of their own, in a ROS domain of its own. The camera takes image files, so that no rendering
+competes with what is measured: speckle for the stream, frames of the shipped plate's digital twin for the steps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import cv2
+import numpy as np
+import rclpy
+from ament_index_python.packages import get_package_share_directory
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rich.console import Console
+from rich.table import Table
+from sensor_msgs.msg import Image
+
+from fringedic.patterns import render_pattern
+from fringedic.recording import BagReader
+from fringedic.sequence import FrameRecord, PatternKind, Projection
+from fringedic.virtual_rig import VirtualRig
+from fringedic_bringup.client import RigClient
+from fringedic_bringup.graph import Graph, NodeEntry, rig_graph
+from fringedic_bringup.processes import RunningGraph, private_domain
+from fringedic_bringup.run import load_rig
+from fringedic_msgs.msg import Exposure, NodeStatus, RecorderStatus
+from fringedic_ros.images import image_message
+from fringedic_ros.qos import DIAGNOSTICS, EVENTS, IMAGES, LATCHED
+from fringedic_ros.records import exposure_message
+
+SIZE = (960, 1280)
+RATE_HZ = 32.0
+WANTED_HZ = 30.0
+TIMEOUT_S = 30.0
+CLOSING_FRAMES = 4  # fringe frames that make the phase node report what it lost before
+
+
+class Probe:
+    """Starts the camera's free run and hears its exposure records, which are small, and what the nodes say."""
+
+    def __init__(self, domain: int, watch: Callable[[], None]) -> None:
+        self.exposures: list[Exposure] = []
+        self.recorder = RecorderStatus()
+        self.statuses: list[NodeStatus] = []
+        self.drops: dict[str, int] = {}
+        self._watch = watch
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self.node = Node("probe", namespace="bench", context=self._context)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        listen = self.node.create_subscription
+        listen(Exposure, "camera/exposure", self.exposures.append, IMAGES)
+        listen(RecorderStatus, "recorder/status", lambda message: setattr(self, "recorder", message), LATCHED)
+        listen(NodeStatus, "phase/status", self.statuses.append, EVENTS)
+        listen(DiagnosticArray, "/diagnostics", self._take_diagnostics, DIAGNOSTICS)
+        self._images = self.node.create_publisher(Image, "camera/image_raw", IMAGES)
+        self._records = self.node.create_publisher(Exposure, "camera/exposure", IMAGES)
+        self._change_state = self.node.create_client(ChangeState, "camera/change_state")
+
+    def __enter__(self) -> Probe:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def wait(self, done: Callable[[], Any], what: str, timeout_s: float = TIMEOUT_S) -> None:
+        """Serve the node until something is true."""
+        end = time.monotonic() + timeout_s
+        while not done():
+            self._executor.spin_once(timeout_sec=0.1)
+            self._watch()
+            if time.monotonic() > end:
+                raise TimeoutError(f"{what} after {timeout_s:g} s")
+
+    def pause(self, seconds: float) -> None:
+        """Serve the node for a while."""
+        end = time.monotonic() + seconds
+        self.wait(lambda: time.monotonic() >= end, "the clock stands still", seconds + 10.0)
+
+    def camera(self, transition: int) -> None:
+        """Change the state of the camera."""
+        self.wait(self._change_state.service_is_ready, "no service camera/change_state")
+        request = ChangeState.Request()
+        request.transition.id = transition
+        answer = self._change_state.call_async(request)
+        self.wait(answer.done, "no answer of camera/change_state")
+        if not answer.result().success:
+            raise RuntimeError(f"the camera refuses transition {transition}")
+
+    def closing_step(self) -> None:
+        """Publish one small step of fringes: the phase node then says how many frames it lost before."""
+        for index in range(CLOSING_FRAMES):
+            projection = Projection(PatternKind.FRINGES, pitch=8.0, shift=index + 1, shifts=CLOSING_FRAMES)
+            record = FrameRecord("closing", 1, index, CLOSING_FRAMES, projection, time.time_ns(), 0.01, 0)
+            image = np.full((16, 16), 60 * index, np.uint8)
+            self._images.publish(image_message(image, stamp_ns=record.stamp, frame_id="camera_optical_frame"))
+            self._records.publish(exposure_message(record, frame_id="camera_optical_frame"))
+        self.wait(lambda: self.statuses, "no phase/status of the closing step")
+        self.pause(2.5)  # diagnostics and the recorder's state come once a second
+
+    def _take_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = {value.key: value.value for value in status.values}
+            self.drops[status.hardware_id] = int(values["drops"])
+
+
+def stream(seconds: float, folder: Path) -> Table:
+    """Free-running camera to phase node and recorder."""
+    images = folder / "images"
+    images.mkdir(parents=True)
+    random = np.random.default_rng(1)
+    for number in range(8):
+        cv2.imwrite(str(images / f"{number}.pgm"), random.integers(0, 256, SIZE, np.uint8))
+    camera = {"source": "files", "files": str(images), "repeat": True, "frame_rate_hz": RATE_HZ, "autostart": False}
+    bag = folder / "bag"
+    nodes = (
+        NodeEntry("recorder", "experiment_node", "recorder", {"bag_path": str(bag)}),
+        NodeEntry("phase", "phase_node", "phase"),
+        NodeEntry("camera", "camera_node", "camera", camera),
+    )
+    graph = Graph("bench", nodes)
+    with (
+        private_domain() as domain,
+        RunningGraph(graph, folder / "logs", domain=domain) as running,
+        RigClient("bench", domain=domain, watch=running.check) as client,
+        Probe(domain, running.check) as probe,
+    ):
+        probe.camera(Transition.TRANSITION_CONFIGURE)
+        client.wait_until_ready(graph.names)
+        probe.pause(2.0)
+        written, processor, begin = probe.recorder.bytes, processor_times(running), time.monotonic()
+        probe.camera(Transition.TRANSITION_ACTIVATE)
+        probe.pause(seconds)
+        probe.camera(Transition.TRANSITION_DEACTIVATE)
+        duration = time.monotonic() - begin
+        shares = {name: (end - processor[name]) / duration for name, end in processor_times(running).items()}
+        probe.pause(2.0)
+        written = probe.recorder.bytes - written
+        exposures = list(probe.exposures)
+        probe.closing_step()
+        peaks = peak_memory(running)
+    reader = BagReader(bag)
+    recorded = [
+        reader.counts[topic] - CLOSING_FRAMES for topic in reader.find("camera/image_raw", "camera/exposure").values()
+    ]
+    indices = [exposure.index for exposure in exposures]
+    begun = indices[-1] + 1
+    first, last = (each.header.stamp.sec + 1e-9 * each.header.stamp.nanosec for each in (exposures[0], exposures[-1]))
+    table = figures(f"Frames of {SIZE[1]}x{SIZE[0]} mono8 for {seconds:g} s, camera to phase node and recorder")
+    table.add_row("frames", f"{begun}", "")
+    table.add_row("frames per second", f"{(begun - 1) / (last - first):.2f}", f">= {WANTED_HZ:g}")
+    table.add_row("left out by the camera", f"{exposures[-1].dropped}", "0")
+    table.add_row("records missing at the probe", f"{begun - len(set(indices))}", "0")
+    table.add_row("lost by the phase node", f"{probe.drops['phase']}", "0")
+    table.add_row("images, records not in the recording", f"{begun - recorded[0]}, {begun - recorded[1]}", "0, 0")
+    table.add_row("images missing by the recorder's count", f"{probe.recorder.missing_images}", "0")
+    table.add_row("recording [MB/s]", f"{1e-6 * written / duration:.1f}", "")
+    for name, share in shares.items():
+        table.add_row(f"{name}: share of one core, peak memory", f"{share:.0%}, {peaks[name]:.0f} MB", "")
+    return table
+
+
+def plate_steps(folder: Path) -> Iterator[Table]:
+    """Fringe steps of the shipped plate, with every node but the load frame: as shipped, then at every pixel."""
+    path = Path(get_package_share_directory("fringedic_bringup")) / "config" / "plate.yaml"
+    rig, programme = load_rig(path, None, None)
+    twin = VirtualRig(rig.virtual_configuration())
+    rows, columns = twin.projector_shape
+    patterns = [render_pattern(projection, columns, rows) for projection in rig.projections()]
+    images = folder / "images"
+    images.mkdir(parents=True)
+    positions = [step.position or 0.0 for step in programme.load_steps()]
+    for number in range(len(positions) * len(patterns)):
+        step, frame = divmod(number, len(patterns))
+        cv2.imwrite(str(images / f"{number:04}.pgm"), twin.expose(patterns[frame], positions[step], number))
+
+    camera = {"source": "files", "files": str(images)}
+    for spacing in (rig.nodes.dic.spacing, 1):
+        dic = rig.nodes.dic.model_copy(update={"spacing": spacing})
+        chosen = rig.model_copy(update={"nodes": rig.nodes.model_copy(update={"dic": dic})})
+        target = folder / f"spacing_{spacing}"
+        graph = rig_graph(chosen, path, target, experiment="bench")
+        nodes = [replace(node, parameters=camera) if node.name == "camera" else node for node in graph.nodes]
+        graph = Graph(graph.namespace, tuple(node for node in nodes if node.name != "load_frame"))
+        with private_domain() as domain, RunningGraph(graph, target / "logs", domain=domain) as running:
+            with RigClient(graph.namespace, domain=domain, watch=running.check) as client:
+                client.wait_until_ready(graph.names)
+                results = [client.measure() for _ in positions]
+            peaks = peak_memory(running)
+        warm = results[1:]
+        clouds = [result.processing_time for result in warm]
+        overheads = [1e3 * (result.duration - result.processing_time) / len(patterns) for result in warm]
+        table = figures(f"Steps of {len(patterns)} frames of {SIZE[1]}x{SIZE[0]}, displacement every {spacing} px")
+        table.add_row("last exposure to displacement cloud, median [s]", f"{statistics.median(clouds):.2f}", "")
+        table.add_row(
+            "  fastest, slowest, first [s]",
+            f"{min(clouds):.2f}, {max(clouds):.2f}, {results[0].processing_time:.2f}",
+            "",
+        )
+        table.add_row("show and capture, per frame, median [ms]", f"{statistics.median(overheads):.1f}", "")
+        table.add_row("whole step, median [s]", f"{statistics.median(result.duration for result in warm):.2f}", "")
+        table.add_row("valid points, last step", f"{results[-1].valid_fraction:.1%}", "")
+        for name, peak in peaks.items():
+            table.add_row(f"{name}: peak memory [MB]", f"{peak:.0f}", "")
+        yield table
+
+
+def figures(title: str) -> Table:
+    """Return an empty table of measured figures and targets."""
+    table = Table("figure", title=title, title_justify="left", min_width=80)
+    table.add_column("measured", justify="right")
+    table.add_column("target", justify="right")
+    return table
+
+
+def peak_memory(running: RunningGraph) -> dict[str, float]:
+    """Largest resident memory of each node so far [MB]."""
+    peaks = {}
+    for name in running.graph.names:
+        lines = Path(f"/proc/{running.pid(name)}/status").read_text().splitlines()
+        peaks[name] = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) * 1024e-6
+    return peaks
+
+
+def processor_times(running: RunningGraph) -> dict[str, float]:
+    """Processor time of each node so far [s]."""
+    tick = os.sysconf("SC_CLK_TCK")
+    times = {}
+    for name in running.graph.names:
+        values = Path(f"/proc/{running.pid(name)}/stat").read_text().rpartition(")")[2].split()
+        times[name] = (int(values[11]) + int(values[12])) / tick
+    return times
+
+
+def machine() -> str:
+    """Processor, cores, load and date."""
+    lines = Path("/proc/cpuinfo").read_text().splitlines()
+    model = next(
+        (line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine()
+    )
+    load, date = os.getloadavg()[0], datetime.now(UTC).date()
+    return f"{model}, {os.cpu_count()} cores, load before {load:.1f}, Python {platform.python_version()}, {date}"
+
+
+def main() -> None:
+    """Measure and print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=60.0, help="length of the stream [s]")
+    seconds = parser.parse_args().seconds
+    console = Console()
+    console.print(machine(), highlight=False)
+    with tempfile.TemporaryDirectory(prefix="fringedic-bench-") as folder:
+        console.print(stream(seconds, Path(folder) / "stream"))
+        for table in plate_steps(Path(folder) / "plate"):
+            console.print(table)
+
+
+if __name__ == "__main__":
+    main()
