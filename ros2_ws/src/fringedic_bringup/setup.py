@@ -14,7 +14,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{package_name}"]),
         (f"share/{package_name}", ["package.xml"]),
         (f"share/{package_name}/launch", sorted(str(path) for path in Path("launch").glob("*.py"))),
-        (f"share/{package_name}/config", sorted(str(path) for path in Path("config").glob("*.yaml"))),
+        (f"share/{package_name}/config", sorted(str(path) for path in Path("config").glob("*.*ml"))),
     ],
     entry_points={"console_scripts": ["fringedic = fringedic_bringup.command:main"]},
 )

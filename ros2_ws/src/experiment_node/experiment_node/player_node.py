@@ -128,8 +128,6 @@ class PlayerNode(Node):
             frames += self._play_step(step)
             steps += step.begin is not None
         self._barrier()
-        for publisher in self._publishers_by_topic.values():
-            publisher.wait_for_all_acked()
         return f"{steps} steps, {frames} frames, {len(self.problems)} problems"
 
     def _play_step(self, step: RecordedStep) -> int:
@@ -217,13 +215,11 @@ class PlayerNode(Node):
     def _barrier(self) -> None:
         """Return when every node has handled what was published so far.
 
-        A node's executor takes messages before service requests, so that its answer to a request follows the
-        handling of every message that had reached it. Small messages reach it before the request, in their order;
-        many images may be on their way longer, so their acknowledgement is waited for. (That of small messages can
-        take up to the middleware's heartbeat of 3 s.)
+        The acknowledgements say that everything has reached them; and a node's executor takes messages before service
+        requests, so that its answer to a request follows the handling of all of it.
         """
-        if self._ahead[IMAGE] >= _depth(IMAGE) / 2:
-            self._publishers_by_topic[IMAGE].wait_for_all_acked()
+        for name in self._ahead:
+            self._publishers_by_topic[name].wait_for_all_acked()
         calls = {node: client.call_async(GetParameters.Request()) for node, client in self._get.items()}
         self._wait_for_calls(calls)
         self._ahead.clear()

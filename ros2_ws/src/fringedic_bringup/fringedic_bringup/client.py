@@ -17,6 +17,7 @@ from types import TracebackType
 from typing import Any, Literal
 
 import rclpy
+from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -25,6 +26,7 @@ from rclpy.task import Future
 
 from experiment_node.topics import DERIVED_TOPICS, RAW_TOPICS
 from fringedic.errors import NotAnsweredError, StepFailedError
+from fringedic_bringup.processes import node_environment
 from fringedic_msgs.action import MeasureStep, MoveCrosshead
 from fringedic_msgs.msg import RecorderStatus
 from fringedic_msgs.srv import SetReference, StartExperiment
@@ -32,6 +34,8 @@ from fringedic_ros.qos import LATCHED
 
 MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
 START_TIMEOUT_S = 60.0
+# Several heartbeats of config/fastdds.xml.
+HEARTBEATS_S = 0.5
 # The experiment node ends every step by itself; this only ends the wait for one that is gone.
 STEP_TIMEOUT_S = 3600.0
 
@@ -54,7 +58,8 @@ class RigClient:
     ) -> None:
         self._watch = watch
         self._context = Context()
-        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        for name, value in node_environment().items():
+            os.environ.setdefault(name, value)  # the same middleware settings as the nodes have
         rclpy.init(context=self._context, domain_id=domain)
         self._node = Node("client", namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
@@ -63,6 +68,7 @@ class RigClient:
         self._move = ActionClient(self._node, MoveCrosshead, "move_crosshead")
         self._start = self._node.create_client(StartExperiment, "experiment/start")
         self._set_reference = self._node.create_client(SetReference, "experiment/set_reference")
+        self._recorder_parameters = self._node.create_client(GetParameters, "recorder/get_parameters")
         self._recorder: RecorderStatus | None = None
         self._node.create_subscription(RecorderStatus, "recorder/status", self._take_recorder, LATCHED)
 
@@ -165,6 +171,20 @@ class RigClient:
         """
         goal = MeasureStep.Goal(mode=MODES[mode], set_reference=set_reference)
         return self._act(self._measure, goal, "measure_step", feedback)
+
+    def wait_until_recorded(self) -> None:
+        """Wait until the recorder has taken what was published before the last result came.
+
+        A message that got lost on its way is sent again after the publisher's next heartbeat. The recorder takes
+        messages before requests, so that its answer to one follows everything that had reached it.
+
+        Raises
+        ------
+        NotAnsweredError
+            It does not answer.
+        """
+        self.sleep(HEARTBEATS_S)
+        self._call(self._recorder_parameters, GetParameters.Request())
 
     def sleep(self, seconds: float) -> None:
         """Wait, and notice what `watch` notices."""

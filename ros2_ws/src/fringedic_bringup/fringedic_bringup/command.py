@@ -191,12 +191,12 @@ def _rig_path(rig: Path) -> Path:
     """Return a rig file as given, or the one that comes with fringedic under this name."""
     if rig.exists() or rig.parent != Path():
         return rig
-    from ament_index_python.packages import get_package_share_directory
+    from fringedic_bringup.processes import configuration
 
-    shipped = Path(get_package_share_directory("fringedic_bringup"), "config")
-    if (shipped / f"{rig.stem}.yaml").exists():
-        return shipped / f"{rig.stem}.yaml"
-    names = ", ".join(sorted(path.stem for path in shipped.glob("*.yaml")))
+    shipped = configuration(f"{rig.stem}.yaml")
+    if shipped.exists():
+        return shipped
+    names = ", ".join(sorted(path.stem for path in shipped.parent.glob("*.yaml")))
     raise RigFileError(f"{rig}: no such rig file; {names} come with fringedic")
 
 

@@ -74,6 +74,7 @@ def report_table(report: RunReport) -> Table:
     table.add_column("step", justify="right")
     table.add_column("position\n[mm]", justify="right")
     table.add_column("force\n[N]", justify="right")
+    table.add_column("displacement\n[RMS]", justify="right")
     if with_truth:
         for name in ("u", "v", "w"):
             table.add_column(f"error {name}\n[µm RMS]", justify="right")
@@ -85,6 +86,8 @@ def report_table(report: RunReport) -> Table:
             table.add_row(str(step.step), "failed")
             continue
         cells = [str(step.step), _figure(step.position * 1e3, 3), _figure(step.force, 2)]
+        displacement = step.rms_displacement
+        cells.append(f"{displacement:.3f} px" if step.white else f"{displacement * 1e6:.1f} µm")
         if with_truth:
             cells += [_figure(step.errors.get(name, float("nan")), 2) for name in ("u", "v", "w")]
         cells += [

@@ -17,7 +17,7 @@ from pathlib import Path
 from types import TracebackType
 
 import yaml
-from ament_index_python.packages import PackageNotFoundError, get_package_prefix
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix, get_package_share_directory
 
 from fringedic.errors import NodeDiedError, NodeNotInstalledError, NoFreeDomainError
 from fringedic_bringup.graph import Graph, NodeEntry
@@ -144,6 +144,7 @@ def node_environment(domain: int | None = None) -> dict[str, str]:
     """Return the environment in which nodes run: this process's own with what reproducible results need."""
     environment = dict(os.environ)
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(configuration("fastdds.xml")))
     environment |= {
         "OPENBLAS_NUM_THREADS": "1",
         "MKL_NUM_THREADS": "1",
@@ -153,6 +154,11 @@ def node_environment(domain: int | None = None) -> dict[str, str]:
     if domain is not None:
         environment["ROS_DOMAIN_ID"] = str(domain)
     return environment
+
+
+def configuration(name: str) -> Path:
+    """Return the path of a file that comes with this package."""
+    return Path(get_package_share_directory("fringedic_bringup"), "config", name)
 
 
 @contextmanager

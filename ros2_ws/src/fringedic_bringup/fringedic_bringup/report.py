@@ -32,6 +32,8 @@ class StepReport:
         Mean over the exposures [m], [N].
     valid_fraction
         Measured points over all points.
+    rms_displacement, white
+        RMS of the displacement: [m], but [px] for a step in white light.
     processing_time
         From the last exposure to the last result [s].
     dropped, missing
@@ -46,6 +48,8 @@ class StepReport:
     position: float = float("nan")
     force: float = float("nan")
     valid_fraction: float = float("nan")
+    rms_displacement: float = float("nan")
+    white: bool = False
     processing_time: float = float("nan")
     dropped: int = 0
     missing: int = 0

@@ -133,7 +133,9 @@ def drive(
                 continue
             report.step = result.step
             report.position, report.force = result.position_mean, result.force_mean
+            report.rms_displacement, report.white = result.rms_displacement, step.mode == "white"
             report.valid_fraction, report.processing_time = result.valid_fraction, result.processing_time
+        rig.wait_until_recorded()
         if rig.recorder is not None and rig.recorder.error_message:
             progress.note(f"recorder: {rig.recorder.error_message}")
     return reports

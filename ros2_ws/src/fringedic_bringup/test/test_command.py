@@ -1,0 +1,309 @@
+"""The command for real: the tiny virtual rig runs, is recorded, replayed and processed; every error is a sentence."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import fringedic
+from experiment_node.topics import DERIVED_TOPICS
+from fringedic.errors import NodeDiedError, NodeNotInstalledError
+from fringedic.recording import BagReader, BagWriter
+from fringedic.rig_file import Programme
+from fringedic_bringup.graph import Graph, NodeEntry, rig_graph
+from fringedic_bringup.processes import SHARED_MEMORY, RunningGraph, private_domain, remove_stale_segments
+from fringedic_bringup.run import drive, load_rig
+
+DOMAIN = "63"
+CONFIG = Path(__file__).parent.parent / "config"
+TINY = CONFIG / "tiny.yaml"
+MAPS = [name for name in DERIVED_TOPICS if not name.endswith("status")]
+
+
+def fringedic_command(*words: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    program = "from fringedic_bringup.command import main; main()"
+    return subprocess.run(
+        [sys.executable, "-c", program, *map(str, words)],
+        env={**os.environ, "ROS_DOMAIN_ID": DOMAIN, **environment},
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
+
+
+def derived(bag: Path) -> dict[str, list[bytes]]:
+    reader = BagReader(bag)
+    messages = defaultdict(list)
+    for name, full in reader.find(*MAPS).items():
+        messages[name] = [message.data for message in reader.raw([full])]
+    return dict(messages)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("run") / "tiny"
+    ran = fringedic_command("run", TINY, "--output", folder)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    print(ran.stdout)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def raw_only(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recording without any derived topic."""
+    reader = BagReader(recorded / "bag")
+    raw = [topic for topic in reader.topics if not topic.endswith(tuple(f"/{name}" for name in DERIVED_TOPICS))]
+    target = tmp_path_factory.mktemp("raw") / "bag"
+    with BagWriter(target) as writer:
+        for name in raw:
+            writer.add_recorded_topic(reader.topics[name])
+        for message in reader.raw(raw):
+            writer.write(*message)
+    assert len(raw) < len(reader.topics)
+    return target
+
+
+def test_a_run_leaves_recording_dataset_truth_and_pictures(recorded: Path) -> None:
+    names = {path.name for path in recorded.iterdir()}
+    assert {"bag", "results.nc", "truth.nc", "calibration.yaml", "logs"} <= names
+    assert {"step_002.png", "step_002_errors.png"} <= names
+    counts = {name.removeprefix("/rig/"): count for name, count in BagReader(recorded / "bag").counts.items()}
+    assert counts["camera/image_raw"] == counts["camera/exposure"] == 3 * 12
+    assert counts["experiment/step"] == 3 * (12 + 3)
+    assert counts["coupling/displacement"] == counts["coupling/status"] == 3
+    with fringedic.open_experiment(recorded / "results.nc") as dataset:
+        errors = fringedic.compare_with_truth(dataset, recorded / "truth.nc")
+        assert list(dataset.step.values) == [0, 1, 2]
+        moved = [float(abs(dataset.v.sel(step=step)).mean()) for step in (0, 1, 2)]
+    assert moved[0] == 0 < moved[1] < moved[2]
+    print({name: np.round(errors[name].values, 2) for name in errors.data_vars}, "µm RMS at 400 µm/px")
+    assert float(errors.error_v.sel(step=2)) < 8  # 1/50 px
+
+
+def test_a_replay_of_the_raw_topics_is_bit_identical_with_another_number_of_threads(
+    recorded: Path, raw_only: Path, tmp_path: Path
+) -> None:
+    replayed = fringedic_command("replay", raw_only, "--output", tmp_path / "again", NUMBA_NUM_THREADS="1")
+    assert replayed.returncode == 0, replayed.stdout + replayed.stderr
+    before, after = derived(recorded / "bag"), derived(tmp_path / "again" / "bag")
+    assert {name: len(messages) for name, messages in before.items()} == dict.fromkeys(MAPS, 3)
+    assert before == after
+    played, original = BagReader(tmp_path / "again" / "bag").counts, BagReader(raw_only).counts
+    assert {name: played[name] for name in original if name != "/rig/node_parameters"} == {
+        name: count for name, count in original.items() if name != "/rig/node_parameters"
+    }
+
+
+def test_another_window_gives_another_displacement_and_the_same_phase(
+    recorded: Path, raw_only: Path, tmp_path: Path
+) -> None:
+    replayed = fringedic_command("replay", raw_only, "--set", "dic.window=24", "--output", tmp_path / "again")
+    assert replayed.returncode == 0, replayed.stdout + replayed.stderr
+    before, after = derived(recorded / "bag"), derived(tmp_path / "again" / "bag")
+    assert before["phase/map"] == after["phase/map"]
+    assert before["dic/displacement"][1] != after["dic/displacement"][1]
+
+
+def test_processing_without_ros_gives_the_arrays_of_the_nodes(recorded: Path, raw_only: Path, tmp_path: Path) -> None:
+    watched = "import sys, atexit; atexit.register(lambda: print('rclpy' in sys.modules)); "
+    program = watched + "from fringedic_bringup.command import main; main()"
+    arguments = ["process", str(raw_only), "--output", str(tmp_path / "desk.nc")]
+    done = subprocess.run([sys.executable, "-c", program, *arguments], capture_output=True, text=True, timeout=120)
+    assert done.stdout.endswith("False\n")
+    assert done.returncode == 0, done.stderr
+    with (
+        fringedic.open_experiment(tmp_path / "desk.nc") as desk,
+        fringedic.open_experiment(recorded / "results.nc") as nodes,
+    ):
+        for name in ("phase", "displacement_x", "displacement_y", "u", "v", "w", "shape_z"):
+            assert np.array_equal(desk[name].values, nodes[name].values, equal_nan=True), name
+
+
+def test_info_export_and_recover(recorded: Path, tmp_path: Path) -> None:
+    shown = fringedic_command("info", recorded / "bag")
+    assert shown.returncode == 0 and "/rig/camera/image_raw" in shown.stdout and "36" in shown.stdout
+    exported = fringedic_command("export", recorded / "bag", "--output", tmp_path / "exported")
+    assert exported.returncode == 0, exported.stderr
+    assert (tmp_path / "exported" / "bag.nc").exists() and (tmp_path / "exported" / "step_001.png").exists()
+    saved = fringedic_command("recover", recorded / "bag", "--output", tmp_path / "saved")
+    assert saved.returncode == 0, saved.stderr
+    assert BagReader(tmp_path / "saved").counts == BagReader(recorded / "bag").counts
+
+
+def test_a_killed_recorder_fails_the_run_with_its_name_and_leaves_a_readable_bag(tmp_path: Path) -> None:
+    process, say = start_run(tmp_path / "run", "--output", tmp_path / "run")
+    try:
+        wait_until(lambda: "step 2 of 3" in say(), "the second step", process)
+        os.kill(node_pid(tmp_path / "run", "recorder"), signal.SIGKILL)
+        assert process.wait(60) == 1
+    finally:
+        process.kill()
+    assert "recorder was ended by SIGKILL" in (tmp_path / "errors").read_text()
+    reader = BagReader(tmp_path / "run" / "bag")
+    assert "not closed" in reader.lost
+    assert reader.counts["/rig/camera/image_raw"] >= 12
+    saved = fringedic_command("recover", tmp_path / "run" / "bag", "--output", tmp_path / "saved")
+    assert saved.returncode == 0
+    replayed = fringedic_command("replay", tmp_path / "saved", "--output", tmp_path / "again")
+    assert replayed.returncode == 0, replayed.stdout + replayed.stderr
+
+
+def test_interrupting_a_run_closes_the_bag_and_leaves_nothing_behind(tmp_path: Path) -> None:
+    process, say = start_run(tmp_path / "run", "--output", tmp_path / "run")
+    wait_until(lambda: "step 2 of 3" in say(), "the second step", process)
+    pids = [node_pid(tmp_path / "run", name) for name in ("recorder", "camera", "dic", "experiment")]
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 130
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+    assert not BagReader(tmp_path / "run" / "bag").lost
+
+
+def test_nodes_do_not_outlive_a_killed_command(tmp_path: Path) -> None:
+    process, say = start_run(tmp_path / "run", "--output", tmp_path / "run")
+    wait_until(lambda: "step 1 of 3" in say(), "the first step", process)
+    pids = [node_pid(tmp_path / "run", name) for name in ("recorder", "camera", "dic", "experiment")]
+    process.kill()
+    process.wait()
+    wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), "the nodes' end")
+    assert not BagReader(tmp_path / "run" / "bag").lost
+
+
+def test_a_node_that_cannot_start_fails_the_run_with_the_end_of_its_log(tmp_path: Path) -> None:
+    with private_domain() as domain:
+        graph = Graph("rig", (NodeEntry("camera", "camera_node", "camera", {"source": "files", "files": "nowhere"}),))
+        with RunningGraph(graph, tmp_path, domain=domain) as running, pytest.raises(NodeDiedError) as caught:
+            while True:
+                running.check()
+                time.sleep(0.1)
+    assert "camera ended with exit code 1" in str(caught.value) and "nowhere" in str(caught.value)
+
+
+def test_a_graph_leaves_no_process_and_no_shared_memory(tmp_path: Path) -> None:
+    rig, programme = load_rig(TINY, None, None)
+    one = Programme.model_validate({"experiment": "one", "steps": [{"position_mm": 0.1}]})
+    remove_stale_segments()
+    with private_domain() as domain:
+        graph = rig_graph(rig, TINY, tmp_path / "run")
+        with RunningGraph(graph, tmp_path / "run" / "logs", domain=domain) as running:
+            pids = [running.pid(name) for name in graph.names]
+            reports = drive(graph, one, running.check, Silent(), domain=domain)
+            owned = {name for pid in pids for name in shared_memory_of(pid)}
+            os.kill(running.pid("phase"), signal.SIGKILL)
+        assert not reports[0].error and programme.experiment == "tiny"
+    assert owned
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+    assert not owned & {path.name for path in SHARED_MEMORY.iterdir()}
+
+
+def test_an_executable_that_is_not_installed_is_named(tmp_path: Path) -> None:
+    graph = Graph("rig", (NodeEntry("camera", "camera_node", "periscope"),))
+    with pytest.raises(NodeNotInstalledError, match="camera_node periscope"), RunningGraph(graph, tmp_path):
+        pass
+
+
+def test_replays_at_the_same_time_get_domains_of_their_own() -> None:
+    with private_domain() as first, private_domain() as second:
+        assert first != second
+
+
+def test_measuring_images_finds_their_shift(tmp_path: Path) -> None:
+    import cv2
+    from scipy.ndimage import gaussian_filter
+
+    texture = gaussian_filter(np.random.default_rng(3).normal(size=(120, 160)), 1.5)
+    image = np.clip(128 + 300 * texture, 0, 255).astype(np.uint8)
+    for name, shift in (("a", 0), ("b", 2), ("c", 4)):
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.roll(image, shift, axis=1))
+    words = [tmp_path / f"{name}.png" for name in "abc"]
+    done = fringedic_command("measure", *words, "--window", "24", "--spacing", "4", "--output", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    import xarray as xr
+
+    with xr.open_dataset(tmp_path / "out" / "displacement.nc", engine="h5netcdf") as field:
+        medians = [float(field.displacement_x.isel(step=step).median()) for step in (0, 1)]
+    assert np.allclose(medians, [2, 4], atol=0.02), medians
+    assert (tmp_path / "out" / "c.png").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("run", "nowhere.yaml"), "no such rig file"),
+        (("info", "nowhere"), "no such recording"),
+        (("replay", "nowhere"), "no such recording"),
+        (("process", "nowhere"), "no such recording"),
+        (("measure", "one.png"), "at least one deformed image"),
+        (("replay", "nowhere", "--set", "window"), "node.parameter=value"),
+        (("run", "open_hole_tension.yaml", "--images", "nowhere"), "no images"),
+    ],
+)
+def test_errors_are_one_sentence_and_exit_code_1(words: tuple[str, ...], sentence: str) -> None:
+    done = fringedic_command(*words)
+    assert done.returncode == 1
+    assert sentence in done.stderr and "Traceback" not in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+def test_every_command_helps_with_an_example() -> None:
+    for name in ("run", "demo", "replay", "process", "info", "recover", "measure", "export"):
+        shown = fringedic_command(name, "--help", COLUMNS="200")
+        assert shown.returncode == 0 and f"Example: fringedic {name}" in shown.stdout, name
+
+
+class Silent:
+    def stage(self, text: str) -> None: ...
+
+    def step(self, number: int, steps: int, text: str, frame: int = 0, frames: int = 0) -> None: ...
+
+    def note(self, text: str) -> None: ...
+
+
+def start_run(folder: Path, *words: str | Path) -> tuple[subprocess.Popen[str], Callable[[], str]]:
+    """Start a run; the second value returns what it has said."""
+    output, errors = folder.with_name("output"), folder.with_name("errors")
+    program = "from fringedic_bringup.command import main; main()"
+    with output.open("w") as said, errors.open("w") as complaints:
+        process = subprocess.Popen(
+            [sys.executable, "-u", "-c", program, "run", str(TINY), *map(str, words)],
+            env={**os.environ, "ROS_DOMAIN_ID": DOMAIN},
+            stdout=said,
+            stderr=complaints,
+            text=True,
+        )
+    return process, output.read_text
+
+
+def node_pid(folder: Path, name: str) -> int:
+    """Return the process of a node, known by its parameter file."""
+    marker = str(folder / "logs" / f"{name}.yaml").encode()
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            try:
+                if marker in (entry / "cmdline").read_bytes():
+                    return int(entry.name)
+            except OSError:
+                continue
+    raise AssertionError(f"no process of {name}")
+
+
+def shared_memory_of(pid: int) -> set[str]:
+    """Return the Fast DDS segments whose lock file a process holds open."""
+    opened = (os.readlink(link) for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink())
+    return {Path(path).name.removesuffix("_el") for path in opened if path.startswith("/dev/shm/fastrtps_")}
+
+
+def wait_until(done: Callable[[], bool], what: str, process: subprocess.Popen[str] | None = None) -> None:
+    end = time.monotonic() + 90
+    while not done():
+        assert time.monotonic() < end, f"{what} did not come"
+        assert process is None or process.poll() is None, "the command has ended"
+        time.sleep(0.05)
