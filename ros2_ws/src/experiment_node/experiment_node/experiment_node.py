@@ -60,6 +60,7 @@ CAPTURE_ERRORS = {
     CaptureFrame.Request.NO_SUBSCRIBER: Result.NO_SUBSCRIBER,
 }
 CONNECTING_TIME = 1.0  # [s] from the last node that connects to the first exposure
+RECORDER_TIMEOUT = 5.0  # [s] for the recorder's answer to the stage PROCESS; it speaks every second anyway
 LOAD_TIMEOUT = 0.5  # [s] for the load samples of the last exposure to come in
 
 
@@ -164,6 +165,9 @@ class ExperimentNode(Node):
 
     def _take_recorder(self, message: RecorderStatus) -> None:
         self._recorder = message
+        step = self._running
+        if step is not None and step.taken == len(step.projections):
+            step.recorder_answered = True
         self._changed.notify()
 
     def _result_taker(self, name: str) -> Callable[[NodeStatus], None]:
@@ -391,7 +395,17 @@ class ExperimentNode(Node):
             if parameters.hold_required:
                 for sample in step.load_during_exposures():
                     self._refuse_unheld(sample)
-        self._check_recorder(parameters)
+        if parameters.recording_required:
+            await self._wait(
+                step,
+                lambda: step.recorder_answered,
+                RECORDER_TIMEOUT,
+                lambda: (
+                    Result.RECORDER_FAILED,
+                    "the recorder does not answer; what it has recorded is readable",
+                ),
+            )
+            self._check_recorder(parameters)
 
     async def _wait_for_load(self, step: RunningStep) -> None:
         """Wait a moment for the sample after the last exposure; a machine that went silent is told by the result."""

@@ -151,6 +151,8 @@ class RecorderNode(Node):
             if stage in (StepStatus.END, StepStatus.ERROR):
                 self._tally.end_step()
                 self._writing.sync()
+            elif stage == StepStatus.PROCESS:
+                self._publish_status()  # the experiment waits for this sign of life
 
     def _fail(self, reason: str) -> None:
         if self._status.state != RecorderStatus.FAILED:

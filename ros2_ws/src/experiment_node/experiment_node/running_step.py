@@ -38,6 +38,7 @@ class RunningStep:
     stamp: int = 0  # of the last exposure [ns]
     exposed: float = 0.0  # when the last frame was reported [s], monotonic
     answered: float = 0.0  # when the last result came [s], monotonic
+    recorder_answered: bool = False  # to the stage PROCESS
     exposures: dict[int, tuple[int, int]] = field(default_factory=dict)  # start and end of each frame [ns]
     statuses: dict[str, NodeStatus] = field(default_factory=dict)
     load: deque[LoadState] = field(default_factory=lambda: deque(maxlen=LOAD_SAMPLES))

@@ -424,7 +424,11 @@ def test_no_step_without_the_recorder(rig: Rig) -> None:
     rig.serve(0.3)
     assert not rig.captured
     rig.publish_recorder(RecorderStatus.RECORDING)
+    rig.wait(lambda: StepStatus.PROCESS in [message.stage for message in rig.steps], "the end of the frames")
+    rig.publish_recorder(RecorderStatus.RECORDING)
     assert rig.result(running)[1].error_code == Result.NONE
+    silent = rig.step()  # as if killed: its last words were fine, but it does not answer
+    assert silent.error_code == Result.RECORDER_FAILED and "does not answer" in silent.error_message
     rig.publish_recorder(RecorderStatus.FAILED)
     rig.taken(rig.recorder)
     stopped = rig.step()
