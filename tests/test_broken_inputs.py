@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from conftest import Told, processes_of, segments, wait_until
+from running_system import Told, processes_of, segments, wait_until
 
 import fringedic
 from fringedic.errors import MissingTopicError, NodeDiedError, RecordingError

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import CONFIG, Told
+from running_system import CONFIG, Told
 
 import fringedic
 from fringedic.recording import BagReader, BagWriter

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import CONFIG, wait_until
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
+from running_system import CONFIG, wait_until
 from sensor_msgs.msg import Image
 
 import fringedic

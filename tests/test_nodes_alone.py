@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from ament_index_python.packages import get_package_prefix
-from conftest import wait_until
+from running_system import wait_until
 
 NODES = {
     "projector": ("fringe_projector_node", []),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import CONFIG, ROOT, Told
+from running_system import CONFIG, ROOT, Told
 
 import fringedic
 from fringedic.recording import BagReader
