@@ -12,7 +12,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 
@@ -25,6 +25,7 @@ from fringedic_bringup.graph import Graph, NodeEntry
 # A node that is told to end finishes what it has in hand; a recorder still has a bag to close.
 PATIENCE_S = {signal.SIGINT: 15.0, signal.SIGTERM: 5.0, signal.SIGKILL: 5.0}
 SHARED_MEMORY = Path("/dev/shm")
+_SEGMENT = re.compile(r"(?:sem\.)?(?P<name>fastrtps_(?:port\d+|[0-9a-f]{16}))(?:(?P<lock>_[es]l)|_mutex)?")
 # Domains above 101 would collide with the ports that Linux gives to outgoing connections.
 PRIVATE_DOMAINS = range(90, 102)
 
@@ -119,7 +120,7 @@ class RunningGraph:
         first = self.graph.nodes[0].name
         _end([process for name, process in running.items() if name != first])
         _end([process for name, process in running.items() if name == first])
-        if any(process.returncode < 0 for process in running.values()):
+        if running:
             remove_stale_segments()
 
     def _start(self, entry: NodeEntry, executable: Path) -> None:
@@ -186,32 +187,45 @@ def private_domain() -> Iterator[int]:
     )
 
 
-def remove_stale_segments() -> list[str]:
-    """Remove this user's Fast DDS shared memory whose owner has died, and return the names.
+def remove_stale_segments() -> set[str]:
+    """Remove this user's Fast DDS shared memory that no process uses any more, and return the names.
 
-    Every segment and port comes with a file that its owner keeps locked (``_el``: by one, ``_sl``: by several), so
-    that nothing in use is touched.
+    Killed processes leave their segments behind, and even clean ones their ports. In use is what a process has mapped,
+    or what its owner keeps locked (``_el``: by one, ``_sl``: by several).
     """
-    removed = []
-    for lock in SHARED_MEMORY.glob("fastrtps_*_[es]l"):
-        name = lock.name[:-3]
-        if not re.fullmatch(r"fastrtps_(port\d+|[0-9a-f]{16})", name) or not _is_abandoned(lock):
-            continue
-        for each in (SHARED_MEMORY / name, SHARED_MEMORY / f"sem.{name}_mutex", lock):
-            each.unlink(missing_ok=True)
-        removed.append(name)
+    files = [(found, path) for path in SHARED_MEMORY.iterdir() if (found := _SEGMENT.fullmatch(path.name))]
+    names = {found["name"] for found, _ in files} - mapped_segments()
+    names -= {found["name"] for found, path in files if found["lock"] and _is_locked(path)}
+    removed = set()
+    for found, path in files:
+        if found["name"] in names and _is_mine(path):
+            path.unlink(missing_ok=True)
+            removed.add(found["name"])
     return removed
 
 
-def _is_abandoned(lock: Path) -> bool:
+def mapped_segments() -> set[str]:
+    """Return the segments in the memory of any process that this user may look into."""
+    names: set[str] = set()
+    for maps in Path("/proc").glob("[0-9]*/maps"):
+        with suppress(OSError):
+            names.update(re.findall(r"/dev/shm/(?:sem\.)?(fastrtps_(?:port\d+|[0-9a-f]{16}))", maps.read_text()))
+    return names
+
+
+def _is_locked(path: Path) -> bool:
     try:
-        if lock.stat().st_uid != os.getuid():
-            return False
-        with lock.open("ab") as file:
+        with path.open("ab") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
-        return False
-    return True
+        return True
+    return False
+
+
+def _is_mine(path: Path) -> bool:
+    with suppress(OSError):
+        return path.stat().st_uid == os.getuid()
+    return False
 
 
 def _executable(entry: NodeEntry) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 import os
 import signal
 import subprocess
@@ -20,7 +21,13 @@ from fringedic.errors import NodeDiedError, NodeNotInstalledError
 from fringedic.recording import BagReader, BagWriter
 from fringedic.rig_file import Programme
 from fringedic_bringup.graph import Graph, NodeEntry, rig_graph
-from fringedic_bringup.processes import SHARED_MEMORY, RunningGraph, private_domain, remove_stale_segments
+from fringedic_bringup.processes import (
+    SHARED_MEMORY,
+    RunningGraph,
+    mapped_segments,
+    private_domain,
+    remove_stale_segments,
+)
 from fringedic_bringup.run import drive, load_rig
 
 DOMAIN = "63"
@@ -190,7 +197,6 @@ def test_a_node_that_cannot_start_fails_the_run_with_the_end_of_its_log(tmp_path
 def test_a_graph_leaves_no_process_and_no_shared_memory(tmp_path: Path) -> None:
     rig, programme = load_rig(TINY, None, None)
     one = Programme.model_validate({"experiment": "one", "steps": [{"position_mm": 0.1}]})
-    remove_stale_segments()
     with private_domain() as domain:
         graph = rig_graph(rig, TINY, tmp_path / "run")
         with RunningGraph(graph, tmp_path / "run" / "logs", domain=domain) as running:
@@ -201,7 +207,23 @@ def test_a_graph_leaves_no_process_and_no_shared_memory(tmp_path: Path) -> None:
         assert not reports[0].error and programme.experiment == "tiny"
     assert owned
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
-    assert not owned & {path.name for path in SHARED_MEMORY.iterdir()}
+    # ports are numbered through all domains, so that others may use some of the same
+    assert owned & {path.name for path in SHARED_MEMORY.iterdir()} - mapped_segments() == set()
+
+
+def test_shared_memory_in_use_is_left_alone_and_the_rest_removed() -> None:
+    used, stale = SHARED_MEMORY / "fastrtps_00000000000000aa", SHARED_MEMORY / "fastrtps_00000000000000bb"
+    for path in (used, stale, used.with_name(f"{used.name}_el"), stale.with_name(f"{stale.name}_el")):
+        path.write_bytes(b"segment")
+    try:
+        with used.open("r+b") as file, mmap.mmap(file.fileno(), 0):
+            assert remove_stale_segments() >= {stale.name}
+            assert used.exists() and used.with_name(f"{used.name}_el").exists()
+            assert not stale.exists() and not stale.with_name(f"{stale.name}_el").exists()
+        assert used.name in remove_stale_segments()
+    finally:
+        for path in SHARED_MEMORY.glob("fastrtps_00000000000000*"):
+            path.unlink()
 
 
 def test_an_executable_that_is_not_installed_is_named(tmp_path: Path) -> None:
