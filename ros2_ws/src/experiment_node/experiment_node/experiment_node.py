@@ -398,7 +398,7 @@ class ExperimentNode(Node):
         if parameters.recording_required:
             await self._wait(
                 step,
-                lambda: step.recorder_answered,
+                lambda: step.recorder_answered or self._recorder_state() != RecorderStatus.RECORDING,
                 RECORDER_TIMEOUT,
                 lambda: (
                     Result.RECORDER_FAILED,
