@@ -13,10 +13,10 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import cv2
@@ -64,26 +64,22 @@ class Probe:
         self._watch = watch
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)
-        self.node = Node("probe", namespace="bench", context=self._context)
+        self._node = Node("probe", namespace="bench", context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        listen = self.node.create_subscription
+        self._executor.add_node(self._node)
+        listen, publish = self._node.create_subscription, self._node.create_publisher
         listen(Exposure, "camera/exposure", self.exposures.append, IMAGES)
         listen(RecorderStatus, "recorder/status", lambda message: setattr(self, "recorder", message), LATCHED)
         listen(NodeStatus, "phase/status", self.statuses.append, EVENTS)
         listen(DiagnosticArray, "/diagnostics", self._take_diagnostics, DIAGNOSTICS)
-        self._images = self.node.create_publisher(Image, "camera/image_raw", IMAGES)
-        self._records = self.node.create_publisher(Exposure, "camera/exposure", IMAGES)
-        self._change_state = self.node.create_client(ChangeState, "camera/change_state")
+        self._images = publish(Image, "camera/image_raw", IMAGES)
+        self._records = publish(Exposure, "camera/exposure", IMAGES)
+        self._change_state = self._node.create_client(ChangeState, "camera/change_state")
 
-    def __enter__(self) -> Probe:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """End the node."""
         self._executor.shutdown()
-        self.node.destroy_node()
+        self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
     def wait(self, done: Callable[[], Any], what: str, timeout_s: float = TIMEOUT_S) -> None:
@@ -146,40 +142,38 @@ def stream(seconds: float, folder: Path) -> Table:
         private_domain() as domain,
         RunningGraph(graph, folder / "logs", domain=domain) as running,
         RigClient("bench", domain=domain, watch=running.check) as client,
-        Probe(domain, running.check) as probe,
+        closing(Probe(domain, running.check)) as probe,
     ):
         probe.camera(Transition.TRANSITION_CONFIGURE)
         client.wait_until_ready(graph.names)
         probe.pause(2.0)
-        written, processor, begin = probe.recorder.bytes, processor_times(running), time.monotonic()
+        written, idle, begin = probe.recorder.bytes, usage(running), time.monotonic()
         probe.camera(Transition.TRANSITION_ACTIVATE)
         probe.pause(seconds)
         probe.camera(Transition.TRANSITION_DEACTIVATE)
         duration = time.monotonic() - begin
-        shares = {name: (end - processor[name]) / duration for name, end in processor_times(running).items()}
+        busy = usage(running)
         probe.pause(2.0)
         written = probe.recorder.bytes - written
         exposures = list(probe.exposures)
         probe.closing_step()
-        peaks = peak_memory(running)
     reader = BagReader(bag)
-    recorded = [
-        reader.counts[topic] - CLOSING_FRAMES for topic in reader.find("camera/image_raw", "camera/exposure").values()
-    ]
-    indices = [exposure.index for exposure in exposures]
-    begun = indices[-1] + 1
+    topics = reader.find("camera/image_raw", "camera/exposure").values()
+    recorded = [reader.counts[topic] - CLOSING_FRAMES for topic in topics]
+    begun = exposures[-1].index + 1
     first, last = (each.header.stamp.sec + 1e-9 * each.header.stamp.nanosec for each in (exposures[0], exposures[-1]))
     table = figures(f"Frames of {SIZE[1]}x{SIZE[0]} mono8 for {seconds:g} s, camera to phase node and recorder")
     table.add_row("frames", f"{begun}", "")
     table.add_row("frames per second", f"{(begun - 1) / (last - first):.2f}", f">= {WANTED_HZ:g}")
     table.add_row("left out by the camera", f"{exposures[-1].dropped}", "0")
-    table.add_row("records missing at the probe", f"{begun - len(set(indices))}", "0")
+    table.add_row("records missing at the probe", f"{begun - len(exposures)}", "0")
     table.add_row("lost by the phase node", f"{probe.drops['phase']}", "0")
     table.add_row("images, records not in the recording", f"{begun - recorded[0]}, {begun - recorded[1]}", "0, 0")
     table.add_row("images missing by the recorder's count", f"{probe.recorder.missing_images}", "0")
     table.add_row("recording [MB/s]", f"{1e-6 * written / duration:.1f}", "")
-    for name, share in shares.items():
-        table.add_row(f"{name}: share of one core, peak memory", f"{share:.0%}, {peaks[name]:.0f} MB", "")
+    for name, (time_used, peak) in busy.items():
+        share = (time_used - idle[name][0]) / duration
+        table.add_row(f"{name}: share of one core, peak memory", f"{share:.0%}, {peak:.0f} MB", "")
     return table
 
 
@@ -205,25 +199,24 @@ def plate_steps(folder: Path) -> Iterator[Table]:
         graph = rig_graph(chosen, path, target, experiment="bench")
         nodes = [replace(node, parameters=camera) if node.name == "camera" else node for node in graph.nodes]
         graph = Graph(graph.namespace, tuple(node for node in nodes if node.name != "load_frame"))
-        with private_domain() as domain, RunningGraph(graph, target / "logs", domain=domain) as running:
-            with RigClient(graph.namespace, domain=domain, watch=running.check) as client:
-                client.wait_until_ready(graph.names)
-                results = [client.measure() for _ in positions]
-            peaks = peak_memory(running)
+        with (
+            private_domain() as domain,
+            RunningGraph(graph, target / "logs", domain=domain) as running,
+            RigClient(graph.namespace, domain=domain, watch=running.check) as client,
+        ):
+            client.wait_until_ready(graph.names)
+            results = [client.measure() for _ in positions]
+            used = usage(running)
         warm = results[1:]
         clouds = [result.processing_time for result in warm]
         overheads = [1e3 * (result.duration - result.processing_time) / len(patterns) for result in warm]
         table = figures(f"Steps of {len(patterns)} frames of {SIZE[1]}x{SIZE[0]}, displacement every {spacing} px")
         table.add_row("last exposure to displacement cloud, median [s]", f"{statistics.median(clouds):.2f}", "")
-        table.add_row(
-            "  fastest, slowest, first [s]",
-            f"{min(clouds):.2f}, {max(clouds):.2f}, {results[0].processing_time:.2f}",
-            "",
-        )
+        extremes = f"{min(clouds):.2f}, {max(clouds):.2f}, {results[0].processing_time:.2f}"
+        table.add_row("    fastest, slowest, first [s]", extremes, "")
         table.add_row("show and capture, per frame, median [ms]", f"{statistics.median(overheads):.1f}", "")
         table.add_row("whole step, median [s]", f"{statistics.median(result.duration for result in warm):.2f}", "")
-        table.add_row("valid points, last step", f"{results[-1].valid_fraction:.1%}", "")
-        for name, peak in peaks.items():
+        for name, (_, peak) in used.items():
             table.add_row(f"{name}: peak memory [MB]", f"{peak:.0f}", "")
         yield table
 
@@ -236,33 +229,23 @@ def figures(title: str) -> Table:
     return table
 
 
-def peak_memory(running: RunningGraph) -> dict[str, float]:
-    """Largest resident memory of each node so far [MB]."""
-    peaks = {}
+def usage(running: RunningGraph) -> dict[str, tuple[float, float]]:
+    """Processor time [s] and largest resident memory [MB] of each node so far."""
+    used = {}
     for name in running.graph.names:
-        lines = Path(f"/proc/{running.pid(name)}/status").read_text().splitlines()
-        peaks[name] = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) * 1024e-6
-    return peaks
-
-
-def processor_times(running: RunningGraph) -> dict[str, float]:
-    """Processor time of each node so far [s]."""
-    tick = os.sysconf("SC_CLK_TCK")
-    times = {}
-    for name in running.graph.names:
-        values = Path(f"/proc/{running.pid(name)}/stat").read_text().rpartition(")")[2].split()
-        times[name] = (int(values[11]) + int(values[12])) / tick
-    return times
+        process = Path("/proc") / str(running.pid(name))
+        ticks = (process / "stat").read_text().rpartition(")")[2].split()[11:13]
+        peak = (process / "status").read_text().partition("VmHWM:")[2].split()[0]
+        used[name] = sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK"), int(peak) * 1024e-6
+    return used
 
 
 def machine() -> str:
     """Processor, cores, load and date."""
     lines = Path("/proc/cpuinfo").read_text().splitlines()
-    model = next(
-        (line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine()
-    )
+    model = next((line.partition(":")[2] for line in lines if line.startswith("model name")), platform.machine())
     load, date = os.getloadavg()[0], datetime.now(UTC).date()
-    return f"{model}, {os.cpu_count()} cores, load before {load:.1f}, Python {platform.python_version()}, {date}"
+    return f"{model.strip()}, {os.cpu_count()} cores, load {load:.1f}, Python {platform.python_version()}, {date}"
 
 
 def main() -> None:
@@ -270,12 +253,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=60.0, help="length of the stream [s]")
     seconds = parser.parse_args().seconds
-    console = Console()
-    console.print(machine(), highlight=False)
+    console = Console(markup=False)
+    console.print(f"before: {machine()}", highlight=False)
     with tempfile.TemporaryDirectory(prefix="fringedic-bench-") as folder:
         console.print(stream(seconds, Path(folder) / "stream"))
         for table in plate_steps(Path(folder) / "plate"):
             console.print(table)
+    console.print(f"after: {machine()}", highlight=False)
 
 
 if __name__ == "__main__":
