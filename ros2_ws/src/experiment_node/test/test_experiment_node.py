@@ -438,6 +438,8 @@ def test_no_step_without_the_recorder(rig: Rig) -> None:
 def test_absent_node_is_named(rig: Rig) -> None:
     rig.change(start_timeout_s=1.0)
     rig.destroy_publisher(rig.statuses.pop("coupling"))
+    rig.wait(lambda: not rig.count_publishers("coupling/status"), "the end of a publisher")
+    rig.serve(0.5)
     failed = rig.step()
     assert failed.error_code == Result.NO_SUBSCRIBER and "coupling/status" in failed.error_message
     rig.statuses["coupling"] = rig.create_publisher(NodeStatus, "coupling/status", EVENTS)
