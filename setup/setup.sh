@@ -40,24 +40,27 @@ run() {
     stop "$what failed: read the reason at the end of $log, mend it and start again"
 }
 
-# What set-up must know of a Python: version, executable, include folder, and whether it can make environments.
+# What set-up must know of a Python: version, executable (of an environment: the one beneath), include folder, and whether
+# it can make environments.
 describe() {
     "$1" - <<'QUESTION' 2>/dev/null
-import importlib.util, sys, sysconfig
+import importlib.util, os, sys, sysconfig
 if not (3, 11) <= sys.version_info[:2] <= (3, 13):
     sys.exit(1)
+executable = os.path.realpath(sys._base_executable)
 venv = all(importlib.util.find_spec(module) for module in ("venv", "ensurepip"))
-print("python%d.%d" % sys.version_info[:2], sys.executable, sysconfig.get_path("include"), venv, sys.version_info[2], sep="|")
+print("python%d.%d" % sys.version_info[:2], executable, sysconfig.get_path("include"), venv, sep="|")
 QUESTION
 }
 
+# The Python that was used before stays the one in use, whatever is active in this shell.
 find_python() {
     local candidate
     if [ -n "${PYTHON:-}" ]; then
         describe "$PYTHON" || stop "PYTHON=$PYTHON is not Python 3.11, 3.12 or 3.13: name one that is, or unset PYTHON"
         return
     fi
-    for candidate in python3 python3.12 python3.13 python3.11; do
+    for candidate in "$@" python3 python3.12 python3.13 python3.11; do
         describe "$candidate" && return
     done
     stop "Python 3.11, 3.12 or 3.13 is needed and $(python3 --version 2>/dev/null || echo 'no Python') was found: install one (Debian, Ubuntu: sudo apt install python3 python3-venv) or name it with PYTHON=..."
@@ -86,29 +89,29 @@ done_for() {
     printf '%s' "$2" >"$stamps/$1"
 }
 
-interpreter=$(find_python)
-IFS='|' read -r version python python_include has_venv _ <<<"$interpreter"
+# A sourced ROS 2 installation is used as it is; its compiled messages need NumPy 1.
+if [ -n "${ROS_DISTRO:-}" ] && [[ :${AMENT_PREFIX_PATH:-}: != *":$venv:"* ]]; then
+    interpreter=$(find_python)
+    lock=$root/setup/requirements-stock.lock
+    venv_options=(--system-site-packages)
+    ros="Python packages beside ROS 2 $ROS_DISTRO"
+else
+    [ "$(uname -sm)" = "Linux x86_64" ] ||
+        stop "ROS 2 comes from PyPI for Linux on x86-64 only: install ROS 2 Jazzy, source its setup.bash and start again"
+    interpreter=$(find_python "$venv/bin/python3")
+    lock=$root/setup/requirements-ros.lock
+    venv_options=()
+    ros="Python packages and ROS 2 Jazzy"
+fi
+IFS='|' read -r version python python_include has_venv <<<"$interpreter"
 [ "$has_venv" = True ] ||
     stop "Python has no venv module: install it (Debian, Ubuntu: sudo apt install $version-venv) and start again"
 for compiler in gcc g++; do
     command -v "$compiler" >/dev/null ||
         stop "the compiler $compiler is missing: install it (Debian, Ubuntu: sudo apt install g++) and start again"
 done
-
-# A sourced ROS 2 installation is used as it is; its compiled messages need NumPy 1.
-if [ -n "${ROS_DISTRO:-}" ] && [[ :${AMENT_PREFIX_PATH:-}: != *":$venv:"* ]]; then
-    lock=$root/setup/requirements-stock.lock
-    venv_options=(--system-site-packages)
-    ros="Python packages beside ROS 2 $ROS_DISTRO"
-    "$python" -c 'import rclpy' 2>/dev/null ||
-        stop "ROS 2 $ROS_DISTRO is sourced and $python cannot import its rclpy: name the Python it was built for with PYTHON=..., or start from a shell without ROS 2"
-else
-    [ "$(uname -sm)" = "Linux x86_64" ] ||
-        stop "ROS 2 comes from PyPI for Linux on x86-64 only: install ROS 2 Jazzy, source its setup.bash and start again"
-    lock=$root/setup/requirements-ros.lock
-    venv_options=()
-    ros="Python packages and ROS 2 Jazzy"
-fi
+[ -z "${venv_options[*]}" ] || "$python" -c 'import rclpy' 2>/dev/null ||
+    stop "ROS 2 $ROS_DISTRO is sourced and $python cannot import its rclpy: name the Python it was built for with PYTHON=..., or start from a shell without ROS 2"
 
 exec 9>"$root/.setup.lock"
 flock 9 # two makes at once: the second waits

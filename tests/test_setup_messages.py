@@ -80,9 +80,12 @@ def test_no_python(machine: Machine) -> None:
     assert "is needed and no Python was found: install one" in machine.complaint()
 
 
-def test_another_python_serves_when_python3_is_too_old(machine: Machine) -> None:
+@pytest.mark.parametrize("place", ["bin/python3.12", "checkout/.venv/bin/python3"])
+def test_another_python_serves_when_python3_is_too_old(machine: Machine, place: str) -> None:
     machine.replace("python3", "exit 1")
-    (machine.bin / "python3.12").symlink_to(PYTHON)
+    other = machine.bin.parent / place
+    other.parent.mkdir(parents=True, exist_ok=True)
+    other.symlink_to(PYTHON)
     (machine.bin / "g++").unlink()  # the next thing that set-up looks for
     assert "compiler g++ is missing" in machine.complaint()
 
