@@ -88,10 +88,11 @@ def replay(bag: Bag, settings: Settings = None, output: Output = None) -> None:
     """Process a recording again by fresh nodes, as fast as they go, and record the results."""
     from fringedic_bringup.replay import replay as replay_bag
 
+    overrides = _by_node(_values(settings))
     _existing(bag)
     folder = output or _unused(bag.with_name(f"{bag.name}_replayed"))
     with LiveProgress(console) as progress:
-        target = replay_bag(bag, folder, progress, overrides=_by_node(_values(settings)))
+        target = replay_bag(bag, folder, progress, overrides=overrides)
     console.print(f"recording: {target}", markup=False, highlight=False)
 
 
