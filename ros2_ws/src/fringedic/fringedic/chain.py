@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
+import cv2
 import numpy as np
 import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field
@@ -23,6 +24,7 @@ from fringedic.sequence import Orientation, PatternKind, Stack
 from fringedic.surface import couple, surface_strain, to_local_frame
 
 Kept = TypeVar("Kept")
+LIT_NEIGHBOURHOOD = 9  # [px], larger than a speckle
 
 
 class Parameters(BaseModel):
@@ -123,7 +125,8 @@ class PhaseResult:
         Absolute phase at the finest pitch and its standard deviation [rad], float32 (row, column), NaN where not
         measured.
     modulation, texture
-        Fringe amplitude and mean of the whole stack [grey level], float32 (row, column).
+        Fringe amplitude and mean of the whole stack [grey level], float32 (row, column); the texture is NaN in
+        background and shadow.
     valid_fraction
         Pixels with a phase over all pixels.
     pitch, orientation
@@ -241,12 +244,21 @@ def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
         phase=measured.phase.values,
         sigma=sigma,
         modulation=measured.modulation.values,
-        texture=measured.texture.values,
+        texture=np.where(_lit_region(measured.valid.values), measured.texture.values, np.float32(np.nan)),
         valid_fraction=fraction,
         pitch=stack.projections[-1].pitch,
         orientation=stack.projections[-1].orientation,
         rms=float(np.nanmedian(sigma)),
     )
+
+
+def _lit_region(valid: np.ndarray) -> np.ndarray:
+    """Return where the surface is: pixels most of whose neighbours have a phase.
+
+    Background and shadow do not move with the surface and would pull the displacement beside them. A dark speckle
+    without phase stays part of the surface.
+    """
+    return cv2.blur(valid.astype(np.float32), (LIT_NEIGHBOURHOOD, LIT_NEIGHBOURHOOD)) > 0.5
 
 
 def white_texture(image: np.ndarray) -> np.ndarray:
