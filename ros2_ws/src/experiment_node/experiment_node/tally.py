@@ -14,6 +14,7 @@ class ExposureTally:
         self._images: set[int] = set()
         self._waiting: set[int] = set()
         self._missing: set[int] = set()
+        self._newest_image = -1
 
     @property
     def missing(self) -> int:
@@ -22,11 +23,12 @@ class ExposureTally:
 
     def add_image(self, stamp: int) -> None:
         """Count one image, stamp in ns."""
-        self._missing.discard(stamp)
-        if stamp in self._waiting:
+        if stamp in self._waiting | self._missing:
             self._waiting.discard(stamp)
+            self._missing.discard(stamp)
         else:
             self._images.add(stamp)
+        self._newest_image = max(self._newest_image, stamp)
         overtaken = {waiting for waiting in self._waiting if waiting < stamp}
         self._waiting -= overtaken
         self._missing |= overtaken
@@ -35,6 +37,8 @@ class ExposureTally:
         """Count one exposure record, stamp in ns."""
         if stamp in self._images:
             self._images.discard(stamp)
+        elif stamp < self._newest_image:
+            self._missing.add(stamp)
         else:
             self._waiting.add(stamp)
 

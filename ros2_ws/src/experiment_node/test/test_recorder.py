@@ -230,6 +230,9 @@ def test_tally_counts_what_newer_images_overtake() -> None:
     tally.add_exposure(20)
     tally.add_image(10)  # it was late after all
     assert tally.missing == 0
+    tally.add_exposure(15)  # records travel apart from images and may come later
+    assert tally.missing == 1
+    tally.add_image(15)
     tally.add_exposure(30)
     tally.end_step()
     assert tally.missing == 1
