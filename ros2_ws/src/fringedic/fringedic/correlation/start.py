@@ -78,7 +78,11 @@ def _refined(level: Level, spline: np.ndarray, k: int, affine: np.ndarray, passe
         kernels.residuals(level.values, spline, lines, CELL, residual, mean)
         if not np.isfinite(mean).any():
             return affine, -1.0
-        limit = 4 * float(np.nanmedian(mean))
+        # flattened images are zero where nothing is known: no residual there, and nothing about the noise either
+        known = mean[mean > 0]
+        if not known.size:
+            return affine, 1.0
+        limit = 4 * float(np.median(known))
         kernels.accumulated(level.values, level.along_x, level.along_y, residual, limit, CELL, sums)
         s = sums.astype(np.float64)
         normal = np.empty((6, 6))
