@@ -20,8 +20,10 @@ def run(make_node: Callable[[], Node]) -> int:
     traceback and code 1, so that whoever started the process knows.
     """
     node: Node | None = None
+    initialised = False
     try:
         rclpy.init(args=sys.argv)
+        initialised = True
         node = make_node()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
@@ -32,10 +34,10 @@ def run(make_node: Callable[[], Node]) -> int:
         print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
         return 1
     except Exception:
-        if node is None or rclpy.ok():
+        if not initialised or rclpy.ok():
             traceback.print_exc()
             return 1
-        # a signal ended the context between two steps of the executor, which then fails with an RCLError
+        # a signal ended the context: while the node was made, or between two steps of the executor
     finally:
         if node is not None:
             node.destroy_node()
