@@ -14,7 +14,7 @@ from sensor_msgs.msg import CameraInfo, Image
 from camera_node.drivers import Driver, FilesDriver, Frame, Scene, VirtualDriver
 from camera_node.drivers.virtual import TruthFile
 from fringedic.errors import CameraError, FringedicError, WaitTimeoutError
-from fringedic.sequence import FrameRecord, PatternKind, Projection
+from fringedic.sequence import FrameRecord, PatternKind, Projection, projection_of
 from fringedic_msgs.msg import Exposure, LoadState
 from fringedic_msgs.srv import CaptureFrame
 from fringedic_ros.images import image_array, image_message
@@ -22,7 +22,6 @@ from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
 from fringedic_ros.main import run
 from fringedic_ros.qos import IMAGES, LATCHED, OVERRIDABLE, STATE
 from fringedic_ros.records import exposure_message
-from fringedic_ros.records import projection as projection_of
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.virtual import VirtualRigText, virtual_configuration
 from fringedic_ros.waiting import Condition, sleep, until, wait_for

@@ -16,14 +16,13 @@ from builtin_interfaces.msg import Time
 from sensor_msgs.msg import CameraInfo, Image
 
 from fringedic.patterns import render_pattern
-from fringedic.sequence import PatternKind, Projection
+from fringedic.sequence import PatternKind, Projection, frame_record
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import Exposure, LoadState
 from fringedic_msgs.srv import CaptureFrame
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.parameter_docs import documented
 from fringedic_ros.qos import IMAGES, LATCHED, STATE
-from fringedic_ros.records import frame_record
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
 

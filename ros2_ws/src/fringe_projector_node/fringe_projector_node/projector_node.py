@@ -12,13 +12,12 @@ from sensor_msgs.msg import Image
 from fringe_projector_node.screens import Screen, VirtualScreen
 from fringedic.errors import InvalidPatternError, ScreenError
 from fringedic.patterns import render_pattern
-from fringedic.sequence import PatternKind, Projection
+from fringedic.sequence import PatternKind, Projection, projection_of
 from fringedic_msgs.srv import ShowPattern
 from fringedic_ros.images import image_message
 from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
 from fringedic_ros.main import run
 from fringedic_ros.qos import LATCHED
-from fringedic_ros.records import projection as projection_of
 from fringedic_ros.stamps import to_msg
 
 FRAME_ID = "projector_optical_frame"

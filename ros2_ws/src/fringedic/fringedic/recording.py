@@ -34,7 +34,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fringedic import __version__
 from fringedic.errors import DiskFullError, MissingTopicError, RecordingError, UnknownSchemaError
-from fringedic.sequence import FrameRecord, Orientation, PatternKind, Projection
 
 REORDER_WINDOW = 64  # messages
 MAGIC = b"\x89MCAP0\r\n"
@@ -625,38 +624,6 @@ def info(path: str | os.PathLike[str]) -> BagInfo:
         topics={name: (topic.type_name, reader.counts[name]) for name, topic in sorted(reader.topics.items())},
         lost=reader.lost,
     )
-
-
-def frame_record(exposure: Any) -> FrameRecord:
-    """Translate a ``fringedic_msgs/Exposure`` message, decoded by whatever library, into a record.
-
-    Raises
-    ------
-    ValueError
-        Kind or orientation is a number without meaning.
-    """
-    return FrameRecord(
-        experiment=exposure.experiment,
-        step=exposure.step,
-        index=exposure.index,
-        count=exposure.count,
-        projection=Projection(
-            PatternKind(exposure.kind),
-            Orientation(exposure.orientation),
-            exposure.pitch,
-            exposure.shift,
-            exposure.shifts,
-        ),
-        stamp=stamp_of(exposure),
-        exposure_time=exposure.exposure_time,
-        dropped=exposure.dropped,
-    )
-
-
-def stamp_of(message: Any) -> int:
-    """Return the stamp of a message's header [ns]."""
-    stamp = message.header.stamp
-    return stamp.sec * 1_000_000_000 + stamp.nanosec
 
 
 def _mcap_files(path: Path) -> list[Path]:

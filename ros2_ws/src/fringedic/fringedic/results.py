@@ -43,9 +43,9 @@ from fringedic.errors import (
     MissingTopicError,
     ParameterError,
 )
-from fringedic.recording import BagReader, frame_record, stamp_of
+from fringedic.recording import BagReader
 from fringedic.rig import RigModel
-from fringedic.sequence import FrameCollector, FrameRecord, PatternKind, Stack
+from fringedic.sequence import FrameCollector, FrameRecord, PatternKind, Stack, frame_record, stamp_of
 
 Model = TypeVar("Model", bound=Parameters)
 MICRO = 1e-6

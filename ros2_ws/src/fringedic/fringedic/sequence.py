@@ -131,6 +131,49 @@ class _OpenStep:
     records: dict[int, FrameRecord] = field(default_factory=dict)
 
 
+def stamp_of(message: Any) -> int:
+    """Return the stamp of a message's header [ns]."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def projection_of(message: Any) -> Projection:
+    """Return what a message with kind, orientation, pitch, shift and shifts (exposure or request) speaks of.
+
+    Raises
+    ------
+    ValueError
+        Kind or orientation is a number without meaning.
+    """
+    return Projection(
+        kind=PatternKind(message.kind),
+        orientation=Orientation(message.orientation),
+        pitch=message.pitch,
+        shift=message.shift,
+        shifts=message.shifts,
+    )
+
+
+def frame_record(exposure: Any) -> FrameRecord:
+    """Translate a ``fringedic_msgs/Exposure`` message, decoded by whatever library, into a record.
+
+    Raises
+    ------
+    ValueError
+        Kind or orientation is a number without meaning.
+    """
+    return FrameRecord(
+        experiment=exposure.experiment,
+        step=exposure.step,
+        index=exposure.index,
+        count=exposure.count,
+        projection=projection_of(exposure),
+        stamp=stamp_of(exposure),
+        exposure_time=exposure.exposure_time,
+        dropped=exposure.dropped,
+    )
+
+
 class FrameCollector:
     """Joins single frames into stacks, one per step.
 

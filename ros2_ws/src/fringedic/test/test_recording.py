@@ -24,9 +24,9 @@ from fringedic.recording import (
     info,
     interface_definition,
     recover,
-    stamp_of,
     type_hash,
 )
+from fringedic.sequence import stamp_of
 
 PICTURE = "bench_msgs/msg/Picture"
 FORCE = "bench_msgs/msg/Force"

@@ -11,9 +11,10 @@ import xarray as xr
 from camera_node.drivers.files import SUFFIXES
 from fringedic.errors import RigFileError, StepFailedError
 from fringedic.pictures import save_pictures
-from fringedic.recording import BagReader, frame_record, stamp_of
+from fringedic.recording import BagReader
 from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
 from fringedic.rig_file import Programme, RigFile, load_programme, load_rig_file
+from fringedic.sequence import frame_record, stamp_of
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.graph import Graph, rig_graph
 from fringedic_bringup.processes import RunningGraph

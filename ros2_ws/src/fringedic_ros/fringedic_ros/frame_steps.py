@@ -6,12 +6,11 @@ from collections.abc import Callable
 
 from sensor_msgs.msg import Image
 
-from fringedic.sequence import FrameCollector, PatternKind, Stack
+from fringedic.sequence import FrameCollector, PatternKind, Stack, frame_record
 from fringedic_msgs.msg import Exposure
 from fringedic_ros.images import image_array
 from fringedic_ros.pairing import ImageExposurePairs
 from fringedic_ros.processing import JOINED_STEPS, ProcessingNode
-from fringedic_ros.records import frame_record
 from fringedic_ros.stamps import to_nanoseconds
 
 

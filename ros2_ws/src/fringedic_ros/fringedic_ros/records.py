@@ -9,29 +9,9 @@ from typing import Any
 import numpy as np
 
 from fringedic.rig import RigModel
-from fringedic.sequence import FrameRecord, Orientation, PatternKind, Projection
+from fringedic.sequence import FrameRecord
 from fringedic_msgs.msg import Exposure, RigCalibration
-from fringedic_ros.stamps import to_msg, to_nanoseconds
-
-
-def frame_record(message: Exposure) -> FrameRecord:
-    """Record of one frame.
-
-    Raises
-    ------
-    ValueError
-        A kind or orientation that does not exist.
-    """
-    return FrameRecord(
-        experiment=message.experiment,
-        step=message.step,
-        index=message.index,
-        count=message.count,
-        projection=projection(message),
-        stamp=to_nanoseconds(message.header.stamp),
-        exposure_time=message.exposure_time,
-        dropped=message.dropped,
-    )
+from fringedic_ros.stamps import to_msg
 
 
 def exposure_message(record: FrameRecord, *, frame_id: str) -> Exposure:
@@ -52,23 +32,6 @@ def exposure_message(record: FrameRecord, *, frame_id: str) -> Exposure:
     message.header.stamp = to_msg(record.stamp)
     message.header.frame_id = frame_id
     return message
-
-
-def projection(message: Any) -> Projection:
-    """What a message with kind, orientation, pitch, shift and shifts (Exposure, ShowPattern, CaptureFrame) asks for.
-
-    Raises
-    ------
-    ValueError
-        A kind or orientation that does not exist.
-    """
-    return Projection(
-        kind=PatternKind(message.kind),
-        orientation=Orientation(message.orientation),
-        pitch=message.pitch,
-        shift=message.shift,
-        shifts=message.shifts,
-    )
 
 
 def calibration_message(rig: RigModel, *, stamp_ns: int, frame_id: str = "reference_plane") -> RigCalibration:

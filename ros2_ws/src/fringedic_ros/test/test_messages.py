@@ -12,11 +12,11 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image, PointCloud2
 
 from fringedic.errors import CloudMessageError, ImageMessageError
-from fringedic.sequence import FrameRecord, Orientation, PatternKind, Projection
+from fringedic.sequence import FrameRecord, Orientation, PatternKind, Projection, frame_record
 from fringedic_ros.clouds import cloud_arrays, cloud_message
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.qos import IMAGES
-from fringedic_ros.records import exposure_message, frame_record
+from fringedic_ros.records import exposure_message
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 
 STAMP = 1_790_000_000_123_456_789
