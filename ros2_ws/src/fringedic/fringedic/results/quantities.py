@@ -1,0 +1,50 @@
+"""Names, units and meanings of everything that a dataset holds."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Quantity(NamedTuple):
+    """Unit and meaning of one map."""
+
+    units: str
+    long_name: str
+
+
+MAPS: dict[str, Quantity] = {
+    "phase": Quantity("rad", "absolute phase at the finest pitch"),
+    "phase_sigma": Quantity("rad", "standard deviation of the phase"),
+    "modulation": Quantity("grey level", "fringe amplitude"),
+    "texture": Quantity("grey level", "surface without fringes"),
+    "displacement_x": Quantity("px", "in-plane displacement along columns"),
+    "displacement_y": Quantity("px", "in-plane displacement along rows, downwards"),
+    "displacement_sigma_x": Quantity("px", "standard deviation of displacement_x"),
+    "displacement_sigma_y": Quantity("px", "standard deviation of displacement_y"),
+    "shape_x": Quantity("m", "x of this step's surface, seen by this pixel"),
+    "shape_y": Quantity("m", "y of this step's surface, seen by this pixel"),
+    "shape_z": Quantity("m", "height of this step's surface, seen by this pixel"),
+    "shape_sigma_z": Quantity("m", "standard deviation of shape_z"),
+    "x": Quantity("m", "x of the reference surface, to the right"),
+    "y": Quantity("m", "y of the reference surface, upwards"),
+    "z": Quantity("m", "height of the reference surface, towards the camera"),
+    "u": Quantity("m", "displacement along x"),
+    "v": Quantity("m", "displacement along y"),
+    "w": Quantity("m", "displacement along z"),
+    "sigma_u": Quantity("m", "standard deviation of u"),
+    "sigma_v": Quantity("m", "standard deviation of v"),
+    "sigma_w": Quantity("m", "standard deviation of w"),
+    "u_t": Quantity("m", "displacement along the surface, first tangent"),
+    "v_t": Quantity("m", "displacement along the surface, second tangent"),
+    "w_n": Quantity("m", "displacement along the surface's normal"),
+    "e_11": Quantity("1", "surface strain along the first tangent"),
+    "e_22": Quantity("1", "surface strain along the second tangent"),
+    "e_12": Quantity("1", "surface shear strain (tensor)"),
+}
+SCALARS: dict[str, Quantity] = {
+    "force": Quantity("N", "mean force over the exposures"),
+    "position": Quantity("m", "mean crosshead position over the exposures"),
+    "valid_fraction": Quantity("1", "part of the points with a result of the last processing step"),
+    "rms_displacement": Quantity("m", "root mean square length of (u, v, w)"),
+}
+PHASE_TOPICS = {"map": "phase", "sigma": "phase_sigma", "modulation": "modulation", "texture": "texture"}

@@ -1,0 +1,60 @@
+"""Parameters of the processing nodes as a recording tells them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from fringedic.chain import CouplingParameters, DicParameters, Parameters, PhaseParameters
+from fringedic.errors import ParameterError
+
+
+class RecordedParameters:
+    """Parameters of the processing nodes as recorded, with overrides on top."""
+
+    def __init__(self, overrides: Mapping[str, Any]) -> None:
+        self.phase = PhaseParameters()
+        self.dic = DicParameters()
+        self.coupling = CouplingParameters()
+        self._overrides: dict[str, dict[str, Any]] = {"phase": {}, "dic": {}, "coupling": {}}
+        for name, value in overrides.items():
+            node, _, parameter = name.partition(".")
+            if node not in self._overrides or parameter not in type(getattr(self, node)).model_fields:
+                known = ", ".join(f"{each}.{key}" for each in self._overrides for key in self._model(each).model_fields)
+                raise ParameterError(f"there is no parameter '{name}'; known are {known}")
+            self._overrides[node][parameter] = value
+        for node in self._overrides:
+            self._set(node, {})
+
+    def current(self) -> dict[str, Parameters]:
+        return {"phase": self.phase, "dic": self.dic, "coupling": self.coupling}
+
+    def take(self, message: Any) -> None:
+        """Take what one node published about its parameters; those that this version does not know are left out."""
+        if message.node in self._overrides:
+            known = self._model(message.node).model_fields
+            self._set(
+                message.node, {each.name: _value(each.value) for each in message.parameters if each.name in known}
+            )
+
+    def _model(self, node: str) -> type[Parameters]:
+        return type(getattr(self, node))
+
+    def _set(self, node: str, recorded: Mapping[str, Any]) -> None:
+        try:
+            setattr(self, node, self._model(node)(**{**recorded, **self._overrides[node]}))
+        except ValidationError as error:
+            problems = "; ".join(
+                f"{node}.{each['loc'][0]} = {each['input']!r}: {each['msg']}" for each in error.errors()
+            )
+            raise ParameterError(problems) from error
+
+
+def _value(value: Any) -> Any:
+    """Value of an ``rcl_interfaces/ParameterValue``."""
+    kinds = ("", "bool", "integer", "double", "string", "byte_array", "bool_array", "integer_array", "double_array")
+    content = getattr(value, f"{(*kinds, 'string_array')[value.type]}_value")
+    return list(content) if isinstance(content, np.ndarray | list) else content

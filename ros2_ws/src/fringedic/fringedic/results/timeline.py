@@ -1,0 +1,58 @@
+"""When each step was exposed, and what the load frame said meanwhile."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from fringedic.errors import DatasetError
+from fringedic.recording import BagReader
+from fringedic.results.rows import Row
+from fringedic.sequence import PatternKind, frame_record, stamp_of
+
+
+class Timeline:
+    """When each step was exposed, and what the load frame said at that time."""
+
+    def __init__(self, reader: BagReader, names: Mapping[str, str], experiment: str | None) -> None:
+        exposures = [frame_record(message) for _, message, _ in reader.messages([names["camera/exposure"]])]
+        exposures = [each for each in exposures if each.projection.kind != PatternKind.OTHER]
+        present = list(dict.fromkeys(each.experiment for each in exposures))
+        if experiment is None and len(present) > 1:
+            raise DatasetError(f"{reader.path} holds the experiments {', '.join(present)}: say which one")
+        if not present or (experiment is not None and experiment not in present):
+            wanted = "any experiment" if experiment is None else f"experiment '{experiment}'"
+            raise DatasetError(f"{reader.path} holds no frame of {wanted}; it has {', '.join(present) or 'none'}")
+        self.experiment = present[0] if experiment is None else experiment
+        self.source = reader.path.name
+        self.damage = reader.lost
+        self._exposed: dict[int, tuple[float, float]] = {}
+        self.references: set[int] = set()
+        for record in exposures:
+            if record.experiment != self.experiment:
+                continue
+            begin, end = self._exposed.get(record.step, (np.inf, -np.inf))
+            half = 0.5e9 * record.exposure_time
+            self._exposed[record.step] = min(begin, record.stamp - half), max(end, record.stamp + half)
+        if "experiment/reference" in names:
+            messages = [message for _, message, _ in reader.messages([names["experiment/reference"]])]
+            self.references = {message.step for message in messages if message.experiment == self.experiment}
+        self.references |= {min(self._exposed)}
+        states = []
+        if "load_frame/state" in names:
+            messages = [message for _, message, _ in reader.messages([names["load_frame/state"]])]
+            states = [(stamp_of(message), message.force, message.position) for message in messages]
+        self._stamps = np.array([state[0] for state in states], dtype=np.int64)
+        self._states = np.array([state[1:] for state in states], dtype=float).reshape(-1, 2)
+
+    def complete(self, row: Row) -> None:
+        """Average force and position over the exposures of a step; one that failed before its first has none."""
+        if row.step not in self._exposed:
+            return
+        begin, end = self._exposed[row.step]
+        within = (self._stamps >= begin) & (self._stamps <= end)
+        if within.any():
+            row.force, row.position = (float(value) for value in self._states[within].mean(axis=0))
+        if row.stamp is None:
+            row.stamp = int(end)

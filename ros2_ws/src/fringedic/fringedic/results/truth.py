@@ -1,0 +1,115 @@
+"""Datasets against the ground truth of a virtual rig."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from fringedic.errors import DatasetError
+
+MICRO = 1e-6
+
+
+def open_truth(path: str | os.PathLike[str]) -> xr.Dataset:
+    """Open the ground truth that a virtual rig wrote: a NetCDF file, or a folder with ``truth.nc``.
+
+    Raises
+    ------
+    DatasetError
+        There is no such truth.
+    """
+    file = Path(path) / "truth.nc" if Path(path).is_dir() else Path(path)
+    try:
+        return xr.open_dataset(file, engine="h5netcdf")
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{file}: is no ground truth: {error}") from error
+
+
+def truth_errors(dataset: xr.Dataset, truth: xr.Dataset, step: int) -> xr.Dataset:
+    """Return measured minus true values of one step, NaN where not measured or not seen in both images.
+
+    Parameters
+    ----------
+    dataset
+        From `open_experiment`.
+    truth
+        From `open_truth`; its step n belongs to step n of the dataset.
+    step
+        Number of the step.
+
+    Returns
+    -------
+    Dataset
+        ``u``, ``v``, ``w`` of the material points of the reference image and ``shape_z``, the height of this step's
+        surface at each of its own pixels [m]; ``visible``, where there was something to measure.
+
+    Raises
+    ------
+    DatasetError
+        The truth lacks the step or the pixels.
+    """
+    if not 0 <= step < truth.sizes["step"]:
+        raise DatasetError(f"the truth has {truth.sizes['step']} steps, step {step} is not among them")
+    try:
+        exact = truth.isel(step=step).sel(row=dataset.row.values, column=dataset.column.values)
+    except KeyError as error:
+        raise DatasetError(f"the truth lacks pixels of the dataset: {error}") from error
+    measured = dataset.sel(step=step)
+    visible = exact["valid"].astype(bool).values & np.isfinite(exact["u"].values)
+    errors = {name: np.where(visible, measured[name].values - exact[name].values, np.nan) for name in "uvw"}
+    errors["shape_z"] = measured["shape_z"].values - exact["z_deformed"].values
+    coordinates = {"row": dataset.row, "column": dataset.column}
+    maps = {
+        name: (("row", "column"), values, {"units": "m", "long_name": f"error of {name}"})
+        for name, values in errors.items()
+    }
+    return xr.Dataset(maps | {"visible": (("row", "column"), visible, {"units": "1"})}, coordinates)
+
+
+def compare_with_truth(dataset: xr.Dataset, truth_path: str | os.PathLike[str]) -> xr.Dataset:
+    """Compare each step with the ground truth of the virtual rig.
+
+    Compared are the displacement (u, v, w) of the material points seen by each reference pixel, and the height of the
+    deformed surface at each of its pixels, wherever both the measurement and the truth have a value.
+
+    Parameters
+    ----------
+    dataset
+        From `open_experiment`.
+    truth_path
+        See `open_truth`.
+
+    Returns
+    -------
+    Dataset
+        Over ``step``: ``error_u``, ``error_v``, ``error_w``, ``error_z`` RMS [µm], and ``measured_fraction``, the part
+        of the points visible in both images that was measured.
+
+    Raises
+    ------
+    DatasetError
+        The truth lacks steps or pixels of the dataset.
+    """
+    table: dict[str, list[float]] = {name: [] for name in (*(f"error_{each}" for each in "uvwz"), "measured_fraction")}
+    with open_truth(truth_path) as truth:
+        for step in dataset.step.values:
+            errors = truth_errors(dataset, truth, int(step))
+            for name in "uvwz":
+                values = errors["shape_z" if name == "z" else name].values
+                table[f"error_{name}"].append(_rms(values) / MICRO)
+            visible = errors["visible"].values
+            measured = np.isfinite(errors["w"].values) & visible
+            table["measured_fraction"].append(measured.sum() / visible.sum() if visible.any() else np.nan)
+    units = {name: "1" if name == "measured_fraction" else "µm" for name in table}
+    return xr.Dataset(
+        {name: ("step", values, {"units": units[name]}) for name, values in table.items()},
+        coords={"step": dataset.step},
+    )
+
+
+def _rms(values: np.ndarray) -> float:
+    finite = values[np.isfinite(values)].astype(np.float64)
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else float("nan")
