@@ -94,12 +94,14 @@ def test_lambert_cosine_and_distance_on_a_sphere():
     assert irradiance.max() / irradiance.min() > 1.3
 
 
-def test_white_on_the_plate_reaches_three_quarters_of_full_scale():
-    rig = rig_of(preset="plate")
-    image = rig.expose(np.full(rig.projector_shape, 255, np.uint8), 0.0, 0)
+def test_fringes_use_the_scale_of_the_camera_without_leaving_it():
+    rig = rig_of(preset="sphere")
+    brightest = 250  # of the fringes: clear of the end of the projector's scale
+    image = rig.expose(np.full(rig.projector_shape, brightest, np.uint8), 0.0, 0)
     bright = np.percentile(image, 98) / 255
-    print(f"bright paint at {bright:.3f} of full scale (0.75)")
-    assert 0.7 < bright < 0.85
+    print(f"bright paint at {bright:.3f} of full scale (0.82 at the origin), brightest pixel {image.max()}")
+    assert 0.8 < bright < 0.95
+    assert image.max() < 255
 
 
 def test_shadows_of_the_step_match_light_paths_traced_on_the_height():
@@ -180,3 +182,31 @@ def test_digits_and_saturation(bits, dtype):
     image = dark.expose(np.zeros(rig.projector_shape, np.uint8), 0.0, 1)
     assert image.min() == 0
     assert image.max() < 20
+
+
+def test_lens_blur_comes_after_fringes_and_texture():
+    """The blurred image is the sharp one filtered, and not blurred fringes on a sharp texture."""
+    sensor = {**EXACT, "lens_blur_px": 1.2}
+    sharp, blurred = rig_of(preset="plate", sensor=EXACT), rig_of(preset="plate", sensor=sensor)
+    image = np.zeros(sharp.projector_shape, np.uint8)
+    image[:, ::2] = 250
+    row = np.arange(-8, 9)
+    weights = np.exp(-(row**2) / (2 * 1.2**2))
+    weights /= weights.sum()
+    expected = sharp.expose(image, 0.0, 0).astype(float)
+    for axis in (0, 1):
+        expected = np.apply_along_axis(np.convolve, axis, expected, weights, mode="same")
+    inner = np.s_[10:-10, 10:-10]
+    error = np.abs(blurred.expose(image, 0.0, 0) - expected)[inner].max()
+    print(f"blurred image differs from the filtered one by {error:.2f} of 65535")
+    assert error < 20  # the filter's tails beyond 8 px hold 1e-10, those beyond scipy's 4 sigma 6e-5
+
+
+def test_response_and_exposure_time_act_on_the_light():
+    linear = rig_of(preset="plate", sensor=EXACT)
+    white = np.full(linear.projector_shape, 200, np.uint8)
+    light = linear.expose(white, 0.0, 0) / 65535
+    bent = rig_of(preset="plate", sensor={**EXACT, "response": 0.6}).expose(white, 0.0, 0) / 65535
+    assert np.abs(bent - light**0.6).max() < 1e-3  # near black a digit of the linear image is a large step
+    half = linear.expose(white, 0.0, 0, exposure_factor=0.5) / 65535
+    assert np.abs(half - 0.5 * light).max() < 2 / 65535

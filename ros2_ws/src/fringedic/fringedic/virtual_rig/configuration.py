@@ -73,7 +73,7 @@ class SensorConfiguration(_Section):
 
     bits: Literal[8, 10, 12, 16] = Field(default=8, description="Digits per pixel; more than 8 give 16-bit images.")
     white_level: float = Field(
-        default=0.75, gt=0, le=2, description="Full white on unpainted surface at the origin, part of the full scale."
+        default=0.82, gt=0, le=2, description="Full white on unpainted surface at the origin, part of the full scale."
     )
     ambient_light: float = Field(default=0.02, ge=0, le=1, description="Room light relative to the projector's white.")
     background: float = Field(
@@ -81,6 +81,15 @@ class SensorConfiguration(_Section):
     )
     read_noise_grey_level: float = Field(default=1.0, ge=0, description="Standard deviation of the noise in the dark.")
     shot_noise_grey_level: float = Field(default=0.02, ge=0, description="Variance of the noise per grey level.")
+    lens_blur_px: float = Field(
+        default=0.0,
+        ge=0,
+        le=10,
+        description="Standard deviation of the blur that the lens gives the lit surface, beyond the texture's own.",
+    )
+    response: float = Field(
+        default=1.0, gt=0, le=5, description="Grey level = full scale * (light / full scale)^response; 1 is linear."
+    )
 
 
 class TextureConfiguration(_Section):

@@ -103,14 +103,16 @@ def _normal(stream, counter):
 
 
 @in_parallel
-def expose_sensor(light, gain, offset, read_variance, shot_variance, full_scale, seed, frame, image):
-    """Grey levels: gain * light + offset, with noise, rounded and cut at 0 and full scale."""
+def expose_sensor(level, read_variance, shot_variance, response, full_scale, seed, frame, image):
+    """Digits of a sensor on which so much light falls [grey level]: noise, response, rounding, ends of the scale."""
     stream = _mixed(_mixed(np.uint64(seed) + np.uint64(0x9E3779B97F4A7C15)) ^ np.uint64(frame))
     noisy = read_variance > 0.0 or shot_variance > 0.0
-    for i in prange(light.shape[0]):
-        for j in range(light.shape[1]):
-            level = gain[i, j] * light[i, j] + offset[i, j]
+    for i in prange(level.shape[0]):
+        for j in range(level.shape[1]):
+            grey = float(level[i, j])
             if noisy:
-                sigma = math.sqrt(read_variance + shot_variance * level)
-                level += sigma * _normal(stream, i * light.shape[1] + j)
-            image[i, j] = min(max(round(level), 0), full_scale)
+                sigma = math.sqrt(read_variance + shot_variance * grey)
+                grey += sigma * _normal(stream, i * level.shape[1] + j)
+            if response != 1.0:
+                grey = full_scale * (max(grey, 0.0) / full_scale) ** response
+            image[i, j] = min(max(round(grey), 0), full_scale)

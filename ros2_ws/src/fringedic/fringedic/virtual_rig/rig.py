@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, gaussian_filter
 
 from fringedic.errors import CrossheadRangeError, ShapeMismatchError
 from fringedic.virtual_rig import exposure, tracing
@@ -129,7 +129,9 @@ class VirtualRig:
             **projector_optics(self.configuration.projector),
         }
 
-    def expose(self, projector_image: NDArray[np.uint8], position: float, frame: int) -> NDArray[np.unsignedinteger]:
+    def expose(
+        self, projector_image: NDArray[np.uint8], position: float, frame: int, *, exposure_factor: float = 1.0
+    ) -> NDArray[np.unsignedinteger]:
         """Take one picture.
 
         Parameters
@@ -140,6 +142,8 @@ class VirtualRig:
             Crosshead position [m].
         frame
             Running number of the frame; with the rig's seed it decides the noise.
+        exposure_factor
+            Exposure time over the one that the sensor's white level is meant for.
 
         Returns
         -------
@@ -160,12 +164,14 @@ class VirtualRig:
         view = self.view(position)
         sensor = self.configuration.sensor
         image = np.empty(self.shape, np.uint8 if sensor.bits == 8 else np.uint16)
+        level = np.float32(exposure_factor) * (view.gain * self._light(view, projector_image) + view.offset)
+        if sensor.lens_blur_px > 0.0:
+            level = gaussian_filter(level, sensor.lens_blur_px, mode="nearest")
         exposure.expose_sensor(
-            self._light(view, projector_image),
-            view.gain,
-            view.offset,
+            level,
             sensor.read_noise_grey_level**2,
             sensor.shot_noise_grey_level,
+            sensor.response,
             2**sensor.bits - 1,
             self.configuration.seed,
             frame,
