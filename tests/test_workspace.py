@@ -34,7 +34,7 @@ EXECUTABLES = {
     "dic_node": ["dic"],
     "experiment_node": ["experiment", "player", "recorder"],
     "fringe_projector_node": ["projector"],
-    "load_frame_node": ["load_frame"],
+    "load_frame_node": ["load_frame", "stage"],
     "phase_node": ["phase"],
 }
 

@@ -15,6 +15,7 @@ setup(
     entry_points={
         "console_scripts": [
             "load_frame = load_frame_node.load_frame_node:main",
+            "stage = load_frame_node.stage_node:main",
         ],
     },
 )
