@@ -9,6 +9,7 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from coupling_node.camera_transform import CameraTransform
 from fringedic.chain import CouplingParameters, ShapeTracker
+from fringedic.rig import RigModel
 from fringedic.sequence import Orientation, PatternKind
 from fringedic_msgs.msg import Exposure, NodeStatus, Reference, RigCalibration
 from fringedic_ros.clouds import cloud_message
@@ -16,7 +17,6 @@ from fringedic_ros.images import image_array
 from fringedic_ros.main import run
 from fringedic_ros.processing import Outcome, ProcessingNode, StampJoin
 from fringedic_ros.qos import DERIVED, EVENTS, IMAGES, LATCHED, OVERRIDABLE
-from fringedic_ros.records import rig_model
 from fringedic_ros.stamps import to_nanoseconds
 
 FRAME = "reference_plane"
@@ -47,7 +47,7 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
 
     def _take_calibration(self, message: RigCalibration) -> None:
         try:
-            rig = rig_model(message)
+            rig = RigModel.from_message(message)
         except Exception as error:
             self.get_logger().error(f"calibration '{message.identifier}' refused: {error}")
             self.diagnostics.failure(str(error))

@@ -35,7 +35,6 @@ from fringedic_msgs.msg import (
 )
 from fringedic_msgs.srv import CaptureFrame, SetReference, ShowPattern, StartExperiment
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
-from fringedic_ros.records import rig_model
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
 
@@ -449,7 +448,7 @@ def test_absent_node_is_named(rig: Rig) -> None:
 def test_calibration_comes_from_the_file(rig: Rig) -> None:
     heard = rig.listen(RigCalibration, "calibration", LATCHED)
     rig.wait(lambda: heard, "the calibration")
-    published = rig_model(heard[0])
+    published = RigModel.from_message(heard[0])
     assert published.source == "rig_model.yaml"
     for field in fields(RigModel):
         read, written = getattr(published, field.name), getattr(CALIBRATION, field.name)

@@ -97,6 +97,10 @@ class InvalidCalibrationError(FringedicError, ValueError):
     """A rig parameter has no meaning, or a parameter is missing."""
 
 
+class InvalidDistortionError(FringedicError, ValueError):
+    """The distortion of a camera is described by numbers that have no meaning."""
+
+
 class InvalidPatternError(FringedicError, ValueError):
     """A pattern is asked for that a projector cannot show or that no phase can be measured from."""
 

@@ -19,7 +19,8 @@ import yaml
 from numba import njit, prange
 from numpy.typing import ArrayLike
 
-from fringedic.errors import InvalidCalibrationError, ShapeMismatchError
+from fringedic.camera.distortion import DistortionMap
+from fringedic.errors import InvalidCalibrationError, InvalidDistortionError, ShapeMismatchError
 from fringedic.sequence import Orientation
 
 _NEWTON_STEPS = 4  # from the undistorted plane, quadratic: below 1e-12 m for any distortion that a lens has
@@ -27,7 +28,7 @@ _NEWTON_STEPS = 4  # from the undistorted plane, quadratic: below 1e-12 m for an
 
 @dataclass(frozen=True)
 class RigModel:
-    """Pin-hole model of camera and projector, field by field the message ``fringedic_msgs/RigCalibration`` (SI).
+    """Pin-hole model of camera and projector, the content of the message ``fringedic_msgs/RigCalibration`` (SI).
 
     Attributes
     ----------
@@ -40,9 +41,11 @@ class RigModel:
     pixel_aspect
         tau, rows over columns: a column is gamma / tau wide.
     principal_column, principal_row
-        The pixel that sees the origin when the camera is not tilted [px].
+        The ideal pixel that sees the origin when the camera is not tilted [px].
     camera_tilt_x, camera_tilt_y
         Rotation of the camera about x and y [rad]: directions are turned by Rx Ry.
+    camera_distortion
+        From the pixels of the image to ideal pixels; None when the camera is as good as ideal.
     projector_width, projector_height
         Size of the projector's image [px].
     projector_position
@@ -82,6 +85,7 @@ class RigModel:
     projector_principal_row: float
     camera_tilt_x: float = 0.0
     camera_tilt_y: float = 0.0
+    camera_distortion: DistortionMap | None = None
     projector_rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     projector_k1: float = 0.0
     identifier: str = ""
@@ -109,10 +113,16 @@ class RigModel:
             raise InvalidCalibrationError(
                 f"covariance has {len(self.covariance)} numbers for {len(self.parameter_names)} parameters"
             )
+        distortion = self.camera_distortion
+        if distortion is not None and (distortion.width, distortion.height) != (self.camera_width, self.camera_height):
+            raise InvalidCalibrationError(
+                f"camera_distortion is that of {distortion.width} x {distortion.height} px, the camera has "
+                f"{self.camera_width} x {self.camera_height}"
+            )
 
     @property
     def ray_matrix(self) -> np.ndarray:
-        """Matrix (3, 3) from (column, row, 1) to the direction of that pixel's line of sight in the rig frame."""
+        """Matrix (3, 3) from an ideal (column, row, 1) to the direction of its line of sight in the rig frame."""
         column = self.pixel_size / self.pixel_aspect / self.camera_distance
         row = self.pixel_size / self.camera_distance
         untilted = np.array(
@@ -172,7 +182,7 @@ class RigModel:
         Dataset
             ``x``, ``y``, ``z`` and their standard deviations ``sigma_x``, ``sigma_y``, ``sigma_z`` [m], ``dz_dphi``
             along the line of sight [m/rad]; of the phase's float type, NaN where the phase is NaN. The attributes
-            ``camera_distance`` [m] and ``ray_matrix`` (row-major) tell the lines of sight.
+            ``camera_distance`` [m] and ``ray_matrix`` (row-major) tell the lines of sight of ideal pixels.
 
         Raises
         ------
@@ -192,12 +202,14 @@ class RigModel:
         axes = self.projector_axes.T[[0, 1, 2] if orientation == Orientation.VERTICAL else [1, 0, 2]]
         ray_matrix = self.ray_matrix
         scale, axis = self._fringes(pitch, orientation)
+        distortion = self.camera_distortion
         result = np.empty((7, *image.shape), image.dtype)
         _reconstruct(
             np.ascontiguousarray(image),
             np.broadcast_to(sigma, image.shape),
             row,
             column,
+            np.empty((2, 0, 0), np.float32) if distortion is None else distortion.field(row, column),
             ray_matrix,
             axes @ ray_matrix,
             axes @ (np.array([0.0, 0.0, self.camera_distance]) - self.projector_position),
@@ -241,6 +253,7 @@ class RigModel:
 
     def to_yaml(self, path: str | Path) -> None:
         """Write the model for people: mm, degree and pixels, with the unit in every name."""
+        distortion = self.camera_distortion
         content = {
             "identifier": self.identifier,
             "model": self.model,
@@ -249,6 +262,7 @@ class RigModel:
                 group: {key: _to_people(getattr(self, name), factor) for key, (name, factor) in entries.items()}
                 for group, entries in _YAML.items()
             },
+            **({} if distortion is None else {"camera_distortion": distortion.to_dict()}),
             "covariance_si": {"parameters": list(self.parameter_names), "values": list(self.covariance)},
         }
         Path(path).write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
@@ -270,20 +284,66 @@ class RigModel:
                 for key, (name, factor) in entries.items()
             }
             covariance = content.get("covariance_si", {"parameters": [], "values": []})
+            distortion = content.get("camera_distortion")
             return cls(
                 **values,
+                camera_distortion=None if distortion is None else DistortionMap.from_dict(distortion),
                 identifier=content["identifier"],
                 model=content["model"],
                 source=content["source"],
                 parameter_names=tuple(covariance["parameters"]),
                 covariance=tuple(covariance["values"]),
             )
-        except InvalidCalibrationError as error:
+        except (InvalidCalibrationError, InvalidDistortionError) as error:
             raise InvalidCalibrationError(f"{path}: {error}") from None
         except KeyError as error:
             raise InvalidCalibrationError(f"{path}: {error.args[0]} is missing") from None
         except (yaml.YAMLError, TypeError, AttributeError) as error:
             raise InvalidCalibrationError(f"{path} is not the calibration of a rig: {error}") from None
+
+    def message_fields(self) -> dict[str, Any]:
+        """Return the fields of ``fringedic_msgs/RigCalibration`` as plain numbers and lists, all but its header.
+
+        Without a distortion its fields are left out, at their defaults.
+        """
+        names = [each.name for each in fields(self) if each.name != "camera_distortion"]
+        values = {name: getattr(self, name) for name in names}
+        content = {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
+        if self.camera_distortion is not None:
+            content["distortion_order"] = self.camera_distortion.order
+            content["distortion_columns"] = self.camera_distortion.columns.ravel().tolist()
+            content["distortion_rows"] = self.camera_distortion.rows.ravel().tolist()
+        return content
+
+    @classmethod
+    def from_message(cls, message: Any) -> RigModel:
+        """Read any object with the attributes of ``fringedic_msgs/RigCalibration``, those of older recordings too.
+
+        Raises
+        ------
+        InvalidCalibrationError
+            When a parameter has no meaning.
+        """
+        values: dict[str, Any] = {}
+        for each in fields(cls):
+            if each.name != "camera_distortion":
+                value = getattr(message, each.name)
+                has_many = hasattr(value, "__len__") and not isinstance(value, str)
+                values[each.name] = tuple(np.asarray(value).tolist()) if has_many else value
+        # messages of before the distortion was measured lack its fields
+        columns, rows = (np.asarray(getattr(message, f"distortion_{name}", ()), float) for name in ("columns", "rows"))
+        if columns.size or rows.size:
+            count = int(message.distortion_order) + 1
+            if not columns.size == rows.size == count**2:
+                raise InvalidCalibrationError(
+                    f"distortion of order {count - 1} with {columns.size} and {rows.size} coefficients: "
+                    f"{count**2} are needed"
+                )
+            width, height = int(message.camera_width), int(message.camera_height)
+            values["camera_distortion"] = DistortionMap(
+                width, height, columns.reshape(count, count), rows.reshape(count, count)
+            )
+        return cls(**values)
 
     def _fringes(self, pitch: float, orientation: Orientation) -> tuple[float, float]:
         """Return (scale, axis): the distorted normalised coordinate across the fringes is ``scale * phi + axis``."""
@@ -364,6 +424,7 @@ def _reconstruct(
     sigma: np.ndarray,
     rows: np.ndarray,
     columns: np.ndarray,
+    to_ideal: np.ndarray,
     ray_matrix: np.ndarray,
     ray_in_projector: np.ndarray,
     camera_in_projector: np.ndarray,
@@ -373,12 +434,18 @@ def _reconstruct(
     k1: float,
     result: np.ndarray,
 ) -> None:
-    """Meet the line of sight, camera + t direction, with the fringe ``m (1 + k1 (m^2 + n^2)) = scale phi + axis``."""
+    """Meet the line of sight, camera + t direction, with the fringe ``m (1 + k1 (m^2 + n^2)) = scale phi + axis``.
+
+    ``to_ideal`` is the field from the pixels to ideal ones, or empty.
+    """
     camera_m, camera_n, camera_back = camera_in_projector
+    distorted = to_ideal.size > 0
     for i in prange(phase.shape[0]):
-        s = rows[i]
         for j in range(phase.shape[1]):
-            r = columns[j]
+            r, s = columns[j], rows[i]
+            if distorted:
+                r += to_ideal[0, i, j]
+                s += to_ideal[1, i, j]
             dx = ray_matrix[0, 0] * r + ray_matrix[0, 1] * s + ray_matrix[0, 2]
             dy = ray_matrix[1, 0] * r + ray_matrix[1, 1] * s + ray_matrix[1, 2]
             dz = ray_matrix[2, 0] * r + ray_matrix[2, 1] * s + ray_matrix[2, 2]
@@ -424,8 +491,8 @@ def _rotation_z(angle: float) -> np.ndarray:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-_TEXTS = ("identifier", "model", "source", "parameter_names")
-_NUMBERS = tuple(each.name for each in fields(RigModel) if each.name not in _TEXTS)
+_NO_NUMBERS = ("identifier", "model", "source", "parameter_names", "camera_distortion")
+_NUMBERS = tuple(each.name for each in fields(RigModel) if each.name not in _NO_NUMBERS)
 _TUPLES = ("projector_position", "projector_rotation", "parameter_names", "covariance")
 _POSITIVE = (
     "camera_width",

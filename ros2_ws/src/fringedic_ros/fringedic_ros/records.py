@@ -2,12 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-from array import array
-from typing import Any
-
-import numpy as np
-
 from fringedic.rig import RigModel
 from fringedic.sequence import FrameRecord
 from fringedic_msgs.msg import Exposure, RigCalibration
@@ -37,18 +31,8 @@ def exposure_message(record: FrameRecord, *, frame_id: str) -> Exposure:
 def calibration_message(rig: RigModel, *, stamp_ns: int, frame_id: str = "reference_plane") -> RigCalibration:
     """Message of a rig model; the fields have the same names and units."""
     message = RigCalibration()
-    for field in dataclasses.fields(rig):
-        setattr(message, field.name, _plain(getattr(rig, field.name)))
+    for name, value in rig.message_fields().items():
+        setattr(message, name, value)
     message.header.stamp = to_msg(stamp_ns)
     message.header.frame_id = frame_id
     return message
-
-
-def rig_model(message: RigCalibration) -> RigModel:
-    """Rig model of a calibration message."""
-    values = {field.name: _plain(getattr(message, field.name)) for field in dataclasses.fields(RigModel)}
-    return RigModel(**values)
-
-
-def _plain(value: Any) -> Any:
-    return [_plain(element) for element in value] if isinstance(value, np.ndarray | list | tuple | array) else value

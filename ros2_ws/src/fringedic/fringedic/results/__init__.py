@@ -6,7 +6,7 @@ of the displacement: where its spacing is above one pixel, maps of the camera's 
 """
 
 from fringedic.results.datasets import dataset_from_derived, open_experiment, process_bag
-from fringedic.results.messages import cloud_arrays, image_array, rig_model
+from fringedic.results.messages import cloud_arrays, image_array
 from fringedic.results.quantities import MAPS, SCALARS, Quantity
 from fringedic.results.truth import compare_with_truth, open_truth, truth_errors
 
@@ -21,6 +21,5 @@ __all__ = [
     "open_experiment",
     "open_truth",
     "process_bag",
-    "rig_model",
     "truth_errors",
 ]

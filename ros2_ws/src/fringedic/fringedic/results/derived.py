@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from fringedic.results.messages import cloud_arrays, image_array, rig_model
+from fringedic.results.messages import cloud_arrays, image_array
 from fringedic.results.quantities import PHASE_TOPICS
 from fringedic.results.recorded_parameters import RecordedParameters
 from fringedic.results.rows import Row, Settings, displacement_maps
@@ -27,14 +27,14 @@ class Collected:
         self._reference: int | None = None
 
     def settings(self) -> Settings:
-        return Settings(self._parameters.current(), self._calibration)
+        return self._parameters.settings(self._calibration)
 
     def take(self, topic: str, message: Any) -> list[Row]:
         if topic == "node_parameters":
             self._parameters.take(message)
             return []
         if topic == "calibration":
-            self._calibration = rig_model(message)
+            self._calibration = RigModel.from_message(message)
             return []
         if topic == "experiment/reference":
             self._reference = message.step

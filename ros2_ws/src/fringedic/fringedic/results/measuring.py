@@ -18,7 +18,7 @@ from fringedic.chain import (
     white_texture,
 )
 from fringedic.errors import FringedicError
-from fringedic.results.messages import image_array, rig_model
+from fringedic.results.messages import image_array
 from fringedic.results.recorded_parameters import RecordedParameters
 from fringedic.results.rows import Row, Settings, displacement_maps
 from fringedic.rig import RigModel
@@ -29,9 +29,20 @@ _ERROR_STAGE = 4  # of fringedic_msgs/StepStatus
 
 
 class Chain:
-    """The phase, dic and coupling nodes in one, fed with the recorded messages."""
+    """The phase, dic and coupling nodes in one, fed with the recorded messages.
 
-    def __init__(self, overrides: Mapping[str, Any]) -> None:
+    Parameters
+    ----------
+    overrides
+        Parameters that replace the recorded ones.
+    experiment
+        The experiment whose messages come.
+    reference
+        A step that is the reference of all others, whatever the recording says; give its messages first.
+    """
+
+    def __init__(self, overrides: Mapping[str, Any], experiment: str, reference: int | None) -> None:
+        self._reference = reference
         self._parameters = RecordedParameters(overrides)
         self._collector = FrameCollector()
         self._displacement = DisplacementTracker(self._parameters.dic)
@@ -40,18 +51,23 @@ class Chain:
         self._images: OrderedDict[int, Any] = OrderedDict()
         self._records: OrderedDict[int, FrameRecord] = OrderedDict()
         self._answered: set[int] = set()
+        if reference is not None:
+            self._displacement.set_reference(experiment, reference)
+            self._shape.set_reference(experiment, reference)
 
     def settings(self) -> Settings:
-        return Settings(self._parameters.current(), self._calibration)
+        return self._parameters.settings(self._calibration)
 
     def take(self, topic: str, message: Any, wanted: set[int] | None) -> list[Row]:
         """Take one recorded message and return the steps that it completes."""
         if topic == "node_parameters":
             self._parameters.take(message)
         elif topic == "calibration":
-            self._calibration = rig_model(message)
+            self._calibration = RigModel.from_message(message)
             self._shape.set_calibration(self._calibration)
         elif topic == "experiment/reference":
+            if self._reference is not None:
+                return []
             self._displacement.set_reference(message.experiment, message.step)
             self._shape.set_reference(message.experiment, message.step)
         elif topic == "experiment/step":

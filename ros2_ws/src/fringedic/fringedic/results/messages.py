@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Any
 
 import numpy as np
 
 from fringedic.errors import FrameMismatchError
-from fringedic.rig import RigModel
 
 _PIXELS = {"mono8": ("u1", 1), "mono16": ("u2", 1), "32FC1": ("f4", 1), "32FC2": ("f4", 2)}
 
@@ -49,12 +47,3 @@ def cloud_arrays(message: Any) -> dict[str, np.ndarray]:
     )
     points = message.data.view(layout).reshape(message.height, message.width)
     return {name: points[name] for name in layout.names or ()}
-
-
-def rig_model(message: Any) -> RigModel:
-    """Return the calibration of a decoded ``fringedic_msgs/RigCalibration``."""
-    values: dict[str, Any] = {each.name: getattr(message, each.name) for each in dataclasses.fields(RigModel)}
-    for name, value in values.items():
-        if isinstance(value, np.ndarray | list):
-            values[name] = tuple(np.asarray(value).tolist())
-    return RigModel(**values)

@@ -1,0 +1,280 @@
+"""Distortion of a camera as two polynomials over its image, without a lens model.
+
+An ideal camera sees straight lines as straight lines. The distortion is the field U(p) = p_u - p [px]: what is seen at
+the pixel p of the image would be seen at p_u by the ideal camera. The other direction is D(p_u) = p - p_u, the method's
+D: an ideal camera's point at q is seen at q + D(q), and D(p_u) = -U(p). Images are not resampled for measurements; a
+pixel p looks along the line of sight of its ideal pixel p_u.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import yaml
+from numpy.polynomial import chebyshev
+from numpy.typing import ArrayLike
+
+from fringedic.errors import InvalidDistortionError, ShapeMismatchError
+
+_INVERSE_STEPS = 60  # a field that grows by less than 0.6 px per pixel is inverted to 1e-12 px
+_CONVERGED = 1e-10  # [px]
+_BROWN_POINTS = (25, 33)
+
+
+class BrownModel(NamedTuple):
+    """Distortion in the form of Brown and Conrady, as OpenCV and ROS ("plumb_bob") write it.
+
+    Attributes
+    ----------
+    coefficients
+        (k1, k2, p1, p2, k3).
+    camera_matrix : (3, 3)
+        From normalised distorted coordinates to the pixels of the image.
+    ideal_camera_matrix : (3, 3)
+        From normalised undistorted coordinates to ideal pixels.
+    residual
+        Root mean square over the image of what this model leaves [px].
+    """
+
+    coefficients: tuple[float, float, float, float, float]
+    camera_matrix: np.ndarray
+    ideal_camera_matrix: np.ndarray
+    residual: float
+
+
+@dataclass(frozen=True, eq=False)
+class DistortionMap:
+    """Field U(p) = p_u - p [px] from the pixels of an image to those of an ideal camera.
+
+    Any homography of the ideal camera is as ideal; this class takes p_u as it is given. `fringedic.measure_distortion`
+    chooses the one that leaves the image's centre and its surroundings (the first derivatives) in place.
+
+    Attributes
+    ----------
+    width, height
+        Size of the image [px].
+    columns, rows : (order + 1, order + 1)
+        Coefficients [px] of the two components of U: entry (i, j) belongs to T_i(b) T_j(a) with the Chebyshev
+        polynomials T and a = 2 column / (width - 1) - 1, b = 2 row / (height - 1) - 1. Read-only.
+
+    Raises
+    ------
+    InvalidDistortionError
+        When the coefficients are no finite square arrays of equal size, or the image is smaller than 2 x 2 px.
+    """
+
+    width: int
+    height: int
+    columns: np.ndarray
+    rows: np.ndarray
+
+    def __post_init__(self) -> None:
+        if min(self.width, self.height) < 2:
+            raise InvalidDistortionError(f"an image of {self.width} x {self.height} px has no distortion")
+        for name in ("columns", "rows"):
+            values = np.array(getattr(self, name), float)
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
+        shape = self.columns.shape
+        if len(shape) != 2 or shape[0] != shape[1] or shape[0] == 0 or self.rows.shape != shape:
+            raise InvalidDistortionError(
+                f"coefficients of shapes {shape} and {self.rows.shape}: two equal square arrays are needed"
+            )
+        if not (np.isfinite(self.columns).all() and np.isfinite(self.rows).all()):
+            raise InvalidDistortionError("a coefficient of the distortion is not a finite number")
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, DistortionMap) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    @cached_property
+    def _key(self) -> tuple[int, int, bytes, bytes]:
+        # adding 0 turns -0 into 0, which is the same field
+        return self.width, self.height, (self.columns + 0.0).tobytes(), (self.rows + 0.0).tobytes()
+
+    @property
+    def order(self) -> int:
+        """Highest degree along one direction."""
+        return len(self.columns) - 1
+
+    def ideal(self, column: ArrayLike, row: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Return column and row [px] at which an ideal camera sees what the camera sees at (column, row)."""
+        column, row = np.broadcast_arrays(np.asarray(column, float), np.asarray(row, float))
+        a, b = 2 * column / (self.width - 1) - 1, 2 * row / (self.height - 1) - 1
+        return column + chebyshev.chebval2d(b, a, self.columns), row + chebyshev.chebval2d(b, a, self.rows)
+
+    def seen(self, column: ArrayLike, row: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Return column and row [px] at which the camera sees what an ideal camera sees at (column, row).
+
+        The inverse of `ideal`; NaN where there is none, far outside of the image.
+        """
+        column, row = np.broadcast_arrays(np.asarray(column, float), np.asarray(row, float))
+        seen_column, seen_row = column.copy(), row.copy()
+        with np.errstate(over="ignore", invalid="ignore"):
+            for _ in range(_INVERSE_STEPS):
+                ideal_column, ideal_row = self.ideal(seen_column, seen_row)
+                error = np.maximum(np.abs(ideal_column - column), np.abs(ideal_row - row))
+                seen_column, seen_row = seen_column + (column - ideal_column), seen_row + (row - ideal_row)
+                if not (error > _CONVERGED).any():
+                    break
+            lost = ~(error <= _CONVERGED)
+        return np.where(lost, np.nan, seen_column), np.where(lost, np.nan, seen_row)
+
+    def field(self, rows: ArrayLike | None = None, columns: ArrayLike | None = None) -> np.ndarray:
+        """Return U at the crossings of `rows` and `columns` [px], without them at every pixel.
+
+        Returns
+        -------
+        float32 (2, rows, columns)
+            U along columns and along rows [px]; read-only, and kept for the next call with the same pixels.
+        """
+        rows = np.arange(self.height, dtype=float) if rows is None else np.asarray(rows, float)
+        columns = np.arange(self.width, dtype=float) if columns is None else np.asarray(columns, float)
+        key = (rows.tobytes(), columns.tobytes())
+        kept = self.__dict__.get("_kept_field")
+        if kept is None or kept[0] != key:
+            a, b = 2 * columns / (self.width - 1) - 1, 2 * rows / (self.height - 1) - 1
+            # elementwise sums: the same bits on any number of threads, which a matrix product does not promise
+            values = np.stack([chebyshev.chebgrid2d(b, a, each) for each in (self.columns, self.rows)], dtype=np.float32)
+            values.setflags(write=False)
+            kept = key, values
+            self.__dict__["_kept_field"] = kept
+        return kept[1]
+
+    def undistort(self, image: np.ndarray) -> np.ndarray:
+        """Return the image that an ideal camera would have taken, for people to look at (cubic splines).
+
+        Parameters
+        ----------
+        image : (row, column)
+            Of the size that the distortion was measured with.
+
+        Returns
+        -------
+        float32 (row, column)
+            ``undistorted(q) = image(q + D(q))``, NaN where q + D(q) is outside of the image.
+
+        Raises
+        ------
+        ShapeMismatchError
+            When the image has another size.
+        """
+        from scipy.ndimage import map_coordinates
+
+        if np.shape(image) != (self.height, self.width):
+            raise ShapeMismatchError(
+                f"image of shape {np.shape(image)} for the distortion of {self.height} rows and {self.width} columns"
+            )
+        row, column = np.mgrid[: self.height, : self.width]
+        seen_column, seen_row = self.seen(column, row)
+        return map_coordinates(
+            np.asarray(image, np.float32), [seen_row, seen_column], order=3, mode="constant", cval=float("nan")
+        )
+
+    def brown(self, ideal_camera_matrix: ArrayLike | None = None) -> BrownModel:
+        """Return the nearest model of Brown and Conrady, for tools that know no other.
+
+        Parameters
+        ----------
+        ideal_camera_matrix : (3, 3)
+            From normalised coordinates to ideal pixels. The coefficients scale with its focal length; without, the
+            focal length is taken to be the width of the image and the principal point its centre.
+
+        Returns
+        -------
+        BrownModel
+            Fitted by least squares over the image, focal lengths and principal point of the distorted image included.
+        """
+        from scipy.optimize import least_squares
+
+        if ideal_camera_matrix is None:
+            centre = 0.5 * (self.width - 1), 0.5 * (self.height - 1)
+            ideal_camera_matrix = [[self.width, 0, centre[0]], [0, self.width, centre[1]], [0, 0, 1]]
+        matrix = np.asarray(ideal_camera_matrix, float)
+        row, column = np.meshgrid(
+            np.linspace(0, self.height - 1, _BROWN_POINTS[0]),
+            np.linspace(0, self.width - 1, _BROWN_POINTS[1]),
+            indexing="ij",
+        )
+        ideal_column, ideal_row = self.ideal(column, row)
+        x, y = (ideal_column - matrix[0, 2]) / matrix[0, 0], (ideal_row - matrix[1, 2]) / matrix[1, 1]
+        # normalised to the image's corner, all nine parameters move pixels by similar amounts
+        reach = float(np.sqrt(np.max(x**2 + y**2)))
+        x, y = x / reach, y / reach
+        scale = np.array([matrix[0, 0] * reach, matrix[1, 1] * reach])
+
+        def residuals(p: np.ndarray) -> np.ndarray:
+            k1, k2, p1, p2, k3 = p[:5]
+            square = x**2 + y**2
+            radial = 1 + square * (k1 + square * (k2 + square * k3))
+            bent_x = x * radial + 2 * p1 * x * y + p2 * (square + 2 * x**2)
+            bent_y = y * radial + p1 * (square + 2 * y**2) + 2 * p2 * x * y
+            fitted_column = scale[0] * (1 + p[5]) * bent_x + matrix[0, 2] + scale[0] * p[7]
+            fitted_row = scale[1] * (1 + p[6]) * bent_y + matrix[1, 2] + scale[1] * p[8]
+            return np.concatenate([(fitted_column - column).ravel(), (fitted_row - row).ravel()])
+
+        fit = least_squares(residuals, np.zeros(9), xtol=1e-14, ftol=1e-14, gtol=1e-14)
+        k1, k2, p1, p2, k3 = (float(value) for value in fit.x[:5] / reach ** np.array([2, 4, 1, 1, 6]))
+        seen_matrix = np.diag([matrix[0, 0] * (1 + fit.x[5]), matrix[1, 1] * (1 + fit.x[6]), 1.0])
+        seen_matrix[:2, 2] = matrix[:2, 2] + scale * fit.x[7:]
+        residual = float(np.sqrt(2 * np.mean(fit.fun**2)))
+        return BrownModel((k1, k2, p1, p2, k3), seen_matrix, matrix, residual)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers and lists, for YAML."""
+        return {
+            "width_px": self.width,
+            "height_px": self.height,
+            "columns_px": self.columns.tolist(),
+            "rows_px": self.rows.tolist(),
+        }
+
+    @classmethod
+    def from_dict(cls, content: Mapping[str, Any]) -> Self:
+        """Read what `to_dict` returned.
+
+        Raises
+        ------
+        InvalidDistortionError
+            When an entry is missing or has no meaning.
+        """
+        try:
+            return cls(
+                int(content["width_px"]),
+                int(content["height_px"]),
+                np.array(content["columns_px"], float),
+                np.array(content["rows_px"], float),
+            )
+        except KeyError as error:
+            raise InvalidDistortionError(f"{error.args[0]} is missing") from None
+        except (TypeError, ValueError) as error:
+            raise InvalidDistortionError(f"this is not the distortion of a camera: {error}") from None
+
+    def save(self, path: str | Path) -> None:
+        """Write the field as YAML."""
+        text = yaml.safe_dump({"camera_distortion": self.to_dict()}, sort_keys=False, default_flow_style=None)
+        Path(path).write_text(text, encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a file that `save` wrote, or a rig's calibration that holds a distortion.
+
+        Raises
+        ------
+        InvalidDistortionError
+            When the file holds no distortion.
+        """
+        try:
+            content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+            return cls.from_dict(content["camera_distortion"])
+        except InvalidDistortionError as error:
+            raise InvalidDistortionError(f"{path}: {error}") from None
+        except (yaml.YAMLError, KeyError, TypeError) as error:
+            raise InvalidDistortionError(f"{path} holds no distortion of a camera: {error}") from None
