@@ -25,8 +25,24 @@ class StepError(FringedicError):
         self.index = index
 
 
+class CalibrationAnglesError(FringedicError, ValueError):
+    """The angles or heights of calibration planes have the wrong unit or sign."""
+
+
+class CalibrationFileError(FringedicError, OSError):
+    """The files of a calibration cannot be read."""
+
+
 class CalibrationMissingError(StepError, LookupError):
     """A step needs the rig's calibration and none has been given."""
+
+
+class CalibrationPhaseError(FringedicError, ValueError):
+    """The phase maps of calibration planes cannot be those of a plane in front of this rig."""
+
+
+class CalibrationPlanesError(FringedicError, ValueError):
+    """There are too few calibration planes, or they do not differ."""
 
 
 class CameraError(FringedicError, RuntimeError):
@@ -63,6 +79,14 @@ class DiskFullError(FringedicError, OSError):
 
 class EmptyMaskError(FringedicError, ValueError):
     """A mask excludes every pixel."""
+
+
+class ExportError(FringedicError, ValueError):
+    """A format cannot hold what is to be exported, or something is in its place already."""
+
+
+class FactsError(FringedicError, ValueError):
+    """What was entered about specimen and hardware is unknown or has no meaning."""
 
 
 class FrameDoubledError(StepError, ValueError):

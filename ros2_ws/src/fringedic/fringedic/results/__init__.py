@@ -1,12 +1,14 @@
 """From a recording to one labelled dataset, without ROS, and from datasets to figures of merit.
 
-A dataset is a NetCDF file beside the recording, written step by step. Its dimensions are ``step``, ``row`` and
-``column``; the coordinates ``row`` and ``column`` are pixel positions in the reference image. All maps share the grid
-of the displacement: where its spacing is above one pixel, maps of the camera's pixels are taken at those points.
+A dataset is a NetCDF file or a Zarr folder beside the recording, written step by step. Its dimensions are ``step``,
+``row`` and ``column``; the coordinates ``row`` and ``column`` are pixel positions in the reference image. All maps
+share the grid of the displacement: where its spacing is above one pixel, maps of the camera's pixels are taken at those
+points.
 """
 
-from fringedic.results.datasets import dataset_from_derived, open_experiment, process_bag
+from fringedic.results.datasets import dataset_from_derived, process_bag
 from fringedic.results.messages import cloud_arrays, image_array
+from fringedic.results.opening import find_dataset, open_experiment
 from fringedic.results.quantities import MAPS, SCALARS, Quantity
 from fringedic.results.truth import compare_with_truth, open_truth, truth_errors
 
@@ -17,6 +19,7 @@ __all__ = [
     "cloud_arrays",
     "compare_with_truth",
     "dataset_from_derived",
+    "find_dataset",
     "image_array",
     "open_experiment",
     "open_truth",

@@ -1,4 +1,4 @@
-"""From a recording to one labelled dataset, and the opening of datasets."""
+"""From a recording to one labelled dataset."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import xarray as xr
-
-from fringedic.errors import DatasetError, MissingTopicError
+from fringedic.errors import DatasetError
 from fringedic.recording import BagReader
 from fringedic.results.derived import Collected
 from fringedic.results.measuring import Chain
 from fringedic.results.quantities import PHASE_TOPICS
-from fringedic.results.rows import Row, Settings
+from fringedic.results.rows import Row, Settings, in_order_of_steps
+from fringedic.results.stores import check_suffix
 from fringedic.results.timeline import Timeline
 from fringedic.results.writer import DatasetWriter
 
@@ -25,6 +24,7 @@ def process_bag(
     output: str | os.PathLike[str] | None = None,
     overrides: Mapping[str, Any] | None = None,
     steps: Iterable[int] | None = None,
+    reference: int | None = None,
     experiment: str | None = None,
     overwrite: bool = False,
     progress: Callable[[int, str], None] | None = None,
@@ -40,12 +40,15 @@ def process_bag(
     path
         The recording.
     output
-        The NetCDF file to write; by default beside the recording with its name.
+        The dataset to write, ``.nc`` for NetCDF or ``.zarr`` for Zarr; by default NetCDF beside the recording with its
+        name.
     overrides
         Parameters that replace the recorded ones, ``{"dic.window": 24}``.
     steps
         Numbers of the steps to measure; all by default. The reference steps are measured anyway. The displacement of
         a step starts from that of its predecessors, so that results without them agree within the noise, not exactly.
+    reference
+        A step that all others are measured against, earlier ones too; by default as recorded.
     experiment
         Which experiment, where the recording holds several.
     overwrite
@@ -56,7 +59,7 @@ def process_bag(
     Returns
     -------
     Path
-        The NetCDF file.
+        The dataset.
 
     Raises
     ------
@@ -67,25 +70,34 @@ def process_bag(
     ParameterError
         An override is unknown or not allowed.
     DatasetError
-        The output exists, or the recording holds no frame of the experiment, or several experiments.
+        The output exists or cannot be written, or the recording holds no frame of the experiment or of a step that is
+        asked for, or several experiments.
     """
     reader = BagReader(path)
     names = reader.find("camera/image_raw", "camera/exposure")
     names |= reader.find_optional(
         "experiment/step", "experiment/reference", "calibration", "node_parameters", "load_frame/state"
     )
-    chain = Chain(overrides or {})
     timeline = Timeline(reader, names, experiment)
-    wanted = None if steps is None else set(steps) | timeline.references
-    target = _output(path, output, overwrite)
+    chain = Chain(overrides or {}, timeline.experiment, reference)
+    references = timeline.references if reference is None else {reference}
+    asked = references if reference is not None else set()
+    wanted = None if steps is None else set(steps) | references
+    timeline.require_steps(asked | (wanted or set()))
+    target = dataset_path(path, output, overwrite)
     topics = {full: name for name, full in names.items() if name != "load_frame/state"}
 
-    def rows() -> Iterator[Row]:
+    def passing(numbers: set[int] | None) -> Iterator[Row]:
         for name, message in _messages(reader, topics, timeline.experiment):
-            yield from chain.take(name, message, wanted)
+            yield from chain.take(name, message, numbers)
+
+    def rows() -> Iterator[Row]:
+        if reference is not None:
+            yield from passing(references)
+        yield from passing(wanted)
         yield from chain.finish()
 
-    _write(target, timeline, rows(), chain.settings, progress)
+    _write(target, timeline, in_order_of_steps(rows()), chain.settings, progress)
     return target
 
 
@@ -106,7 +118,7 @@ def dataset_from_derived(
     Returns
     -------
     Path
-        The NetCDF file.
+        The dataset.
 
     Raises
     ------
@@ -115,7 +127,8 @@ def dataset_from_derived(
     RecordingError
         It is damaged.
     DatasetError
-        The output exists, or the recording holds no step of the experiment, or several experiments.
+        The output exists or cannot be written, or the recording holds no step of the experiment, or several
+        experiments.
     """
     reader = BagReader(path)
     names = reader.find("phase/status", "dic/status", "camera/exposure")
@@ -126,7 +139,7 @@ def dataset_from_derived(
     names |= derived
     names |= reader.find_optional("experiment/reference", "calibration", "node_parameters", "load_frame/state")
     timeline = Timeline(reader, names, experiment)
-    target = _output(path, output, overwrite)
+    target = dataset_path(path, output, overwrite)
     collected = Collected(set(derived) | {"phase/status", "dic/status"})
     topics = {full: name for name, full in names.items() if name not in ("load_frame/state", "camera/exposure")}
 
@@ -135,50 +148,27 @@ def dataset_from_derived(
             yield from collected.take(name, message)
         yield from collected.finish()
 
-    _write(target, timeline, rows(), collected.settings, None)
+    _write(target, timeline, in_order_of_steps(rows()), collected.settings, None)
     return target
 
 
-def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
-    """Open a recorded experiment as one labelled dataset; maps are read from the disk when they are used.
-
-    Parameters
-    ----------
-    path
-        A NetCDF file, or a recording: then its dataset beside it, which is made from the derived topics when there is
-        none yet.
-
-    Returns
-    -------
-    Dataset
-        Maps over (step, row, column) in SI units, with force, position, time and error of each step.
+def dataset_path(
+    path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None, overwrite: bool = False
+) -> Path:
+    """Return where the dataset of a recording goes: `output`, or NetCDF beside the recording with its name.
 
     Raises
     ------
-    MissingTopicError
-        The recording has neither a dataset nor derived topics; `process_bag` measures it.
     DatasetError
-        The file is no dataset of this library.
-    RecordingError
-        There is no such recording.
+        It exists and is not to be overwritten, or its name says no known format.
     """
-    path = Path(path)
-    file = path
-    if path.suffix != ".nc":
-        file = _output(path, None, overwrite=True)
-        if not file.exists():
-            try:
-                dataset_from_derived(path)
-            except MissingTopicError as error:
-                raise MissingTopicError(f"{error}; 'fringedic process {path}' measures it") from error
-    try:
-        dataset = xr.open_dataset(file, engine="h5netcdf")
-    except (OSError, ValueError) as error:
-        raise DatasetError(f"{file}: cannot be read as NetCDF: {error}") from error
-    if not {"step", "row", "column"} <= set(dataset.sizes):
-        dataset.close()
-        raise DatasetError(f"{file}: is no experiment; it lacks the dimensions step, row and column")
-    return dataset
+    source = Path(path)
+    beside = source.with_suffix(".nc") if source.is_file() else source.with_name(f"{source.name}.nc")
+    target = beside if output is None else Path(output)
+    check_suffix(target)
+    if target.exists() and not overwrite:
+        raise DatasetError(f"{target} exists already; choose another output or ask to overwrite it")
+    return target
 
 
 def _messages(reader: BagReader, topics: Mapping[str, str], experiment: str) -> Iterator[tuple[str, Any]]:
@@ -205,12 +195,3 @@ def _write(
             writer.add(row, settings())
             if progress is not None:
                 progress(row.step, row.error)
-
-
-def _output(path: str | os.PathLike[str], output: str | os.PathLike[str] | None, overwrite: bool) -> Path:
-    source = Path(path)
-    beside = source.with_suffix(".nc") if source.is_file() else source.with_name(f"{source.name}.nc")
-    target = beside if output is None else Path(output)
-    if target.exists() and not overwrite:
-        raise DatasetError(f"{target} exists already; choose another output or ask to overwrite it")
-    return target

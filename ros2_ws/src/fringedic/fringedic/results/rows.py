@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from fringedic.chain import DicParameters, Parameters
+from fringedic.facts import Facts
 from fringedic.rig import RigModel
 
 
@@ -27,10 +29,14 @@ class Row:
 
 
 class Settings(NamedTuple):
-    """What a row was measured with."""
+    """What a row was measured with: parameters of the processing nodes, calibration, and of the other nodes and facts
+    what the recording tells.
+    """
 
     parameters: dict[str, Parameters]
     calibration: RigModel | None
+    rig: dict[str, dict[str, Any]]
+    facts: Facts | None
 
     @property
     def spacing(self) -> int:
@@ -46,3 +52,15 @@ def displacement_maps(displacement: np.ndarray, sigma: np.ndarray) -> dict[str, 
         "displacement_sigma_x": sigma[..., 0],
         "displacement_sigma_y": sigma[..., 1],
     }
+
+
+def in_order_of_steps(rows: Iterator[Row]) -> Iterator[Row]:
+    """Put a reference step that was measured before its time back between its neighbours."""
+    early = next(rows, None)
+    for row in rows:
+        if early is not None and row.step > early.step:
+            yield early
+            early = None
+        yield row
+    if early is not None:
+        yield early

@@ -7,7 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from fringedic.errors import DatasetError
+from fringedic.facts import FIRST_STEP
 from fringedic.recording import BagReader
+from fringedic.results.recorded_parameters import recorded_facts
 from fringedic.results.rows import Row
 from fringedic.sequence import PatternKind, frame_record, stamp_of
 
@@ -46,13 +48,38 @@ class Timeline:
         self._stamps = np.array([state[0] for state in states], dtype=np.int64)
         self._states = np.array([state[1:] for state in states], dtype=float).reshape(-1, 2)
 
+        topics = [names["node_parameters"]] if "node_parameters" in names else []
+        specimen = recorded_facts(message for _, message, _ in reader.messages(topics)).specimen
+        self._force_sign = specimen.force_sign
+        if specimen.force_tare_newton == FIRST_STEP:
+            self._force_tare = self._mean_load(min(self._exposed))[0]
+        else:
+            self._force_tare = float(specimen.force_tare_newton)
+
+    def require_steps(self, steps: set[int]) -> None:
+        """Raise DatasetError when no frame of one of these steps was exposed."""
+        absent = sorted(steps - self._exposed.keys())
+        if absent:
+            present = ", ".join(map(str, sorted(self._exposed)))
+            raise DatasetError(
+                f"{self.source}: experiment '{self.experiment}' has no step {', '.join(map(str, absent))}; "
+                f"it has {present}"
+            )
+
     def complete(self, row: Row) -> None:
         """Average force and position over the exposures of a step; one that failed before its first has none."""
         if row.step not in self._exposed:
             return
-        begin, end = self._exposed[row.step]
-        within = (self._stamps >= begin) & (self._stamps <= end)
-        if within.any():
-            row.force, row.position = (float(value) for value in self._states[within].mean(axis=0))
+        force, row.position = self._mean_load(row.step)
+        row.force = self._force_sign * (force - self._force_tare)
         if row.stamp is None:
-            row.stamp = int(end)
+            row.stamp = int(self._exposed[row.step][1])
+
+    def _mean_load(self, step: int) -> tuple[float, float]:
+        """Mean (force, position) as read, between the begin of the first and the end of the last exposure."""
+        begin, end = self._exposed[step]
+        within = (self._stamps >= begin) & (self._stamps <= end)
+        if not within.any():
+            return float("nan"), float("nan")
+        force, position = self._states[within].mean(axis=0)
+        return float(force), float(position)

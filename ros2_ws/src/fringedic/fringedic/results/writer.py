@@ -8,27 +8,26 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import h5netcdf
-import h5py  # type: ignore[import-untyped]
 import numpy as np
 
-from fringedic import __version__
 from fringedic.errors import DatasetError
+from fringedic.provenance import git_commit, software
 from fringedic.results.quantities import MAPS, SCALARS
 from fringedic.results.rows import Row, Settings
+from fringedic.results.stores import MAP_DIMENSIONS, TEXT, Store, create_store
 
 
 class DatasetWriter:
-    """Appends steps to a NetCDF file, which gets its name when it is whole."""
+    """Appends steps to a dataset, NetCDF or Zarr by its suffix, which gets its name when it is whole."""
 
     def __init__(self, target: Path, attributes: Mapping[str, str]) -> None:
         self._target = target
-        self._temporary = target.with_name(f".{target.name}.writing")
-        self._file: Any = None
+        self._store: Store
         self._settings: list[dict[str, Any]] = []
         self._attributes = {
             **attributes,
-            "software": f"fringedic {__version__}",
+            "software": software(),
+            "commit": git_commit(),
             "conventions": "SI units; z towards the camera, x right and y up in the image; NaN is not measured",
         }
         self._grid: tuple[int, int, int] | None = None
@@ -36,29 +35,20 @@ class DatasetWriter:
         self._last_error = ""
 
     def __enter__(self) -> DatasetWriter:
-        try:
-            self._file = h5netcdf.File(self._temporary, "w")
-        except OSError as error:
-            raise DatasetError(f"{self._target}: cannot be written: {error}") from error
-        self._file.dimensions = {"step": None}
+        self._store = create_store(self._target)
         self._variable("step", ("step",), "i8", "1", "load step")
         self._variable("time", ("step",), "i8", "nanoseconds since 1970-01-01", "stamp of the last exposure")
         self._variable("reference_step", ("step",), "i8", "1", "step that the displacement is measured against")
-        self._variable("error", ("step",), h5py.string_dtype(), "", "why the step failed, empty when it did not")
+        self._variable("error", ("step",), TEXT, "", "why the step failed, empty when it did not")
         for name, quantity in SCALARS.items():
             self._variable(name, ("step",), "f8", *quantity)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
-        whole = kind is None and self._grid is not None
-        if whole:
-            for name, value in self._attributes.items():
-                self._file.attrs[name] = value
-        self._file.close()
-        if whole:
-            self._temporary.replace(self._target)
+        if kind is None and self._grid is not None:
+            self._store.finish(self._attributes)
             return
-        self._temporary.unlink()
+        self._store.discard()
         if kind is None:
             raise DatasetError(f"{self._target}: no step could be measured: {self._last_error or 'no frames'}")
 
@@ -68,7 +58,7 @@ class DatasetWriter:
         self._last_error = row.error or self._last_error
         index = self._count
         self._count += 1
-        self._file.resize_dimension("step", self._count)
+        self._store.grow(self._count)
         values: dict[str, Any] = {
             "step": row.step,
             "time": row.stamp,
@@ -77,10 +67,10 @@ class DatasetWriter:
         }
         values |= {name: getattr(row, name) for name in SCALARS}
         for name, value in values.items():
-            self._file[name][index] = value
+            self._store.put(name, index, value)
         if row.maps:
             self._write_maps(index, row, settings.spacing)
-        self._file.flush()
+        self._store.flush()
 
     def _write_maps(self, index: int, row: Row, spacing: int) -> None:
         points = row.maps["displacement_x"] if "displacement_x" in row.maps else _sampled(row.maps["phase"], spacing)
@@ -93,44 +83,47 @@ class DatasetWriter:
                 f"steps before have {self._grid[1]}x{self._grid[0]} at {self._grid[2]} px; process them separately"
             )
         for name, values in row.maps.items():
-            if name in self._file.variables:
+            if name in MAPS:
                 sampled = values if values.shape == grid[:2] else _sampled(values, spacing)
-                self._file[name][index] = sampled
+                self._store.put(name, index, sampled)
 
     def _create_grid(self, grid: tuple[int, int, int]) -> None:
         rows, columns, spacing = self._grid = grid
-        self._file.dimensions["row"] = rows
-        self._file.dimensions["column"] = columns
-        for name, number in (("row", rows), ("column", columns)):
-            variable = self._variable(name, (name,), "i8", "px", f"{name} in the reference image")
-            variable[:] = spacing * np.arange(number)
+        sizes = {"row": rows, "column": columns}
+        for name, number in sizes.items():
+            self._variable(name, (name,), "i8", "px", f"{name} in the reference image", sizes)
+            self._store.put(name, slice(None), spacing * np.arange(number))
         for name, quantity in MAPS.items():
-            self._variable(
-                name,
-                ("step", "row", "column"),
-                "f4",
-                *quantity,
-                chunks=(1, rows, columns),
-                fillvalue=np.float32(np.nan),
-            )
+            self._variable(name, MAP_DIMENSIONS, "f4", *quantity, sizes)
 
     def _variable(
-        self, name: str, dimensions: tuple[str, ...], dtype: Any, units: str, long_name: str, **options: Any
-    ) -> Any:
-        variable = self._file.create_variable(name, dimensions, dtype, **options)
-        if units:
-            variable.attrs["units"] = units
-        variable.attrs["long_name"] = long_name
-        return variable
+        self,
+        name: str,
+        dimensions: tuple[str, ...],
+        dtype: str,
+        units: str,
+        long_name: str,
+        sizes: Mapping[str, int] | None = None,
+    ) -> None:
+        attributes = {"long_name": long_name} | ({"units": units} if units else {})
+        self._store.add_variable(name, dimensions, dtype, attributes, {"step": self._count, **(sizes or {})})
 
     def _describe(self, step: int, settings: Settings) -> None:
         """Note parameters and calibration in the attributes, with the step from which on they hold."""
         now = {node: parameters.model_dump() for node, parameters in settings.parameters.items()}
         if not self._settings or self._settings[-1]["parameters"] != now:
             self._settings.append({"from_step": step, "parameters": now})
-            self._attributes["parameters"] = json.dumps(self._settings)
+            self._attributes["parameters"] = _to_json(self._settings)
         if settings.calibration is not None:
-            self._attributes["calibration"] = json.dumps(dataclasses.asdict(settings.calibration))
+            self._attributes["calibration"] = _to_json(dataclasses.asdict(settings.calibration))
+        if settings.rig:
+            self._attributes["rig"] = _to_json(settings.rig)
+        if settings.facts:
+            self._attributes["facts"] = _to_json(settings.facts.model_dump())
+
+
+def _to_json(value: Any) -> str:
+    return json.dumps(value, default=lambda array: array.tolist())
 
 
 def _sampled(image: np.ndarray, spacing: int) -> np.ndarray:

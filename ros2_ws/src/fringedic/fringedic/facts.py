@@ -1,0 +1,79 @@
+"""What a person knows about a test and no sensor tells: specimen, operator, load cell, and the parts of the rig.
+
+Entered once in the rig file or the programme, recorded among the parameters of the experiment node, and found again in
+datasets, exports and reports. Everything is optional: what nobody entered is missing, never guessed.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from fringedic.errors import FactsError
+
+FIRST_STEP = "first_step"
+
+
+class _Entries(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class SpecimenFacts(_Entries):
+    """The specimen and how its load is counted."""
+
+    name: str = Field("", description="Name of the specimen.")
+    material: str = Field("", description="What it is made of.")
+    section_mm2: float | None = Field(None, gt=0, description="Area that carries the force: stress = force / area.")
+    operator: str = Field("", description="Who runs the test.")
+    notes: str = Field("", description="Anything else worth keeping.")
+    pattern: str = Field("", description="Patterning technique, such as 'black spray on white' or 'natural'.")
+    force_tare_newton: float | Literal["first_step"] = Field(
+        0.0, description="Reading of the load cell without load; first_step: its mean during the first step."
+    )
+    force_sign: Literal[1, -1] = Field(1, description="-1 when the load cell counts tension as negative.")
+
+
+class HardwareFacts(_Entries):
+    """The parts of the rig as they are to be named in a report."""
+
+    camera: str = Field("", description="Maker and model.")
+    lens: str = Field("", description="Maker and model.")
+    focal_length_mm: float | None = Field(None, gt=0, description="Focal length of the lens.")
+    aperture: str = Field("", description="Such as f/8.")
+    filters: str = Field("", description="Optical filters, such as 'polarisers, crossed'.")
+    lighting: str = Field("", description="Light other than the projector's.")
+    projector: str = Field("", description="Maker and model.")
+    calibration_target: str = Field("", description="Maker, kind and dimensions.")
+
+
+class Facts(_Entries):
+    """Specimen and hardware of one experiment."""
+
+    specimen: SpecimenFacts = SpecimenFacts()
+    hardware: HardwareFacts = HardwareFacts()
+
+    def to_text(self) -> str:
+        """Return what was entered as one line of YAML, empty when nothing was."""
+        entered = self.model_dump(exclude_defaults=True)
+        return (
+            yaml.safe_dump(entered, default_flow_style=True, allow_unicode=True, width=10**6).strip() if entered else ""
+        )
+
+    @classmethod
+    def from_text(cls, text: str) -> Facts:
+        """Read what `to_text` wrote.
+
+        Raises
+        ------
+        FactsError
+            An entry is unknown or has no meaning.
+        """
+        try:
+            return cls.model_validate(yaml.safe_load(text) or {})
+        except yaml.YAMLError as error:
+            raise FactsError(f"specimen and hardware: no YAML: {error}") from error
+        except ValidationError as error:
+            problems = "; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors())
+            raise FactsError(f"specimen and hardware: {problems}") from error

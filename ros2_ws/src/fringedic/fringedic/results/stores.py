@@ -1,0 +1,177 @@
+"""The two formats of a dataset on the disk: NetCDF, one file, and Zarr, a folder of chunks.
+
+Both hold the same variables, one chunk per map and step, and get their name only when they are whole.
+"""
+
+from __future__ import annotations
+
+import shutil
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
+
+import h5netcdf
+import h5py  # type: ignore[import-untyped]
+import numpy as np
+import zarr
+
+from fringedic.errors import DatasetError
+
+ENGINES = {".nc": "h5netcdf", ".zarr": "zarr"}
+MAP_DIMENSIONS = ("step", "row", "column")
+TEXT = "text"
+
+
+class Store(Protocol):
+    """A dataset in the making."""
+
+    def add_variable(
+        self,
+        name: str,
+        dimensions: tuple[str, ...],
+        dtype: str,
+        attributes: Mapping[str, str],
+        sizes: Mapping[str, int],
+    ) -> None:
+        """Make a variable; `dtype` is NumPy's or ``text``, `sizes` that of each dimension now (step may grow)."""
+
+    def grow(self, steps: int) -> None:
+        """Make room for as many steps."""
+
+    def put(self, name: str, index: int | slice, value: Any) -> None:
+        """Write one step of a variable, or a whole coordinate."""
+
+    def flush(self) -> None:
+        """Hand everything to the operating system."""
+
+    def finish(self, attributes: Mapping[str, str]) -> None:
+        """Write the attributes, close, and give the dataset its name."""
+
+    def discard(self) -> None:
+        """Close and remove what was written."""
+
+
+def create_store(target: Path) -> Store:
+    """Begin a dataset in the format that the suffix of its name says.
+
+    Raises
+    ------
+    DatasetError
+        The suffix is neither ``.nc`` nor ``.zarr``, or the place cannot be written.
+    """
+    check_suffix(target)
+    try:
+        return NetcdfStore(target) if target.suffix == ".nc" else ZarrStore(target)
+    except OSError as error:
+        raise DatasetError(f"{target}: cannot be written: {error}") from error
+
+
+def check_suffix(target: Path) -> None:
+    """Raise DatasetError when a name says no format."""
+    if target.suffix not in ENGINES:
+        raise DatasetError(f"{target}: a dataset is named .nc (NetCDF) or .zarr (Zarr)")
+
+
+def _temporary(target: Path) -> Path:
+    return target.with_name(f".{target.name}.writing")
+
+
+class NetcdfStore:
+    """A NetCDF-4 file."""
+
+    def __init__(self, target: Path) -> None:
+        self._target = target
+        self._file: Any = h5netcdf.File(_temporary(target), "w")
+        self._file.dimensions = {"step": None}
+
+    def add_variable(
+        self,
+        name: str,
+        dimensions: tuple[str, ...],
+        dtype: str,
+        attributes: Mapping[str, str],
+        sizes: Mapping[str, int],
+    ) -> None:
+        for dimension in dimensions:
+            if dimension not in self._file.dimensions:
+                self._file.dimensions[dimension] = sizes[dimension]
+        options: dict[str, Any] = {}
+        if dimensions == MAP_DIMENSIONS:
+            options = {"chunks": (1, sizes["row"], sizes["column"]), "fillvalue": np.float32(np.nan)}
+        kind = h5py.string_dtype() if dtype == TEXT else dtype
+        variable = self._file.create_variable(name, dimensions, kind, **options)
+        for key, value in attributes.items():
+            variable.attrs[key] = value
+
+    def grow(self, steps: int) -> None:
+        self._file.resize_dimension("step", steps)
+
+    def put(self, name: str, index: int | slice, value: Any) -> None:
+        self._file[name][index] = value
+
+    def flush(self) -> None:
+        self._file.flush()
+
+    def finish(self, attributes: Mapping[str, str]) -> None:
+        for name, value in attributes.items():
+            self._file.attrs[name] = value
+        self._file.close()
+        _temporary(self._target).replace(self._target)
+
+    def discard(self) -> None:
+        self._file.close()
+        _temporary(self._target).unlink()
+
+
+class ZarrStore:
+    """A Zarr folder of format 2, which every reader knows."""
+
+    def __init__(self, target: Path) -> None:
+        self._target = target
+        self._group = zarr.open_group(_temporary(target), mode="w", zarr_format=2)
+        self._growing: list[Any] = []
+
+    def add_variable(
+        self,
+        name: str,
+        dimensions: tuple[str, ...],
+        dtype: str,
+        attributes: Mapping[str, str],
+        sizes: Mapping[str, int],
+    ) -> None:
+        shape = tuple(sizes[dimension] for dimension in dimensions)
+        # one map per chunk; what has one value per step shares a chunk
+        chunks = (1, *shape[1:]) if dimensions == MAP_DIMENSIONS else tuple(max(size, 1024) for size in shape)
+        fill: Any = {"f4": np.nan, "f8": np.nan, "i8": 0, TEXT: ""}[dtype]
+        array = self._group.create_array(
+            name, shape=shape, dtype=str if dtype == TEXT else dtype, chunks=chunks, fill_value=fill
+        )
+        array.attrs.update({"_ARRAY_DIMENSIONS": list(dimensions), **attributes})
+        if dimensions[0] == "step":
+            self._growing.append(array)
+
+    def grow(self, steps: int) -> None:
+        for array in self._growing:
+            array.resize((steps, *array.shape[1:]))
+
+    def put(self, name: str, index: int | slice, value: Any) -> None:
+        array: Any = self._group[name]
+        array[index] = value
+
+    def flush(self) -> None:
+        """Every chunk is a file that is closed already."""
+
+    def finish(self, attributes: Mapping[str, str]) -> None:
+        self._group.attrs.update(dict(attributes))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # says that other programs may not read consolidated metadata: they may
+            zarr.consolidate_metadata(self._group.store)
+        old = self._target.with_name(f".{self._target.name}.old")
+        if self._target.exists():
+            self._target.replace(old)
+        _temporary(self._target).replace(self._target)
+        shutil.rmtree(old, ignore_errors=True)
+
+    def discard(self) -> None:
+        shutil.rmtree(_temporary(self._target), ignore_errors=True)
