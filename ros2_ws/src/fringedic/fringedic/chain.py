@@ -312,7 +312,7 @@ class DisplacementTracker:
         self._textures: _LatestSteps[np.ndarray] = _LatestSteps()
         self._prepared: tuple[tuple[str, int], Reference] | None = None
         self._measured_against: tuple[str, int] | None = None
-        self._history: list[np.ndarray] = []
+        self._history: list[tuple[int, np.ndarray]] = []
 
     @property
     def parameters(self) -> DicParameters:
@@ -360,7 +360,7 @@ class DisplacementTracker:
             texture,
             window=parameters.window,
             spacing=parameters.spacing,
-            initial=None if key == reference_key else self._predicted(),
+            initial=None if key == reference_key else self._predicted(step),
             method=parameters.method,
         )
         displacement = np.stack([measured.displacement_x.values, measured.displacement_y.values], axis=-1)
@@ -375,7 +375,7 @@ class DisplacementTracker:
         self._references.succeeded(experiment, step)
         self._prepared = (reference_key, reference)
         self._textures.keep(key, texture, parameters.kept_steps, reference_key)
-        self._history = [*self._history[-1:], displacement]
+        self._history = [*self._history[-1:], (step, displacement)]
         return DicResult(
             experiment=experiment,
             step=step,
@@ -407,12 +407,15 @@ class DisplacementTracker:
             )
         return reference
 
-    def _predicted(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Continue the motion of the previous two steps; None, for a global search, before they are known."""
-        if len(self._history) < 2:
+    def _predicted(self, step: int) -> tuple[np.ndarray, np.ndarray] | None:
+        """Continue the motion of the two steps measured last; None, for a global search, before they are known.
+
+        Steps are counted by their numbers: one may have failed, and a reference may lie between them or behind.
+        """
+        if len(self._history) < 2 or self._history[0][0] == self._history[1][0]:
             return None
-        earlier, last = self._history
-        predicted = 2 * last - earlier
+        (earlier_step, earlier), (last_step, last) = self._history
+        predicted = last + np.float32((step - last_step) / (last_step - earlier_step)) * (last - earlier)
         predicted = np.where(np.isnan(predicted), last, predicted)
         return predicted[..., 0], predicted[..., 1]
 
