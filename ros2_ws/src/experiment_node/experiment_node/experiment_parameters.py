@@ -17,6 +17,9 @@ class ExperimentParameters(BaseModel):
 
     experiment: str = Field("", description="Name of the first experiment; empty names it after the time of its start.")
     calibration_file: str = Field("", description="YAML file of the rig's pin-hole model, published on calibration.")
+    calibration_folder: str = Field(
+        "calibration", description="Folder in which each calibration gets a folder of its own."
+    )
     projector: bool = Field(True, description="A projector shows the patterns; without one, only WHITE steps.")
     projector_width_px: int = Field(800, ge=1, le=16384, description="Columns of the projector [px].")
     projector_height_px: int = Field(600, ge=1, le=16384, description="Rows of the projector [px].")
@@ -38,7 +41,11 @@ class ExperimentParameters(BaseModel):
     )
     projector_timeout_s: float = Field(5.0, gt=0, le=600, description="For a pattern to be on the screen [s].")
     camera_timeout_s: float = Field(10.0, gt=0, le=600, description="For a frame to be taken [s].")
+    placing_timeout_s: float = Field(
+        600.0, gt=0, le=86400, description="For stage or operator to put the reference plane in its place [s]."
+    )
     processing_timeout_s: float = Field(120.0, gt=0, le=86400, description="From the last exposure to the results [s].")
+    facts: str = Field("", description="Specimen and hardware as YAML, for the record only.")
 
     @model_validator(mode="after")
     def _showable(self) -> Self:

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, Validatio
 
 from fringedic.chain import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.errors import FringedicError, RigFileError
+from fringedic.facts import Facts, HardwareFacts, SpecimenFacts
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation, PatternKind, Projection
 from fringedic.virtual_rig import VirtualRigConfiguration
@@ -227,6 +228,7 @@ class Programme(Section):
     """The load steps of one experiment, written out or as a ramp."""
 
     experiment: str = Field("experiment", pattern=r"^[A-Za-z0-9_\-]+$", description="Name of the experiment.")
+    specimen: SpecimenFacts | None = Field(None, description="Instead of the specimen of the rig file.")
     steps: list[ProgrammeStep] | None = Field(None, min_length=1, description="The steps one by one.")
     ramp: Ramp | None = Field(None, description="Equal steps.")
 
@@ -275,6 +277,8 @@ class RigFile(Section):
     nodes: NodesSection = NodesSection()
     virtual_rig: dict[str, Any] | None = None
     recording: RecordingSection = RecordingSection()
+    specimen: SpecimenFacts = SpecimenFacts()
+    hardware: HardwareFacts = HardwareFacts()
     programme: Programme | None = None
 
     @model_validator(mode="after")
@@ -323,6 +327,10 @@ class RigFile(Section):
             for pitch in self.pitches()
             for shift in range(1, shifts + 1)
         ]
+
+    def facts(self) -> Facts:
+        """Return what is known of specimen and hardware."""
+        return Facts(specimen=self.specimen, hardware=self.hardware)
 
     def _size(self, section: CameraSection | ProjectorSection, name: str) -> tuple[int, int] | None:
         if section.source == "virtual":

@@ -160,6 +160,7 @@ def _experiment(rig: RigFile, experiment: str, calibration_file: str) -> dict[st
         "calibration_file": calibration_file,
         "projector": rig.projector is not None,
         "recording_required": True,
+        "facts": rig.facts().to_text(),
     }
     if rig.virtual_rig is not None:
         parameters["camera_timeout_s"] = RENDERING_TIMEOUT_S

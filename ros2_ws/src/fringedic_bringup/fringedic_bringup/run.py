@@ -53,6 +53,8 @@ def load_rig(rig_path: Path, programme_path: Path | None, images: Path | None) -
             programme = Programme.model_validate({"experiment": rig_path.stem, "steps": [{"mode": "white"}] * count})
     if programme is None:
         raise RigFileError(f"{rig_path}: has no programme; add one or give it with --programme")
+    if programme.specimen is not None:
+        rig = rig.model_copy(update={"specimen": programme.specimen})
     return rig, programme
 
 
