@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fringedic.errors import VirtualRigConfigurationError
 
-PresetName = Literal["plate", "skin", "leather", "rigid", "plane", "sphere", "stepped"]
+PresetName = Literal["plate", "skin", "leather", "rigid", "plane", "sphere", "stepped", "reference_plane"]
 SizeName = Literal["full", "small", "tiny"]
 
 # Images of a size have this many times fewer pixels along each side than the paper's, on the same field.
@@ -20,6 +20,24 @@ SIZES: dict[str, int] = {"full": 1, "small": 4, "tiny": 8}
 
 class _Section(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class LensConfiguration(_Section):
+    """Distortion of the camera's lens: Brown's model, and a smooth bump that no such model describes."""
+
+    k1: float = Field(default=0.0, ge=-10, le=10, description="Radial, as in OpenCV: (x, y) *= 1 + k1 r^2 + k2 r^4.")
+    k2: float = Field(default=0.0, ge=-100, le=100, description="Radial, of the fourth power.")
+    p1: float = Field(default=0.0, ge=-1, le=1, description="Tangential, as in OpenCV.")
+    p2: float = Field(default=0.0, ge=-1, le=1, description="Tangential, as in OpenCV.")
+    bump_percent: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="Shift along columns and rows at the bump's centre, of the image's width."
+    )
+    bump_centre_percent: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="Place of the bump from the image's centre, of the image's width."
+    )
+    bump_radius_percent: float = Field(
+        default=16.0, gt=0, description="Standard deviation of the bump, of the image's width."
+    )
 
 
 class CameraConfiguration(_Section):
@@ -40,6 +58,7 @@ class CameraConfiguration(_Section):
     tilt_y_degree: float = Field(
         default=0.0, gt=-45, lt=45, description="Rotation of the camera about the rig's y axis."
     )
+    lens: LensConfiguration = LensConfiguration()
 
 
 class ProjectorConfiguration(_Section):
@@ -195,6 +214,40 @@ class LeatherSpecimen(_Section):
     lift_per_m_per_mm: float = Field(default=-0.1, description="Change of that curvature per travel.")
 
 
+class ReferencePlaneSpecimen(_Section):
+    """The flat plate that calibrates a rig, as the stage holds it; the load does not move it."""
+
+    kind: Literal["reference_plane"] = "reference_plane"
+    surface: Literal["plain", "grid"] = Field(default="plain", description="Bare, or with the printed grid on it.")
+    angle_degree: float = Field(
+        default=0.0, gt=-80, lt=80, description="Rotation about the stage's axis; raises the +x side."
+    )
+    height_mm: float = Field(default=0.0, description="Translation towards the camera.")
+
+
+class StageConfiguration(_Section):
+    """What turns and lifts the reference plane, and the plane itself."""
+
+    axis_x_mm: float = Field(default=0.0, description="Where the axis of rotation passes the plane of x and z.")
+    axis_z_mm: float = Field(default=0.0, description="Where the axis of rotation passes the plane of x and z.")
+    axis_yaw_degree: float = Field(
+        default=0.0, gt=-45, lt=45, description="Turn of the axis from +y about +z, in the image counter-clockwise."
+    )
+    axis_pitch_degree: float = Field(
+        default=0.0, gt=-45, lt=45, description="Rise of the axis's +y end towards the camera."
+    )
+    half_width_mm: float = Field(default=80.0, gt=0, description="The plate reaches from -this to +this along X.")
+    half_height_mm: float = Field(default=60.0, gt=0, description="The plate reaches from -this to +this along Y.")
+    albedo: float = Field(default=0.7, gt=0, le=1, description="Reflectance of the bare plate and the paper.")
+    ink: float = Field(default=0.05, ge=0, le=1, description="Reflectance of the print.")
+    grid_kind: Literal["lines", "cosine"] = Field(
+        default="lines", description="Crossed lines of half the pitch, or the product of two cosines."
+    )
+    grid_pitch_mm: float = Field(default=0.5, gt=0, description="Period of the grid along both directions.")
+    grid_turned_degree: float = Field(default=2.0, description="Turn of the grid, counter-clockwise in the image.")
+    grid_blur_um: float = Field(default=30.0, gt=0, description="Blur of the lines: paper, print and lens.")
+
+
 class LoadFrameConfiguration(_Section):
     """The testing machine that stretches the specimen."""
 
@@ -211,7 +264,7 @@ class LoadFrameConfiguration(_Section):
 
 
 Specimen = Annotated[
-    RigidSpecimen | PlateSpecimen | SkinSpecimen | LeatherSpecimen,
+    RigidSpecimen | PlateSpecimen | SkinSpecimen | LeatherSpecimen | ReferencePlaneSpecimen,
     Field(discriminator="kind"),
 ]
 
@@ -225,6 +278,7 @@ class VirtualRigConfiguration(_Section):
     sensor: SensorConfiguration = SensorConfiguration()
     texture: TextureConfiguration = TextureConfiguration()
     specimen: Specimen = PlateSpecimen()
+    stage: StageConfiguration = StageConfiguration()
     load_frame: LoadFrameConfiguration = LoadFrameConfiguration()
 
     @classmethod
@@ -234,8 +288,9 @@ class VirtualRigConfiguration(_Section):
         Parameters
         ----------
         values
-            The fields of this class. With ``preset`` (and optionally ``size`` and ``ideal``) the other entries change
-            single values of that preset, e.g. ``{"preset": "plate", "size": "small", "sensor": {"bits": 12}}``.
+            The fields of this class. With ``preset`` (and optionally ``size``, ``ideal`` and ``alignment``) the other
+            entries change single values of that preset, e.g.
+            ``{"preset": "plate", "size": "small", "sensor": {"bits": 12}}``.
 
         Raises
         ------
@@ -244,7 +299,12 @@ class VirtualRigConfiguration(_Section):
         """
         entries = copy.deepcopy(dict(values))
         if "preset" in entries:
-            base = preset(entries.pop("preset"), size=entries.pop("size", "full"), ideal=entries.pop("ideal", False))
+            base = preset(
+                entries.pop("preset"),
+                size=entries.pop("size", "full"),
+                ideal=entries.pop("ideal", False),
+                alignment=entries.pop("alignment", None),
+            )
             entries = _merge(base, entries)
         try:
             return cls.model_validate(entries)
@@ -270,9 +330,26 @@ def _merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     return merged
 
 
-# Small errors of setting up, as a real rig has them.
-_MISALIGNED_CAMERA = {"tilt_x_degree": 0.12, "tilt_y_degree": -0.08}
-_MISALIGNED_PROJECTOR = {"roll_degree": 0.7, "pitch_degree": 0.2, "yaw_degree": -0.15}
+# Ways to set up a rig: entries of its sections. The usual one has small errors, as a real rig has them.
+_ALIGNMENTS: dict[str, dict[str, dict[str, float]]] = {
+    "aligned": {"camera": {}, "projector": {}, "stage": {}},
+    "usual": {
+        "camera": {"tilt_x_degree": 0.12, "tilt_y_degree": -0.08},
+        "projector": {"roll_degree": 0.7, "pitch_degree": 0.2, "yaw_degree": -0.15},
+        "stage": {},
+    },
+    # the projector looks 1.5 mm beside the origin, 420 mm away
+    "misaligned": {
+        "camera": {"tilt_x_degree": 0.2},
+        "projector": {"yaw_degree": -0.1847, "roll_degree": 0.7},
+        "stage": {"axis_x_mm": 1.0},
+    },
+    "distorted": {
+        "camera": {"tilt_x_degree": 0.2},
+        "projector": {"yaw_degree": -0.1847, "roll_degree": 0.7, "k1": 0.1},
+        "stage": {"axis_x_mm": 1.0},
+    },
+}
 
 # The macro rig sees 13.06 mm x 9.79 mm: the paper's 10 x 13 mm with the long side along the image rows.
 _MACRO_CAMERA = {"distance_mm": 125.0, "pixel_size_um": 10.2}
@@ -315,27 +392,32 @@ _PRESETS: dict[str, dict[str, Any]] = {
     "plane": {"specimen": {"kind": "rigid", "angle_degree": 10.0}},
     "sphere": {"specimen": {"kind": "rigid", "shape": "sphere", "height_mm": 4.0}},
     "stepped": {"specimen": {"kind": "rigid", "shape": "stepped", "height_mm": -2.0}},
+    "reference_plane": {"specimen": {"kind": "reference_plane"}},
 }
 
 
-def preset(name: str, *, size: str = "full", ideal: bool = False) -> dict[str, Any]:
+def preset(name: str, *, size: str = "full", ideal: bool = False, alignment: str | None = None) -> dict[str, Any]:
     """Entries of a ready rig for `VirtualRigConfiguration.from_dict`.
 
     Parameters
     ----------
     name
         ``plate``, ``skin``, ``leather`` (the specimens of the paper), ``rigid`` (a plane that moves along x),
-        ``plane`` (at 10 degrees), ``sphere`` or ``stepped``.
+        ``plane`` (at 10 degrees), ``sphere``, ``stepped`` or ``reference_plane`` (the plate that calibrates a rig).
     size
         ``full``: camera 1280x960, projector 800x600; ``small``: a quarter; ``tiny``: an eighth along each side, on the
         same field, with a texture that is as many pixels coarse.
     ideal
         A perfectly aligned rig without noise.
+    alignment
+        Another way to set up: ``aligned``; ``misaligned``: the projector looks 1.5 mm beside the origin and is rolled
+        by 0.7 degree, the camera tilted by 0.2 degree, the stage's axis off by 1 mm; ``distorted``: the same with a
+        distorting projector; ``usual``: small errors, as without this entry.
 
     Raises
     ------
     VirtualRigConfigurationError
-        The name or the size is unknown.
+        The name, the size or the alignment is unknown.
     """
     if name not in _PRESETS:
         raise VirtualRigConfigurationError(
@@ -343,12 +425,17 @@ def preset(name: str, *, size: str = "full", ideal: bool = False) -> dict[str, A
         )
     if size not in SIZES:
         raise VirtualRigConfigurationError(f"virtual_rig: size {size!r} is unknown; choose from {', '.join(SIZES)}")
+    if alignment is not None and alignment not in _ALIGNMENTS:
+        raise VirtualRigConfigurationError(
+            f"virtual_rig: alignment {alignment!r} is unknown; choose from {', '.join(_ALIGNMENTS)}"
+        )
     scale = SIZES[size]
     sections: dict[str, Any] = copy.deepcopy(_PRESETS[name])
-    camera = {**sections.get("camera", {}), **({} if ideal else _MISALIGNED_CAMERA)}
-    projector = {**sections.get("projector", {}), **({} if ideal else _MISALIGNED_PROJECTOR)}
+    errors = _ALIGNMENTS["aligned" if ideal else "usual"] if alignment is None else _ALIGNMENTS[alignment]
+    camera = {**sections.get("camera", {}), **errors["camera"]}
+    projector = {**sections.get("projector", {}), **errors["projector"]}
     texture = sections.get("texture", {})
-    if not ideal:
+    if errors is _ALIGNMENTS["usual"]:
         projector["y_mm"] = 1.5 * projector.get("x_mm", 180.0) / 180.0
     full_camera, full_projector = CameraConfiguration(**camera), ProjectorConfiguration(**projector)
     camera["columns"] = full_camera.columns // scale
@@ -358,7 +445,7 @@ def preset(name: str, *, size: str = "full", ideal: bool = False) -> dict[str, A
     projector["rows"] = full_projector.rows // scale
     projector["focal_length_px"] = full_projector.focal_length_px / scale
     texture["feature_um"] = TextureConfiguration(**texture).feature_um * scale
-    sections |= {"camera": camera, "projector": projector, "texture": texture}
+    sections |= {"camera": camera, "projector": projector, "texture": texture, "stage": dict(errors["stage"])}
     if ideal:
         sections["sensor"] = {"read_noise_grey_level": 0.0, "shot_noise_grey_level": 0.0}
     return sections

@@ -43,9 +43,20 @@ def looking_at_origin(position: Matrix) -> Matrix:
 
 
 def _pin_hole(
-    position: Matrix, rotation: Matrix, scale: tuple[float, float], principal: tuple[float, float], k1: float
+    position: Matrix, rotation: Matrix, scale: tuple[float, float], principal: tuple[float, float], lens: list[float]
 ) -> Matrix:
-    return np.concatenate([position, rotation.ravel(), scale, principal, [k1]])
+    return np.concatenate([position, rotation.ravel(), scale, principal, lens])
+
+
+def _camera_lens(camera: CameraConfiguration) -> list[float]:
+    """The lens as the ray tracing takes it; the bump's lengths are parts of the image's width."""
+    lens, width = camera.lens, camera.columns / 100
+    shift = [width * value for value in lens.bump_percent]
+    centre = [
+        0.5 * (size - 1) + width * value
+        for size, value in zip((camera.columns, camera.rows), lens.bump_centre_percent, strict=True)
+    ]
+    return [lens.k1, lens.k2, lens.p1, lens.p2, *shift, *centre, width * lens.bump_radius_percent]
 
 
 def _centre(value: float | None, size: int) -> float:
@@ -55,7 +66,8 @@ def _centre(value: float | None, size: int) -> float:
 def camera_pin_hole(camera: CameraConfiguration) -> Matrix:
     """Camera as the vector that the ray tracing takes.
 
-    The direction of pixel (r, s) is Rx(tilt_x) Ry(tilt_y) ((gamma/tau)(r - r0)/h0, -gamma (s - s0)/h0, -1).
+    Without its lens the direction of pixel (r, s) is Rx(tilt_x) Ry(tilt_y) ((gamma/tau)(r - r0)/h0, -gamma (s - s0)/h0,
+    -1).
     """
     optics = camera_optics(camera)
     scale = optics["camera_distance"] / optics["pixel_size"]
@@ -64,7 +76,7 @@ def camera_pin_hole(camera: CameraConfiguration) -> Matrix:
         rotation_x(optics["camera_tilt_x"]) @ rotation_y(optics["camera_tilt_y"]),
         (scale * optics["pixel_aspect"], scale),
         (optics["principal_column"], optics["principal_row"]),
-        0.0,
+        _camera_lens(camera),
     )
 
 
@@ -82,11 +94,11 @@ def projector_pin_hole(projector: ProjectorConfiguration) -> Matrix:
         _centre(projector.principal_row, projector.rows),
     )
     focal = projector.focal_length_px
-    return _pin_hole(position, rotation, (focal, focal), principal, projector.k1)
+    return _pin_hole(position, rotation, (focal, focal), principal, [projector.k1, *[0.0] * 7, 1.0])
 
 
 def camera_optics(camera: CameraConfiguration) -> dict[str, float]:
-    """Camera parameters [m, rad, px] under the names of fringedic_msgs/RigCalibration."""
+    """Camera parameters [m, rad, px] under the names of fringedic_msgs/RigCalibration, without the lens."""
     return {
         "camera_width": camera.columns,
         "camera_height": camera.rows,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import OrderedDict
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any, Self
@@ -14,7 +16,7 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 
 from fringedic.errors import CrossheadRangeError, ShapeMismatchError
 from fringedic.virtual_rig import exposure, tracing
-from fringedic.virtual_rig.configuration import VirtualRigConfiguration, preset
+from fringedic.virtual_rig.configuration import ReferencePlaneSpecimen, VirtualRigConfiguration, preset
 from fringedic.virtual_rig.optics import camera_optics, camera_pin_hole, projector_optics, projector_pin_hole
 from fringedic.virtual_rig.specimens import make_surface
 from fringedic.virtual_rig.texture import make_texture
@@ -94,17 +96,39 @@ class VirtualRig:
         self.configuration = configuration
         self._camera = camera_pin_hole(configuration.camera)
         self._projector = projector_pin_hole(configuration.projector)
-        self._surface = make_surface(configuration.specimen, configuration.texture, configuration.seed)
-        self._texture = make_texture(configuration.texture, self._surface.outline, configuration.seed)
+        self._surface = make_surface(
+            configuration.specimen, configuration.stage, configuration.texture, configuration.seed
+        )
+        is_plane = isinstance(configuration.specimen, ReferencePlaneSpecimen)
+        self._texture = (
+            None if is_plane else make_texture(configuration.texture, self._surface.outline, configuration.seed)
+        )
         self._views: OrderedDict[float, View] = OrderedDict()
 
     @classmethod
     def from_preset(cls, name: str, *, size: str = "full", ideal: bool = False, seed: int = 0) -> Self:
-        """A ready rig: `plate`, `skin`, `leather`, `rigid`, `plane`, `sphere` or `stepped`.
+        """A ready rig: `plate`, `skin`, `leather`, `rigid`, `plane`, `sphere`, `stepped` or `reference_plane`.
 
         `size` is `full` (1280x960, 800x600), `small` or `tiny`; `ideal` rigs are aligned and without noise.
         """
         return cls(VirtualRigConfiguration.from_dict({**preset(name, size=size, ideal=ideal), "seed": seed}))
+
+    def with_specimen(self, specimen: Mapping[str, Any]) -> Self:
+        """Return the same camera, projector, sensor and stage in front of another specimen.
+
+        Parameters
+        ----------
+        specimen
+            Entries of the section ``specimen``, with its ``kind``; such as ``{"kind": "reference_plane", "surface":
+            "grid", "angle_degree": 10.0}``.
+
+        Raises
+        ------
+        VirtualRigConfigurationError
+            An entry is unknown, missing or out of range.
+        """
+        entries = self.configuration.model_dump() | {"specimen": dict(specimen)}
+        return type(self)(VirtualRigConfiguration.from_dict(entries))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -122,12 +146,21 @@ class VirtualRig:
         return 1e-3 * self.configuration.load_frame.maximum_position_mm
 
     def optics(self) -> dict[str, Any]:
-        """The true optical parameters [m, rad, px] under the names of fringedic_msgs/RigCalibration."""
+        """The true optical parameters [m, rad, px] under the names of fringedic_msgs/RigCalibration.
+
+        The lens is not among them: `straight_pixels` tells what it does.
+        """
         return {
             "model": "general",
             **camera_optics(self.configuration.camera),
             **projector_optics(self.configuration.projector),
         }
+
+    def straight_pixels(self) -> tuple[Map, Map]:
+        """Column and row [px] at which the camera would see, without its lens, what it sees at each pixel."""
+        column, row = np.empty(self.shape), np.empty(self.shape)
+        tracing.straight_pixels(self._camera, column, row)
+        return column, row
 
     def expose(
         self, projector_image: NDArray[np.uint8], position: float, frame: int, *, exposure_factor: float = 1.0
@@ -242,8 +275,7 @@ class VirtualRig:
         for values in (X, Y, column, row, irradiance, residual):
             values[hidden] = np.nan
 
-        texture = np.empty(self.shape)
-        tracing.reflectance(self._texture, self.configuration.texture.floor, X, Y, texture)
+        texture = self._reflectance(X, Y)
         sensor = self.configuration.sensor
         full_scale = 2**sensor.bits - 1
         white = full_scale * sensor.white_level * texture
@@ -258,6 +290,20 @@ class VirtualRig:
             offset=np.where(hidden, full_scale * sensor.background, white * sensor.ambient_light).astype(np.float32),
             residual=float(np.max(residual, initial=0.0, where=~hidden)),
         )
+
+    def _reflectance(self, X: Map, Y: Map) -> Map:
+        """Of the painted specimen or of the reference plane, 1 being an unpainted specimen and 0 beside it."""
+        value = np.empty(self.shape)
+        if self._texture is not None:
+            tracing.reflectance(self._texture, self.configuration.texture.floor, X, Y, value)
+            return value
+        stage, specimen = self.configuration.stage, self.configuration.specimen
+        if isinstance(specimen, ReferencePlaneSpecimen) and specimen.surface == "grid":
+            turned, pitch = math.radians(stage.grid_turned_degree), 1e-3 * stage.grid_pitch_mm
+            blur = 1e-6 * stage.grid_blur_um if stage.grid_kind == "lines" else 0.0
+            tracing.printed_grid(stage.albedo, stage.ink, pitch, turned, blur, X, Y, value)
+            return value
+        return np.where(np.isnan(X), 0.0, stage.albedo)
 
     def _lit(self, position: float, X: Map, Y: Map, column: Map, row: Map, irradiance: Map) -> NDArray[np.bool_]:
         """Points that the projector reaches: turned towards it, and not behind other parts of the specimen.

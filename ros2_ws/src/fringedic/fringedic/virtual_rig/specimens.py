@@ -12,11 +12,15 @@ from fringedic.virtual_rig import tracing
 from fringedic.virtual_rig.configuration import (
     LeatherSpecimen,
     PlateSpecimen,
+    ReferencePlaneSpecimen,
     RigidSpecimen,
     SkinSpecimen,
+    Specimen,
+    StageConfiguration,
     TextureConfiguration,
     slope,
 )
+from fringedic.virtual_rig.optics import rotation_x, rotation_y, rotation_z
 from fringedic.virtual_rig.texture import furrow_strokes, stroke_field
 
 _MM = 1e-3
@@ -43,11 +47,10 @@ class Surface:
     relief: tracing.StrokeField
 
 
-def make_surface(
-    specimen: RigidSpecimen | PlateSpecimen | SkinSpecimen | LeatherSpecimen, texture: TextureConfiguration, seed: int
-) -> Surface:
+def make_surface(specimen: Specimen, stage: StageConfiguration, texture: TextureConfiguration, seed: int) -> Surface:
     """Turn the description of a specimen into numbers; the relief of skin follows the furrows of its texture."""
-    half_width, half_height = specimen.half_width_mm * _MM, specimen.half_height_mm * _MM
+    plate = stage if isinstance(specimen, ReferencePlaneSpecimen) else specimen
+    half_width, half_height = plate.half_width_mm * _MM, plate.half_height_mm * _MM
     outline = np.array([-half_width, half_width, -half_height, half_height])
     strokes = np.empty((0, 6))
     match specimen:
@@ -61,6 +64,8 @@ def make_surface(
             strokes[:, 5] *= -1e-6 * specimen.relief_um
         case LeatherSpecimen():
             kind, coefficients = tracing.LEATHER, _leather(specimen)
+        case ReferencePlaneSpecimen():
+            kind, coefficients = tracing.REFERENCE_PLANE, _reference_plane(specimen, stage)
     return Surface(kind, np.array(coefficients, dtype=np.float64), outline, stroke_field(strokes, outline))
 
 
@@ -123,3 +128,16 @@ def _leather(s: LeatherSpecimen) -> list[float]:
         s.curvature_per_m,
         s.lift_per_m_per_mm / _MM,
     ]
+
+
+def _reference_plane(s: ReferencePlaneSpecimen, stage: StageConfiguration) -> list[float]:
+    """Origin of the plate and the directions of its X and Y: turned about the axis first, then lifted.
+
+    A positive angle turns by -angle about the axis, which points along +y: it raises the +x side.
+    """
+    through = _MM * np.array([stage.axis_x_mm, 0.0, stage.axis_z_mm])
+    yaw, pitch = math.radians(stage.axis_yaw_degree), math.radians(stage.axis_pitch_degree)
+    axis = rotation_z(yaw) @ rotation_x(pitch)
+    turned = axis @ rotation_y(-math.radians(s.angle_degree)) @ axis.T
+    origin = through - turned @ through + [0.0, 0.0, s.height_mm * _MM]
+    return [*origin, *turned[:, 0], *turned[:, 1]]

@@ -21,7 +21,7 @@ from numba import njit, prange
 compiled = njit(cache=True, nogil=True, error_model="numpy")
 in_parallel = njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 
-RIGID, PLATE, SKIN, LEATHER = 0, 1, 2, 3
+RIGID, PLATE, SKIN, LEATHER, REFERENCE_PLANE = 0, 1, 2, 3, 4
 PLANE, SPHERE, STEPPED = 0, 1, 2
 
 # A stroke ends where its Gaussian has fallen to exp(-STROKE_REACH / 2) = 5e-5 of its height; this foot is taken off
@@ -206,6 +206,8 @@ def _leather_point(c, position, X, Y):
 
 @compiled
 def _smooth_point(kind, c, position, X, Y):
+    if kind == REFERENCE_PLANE:  # origin, direction of X, direction of Y; no load moves it
+        return c[0] + c[3] * X + c[6] * Y, c[1] + c[4] * X + c[7] * Y, c[2] + c[5] * X + c[8] * Y
     if kind == RIGID:
         return _rigid_point(c, position, X, Y)
     if kind == PLATE:
@@ -254,7 +256,8 @@ def surface_points(kind, c, relief, position, X, Y, x, y, z):
 
 # Pin-holes -----------------------------------------------------------------------------------------------------------
 # A pin-hole is a vector: position (3), rotation row-major (9; columns right, up, backwards), scale along columns and
-# rows [px], principal column and row, k1. The camera and the projector are the same kind of thing.
+# rows [px], principal column and row, lens (k1, k2, p1, p2; bump: shift along columns and rows, centre, radius [px]).
+# The camera and the projector are the same kind of thing.
 
 
 @compiled
@@ -267,21 +270,67 @@ def _into_frame(p, x, y, z):
 
 
 @compiled
+def _through_lens(p, m, n):
+    """Column and row of the direction (m right, n up), and their derivatives by m and by n.
+
+    Brown's lens in OpenCV's terms, whose y is -n, then a shift that falls off as a Gaussian around a place of the
+    image.
+    """
+    y = -n
+    square = m * m + y * y
+    radial = 1.0 + square * (p[16] + square * p[17])
+    growth = 2.0 * p[16] + 4.0 * p[17] * square  # radial changes by growth * (m dm + y dy)
+    column = p[14] + p[12] * (m * radial + 2.0 * p[18] * m * y + p[19] * (square + 2.0 * m * m))
+    row = p[15] + p[13] * (y * radial + p[18] * (square + 2.0 * y * y) + 2.0 * p[19] * m * y)
+    column_m = p[12] * (radial + m * m * growth + 2.0 * p[18] * y + 6.0 * p[19] * m)
+    column_y = p[12] * (m * y * growth + 2.0 * p[18] * m + 2.0 * p[19] * y)
+    row_m = p[13] * (m * y * growth + 2.0 * p[18] * m + 2.0 * p[19] * y)
+    row_y = p[13] * (radial + y * y * growth + 6.0 * p[18] * y + 2.0 * p[19] * m)
+    if p[20] != 0.0 or p[21] != 0.0:
+        dc, dr = (column - p[22]) / p[24], (row - p[23]) / p[24]
+        bump = math.exp(-0.5 * (dc * dc + dr * dr))
+        fall_m = -bump * (dc * column_m + dr * row_m) / p[24]
+        fall_y = -bump * (dc * column_y + dr * row_y) / p[24]
+        column, row = column + p[20] * bump, row + p[21] * bump
+        column_m, column_y = column_m + p[20] * fall_m, column_y + p[20] * fall_y
+        row_m, row_y = row_m + p[21] * fall_m, row_y + p[21] * fall_y
+    return column, row, column_m, -column_y, row_m, -row_y
+
+
+@compiled
 def project(p, x, y, z):
     """Column and row at which a pin-hole sees (or lights) a point."""
     qx, qy, qz = _into_frame(p, x - p[0], y - p[1], z - p[2])
-    m = -qx / qz
-    n = -qy / qz
-    bend = 1.0 + p[16] * (m * m + n * n)
-    return p[14] + p[12] * m * bend, p[15] - p[13] * n * bend
+    column, row, _, _, _, _ = _through_lens(p, -qx / qz, -qy / qz)
+    return column, row
 
 
 @compiled
 def _project_tangent(p, x, y, z, tx, ty, tz):
-    """Change of column and row when an undistorted pin-hole's point (x, y, z) moves along (tx, ty, tz)."""
+    """Change of column and row when a pin-hole's point (x, y, z) moves along (tx, ty, tz)."""
     qx, qy, qz = _into_frame(p, x - p[0], y - p[1], z - p[2])
     dx, dy, dz = _into_frame(p, tx, ty, tz)
-    return p[12] * (qx * dz / qz - dx) / qz, -p[13] * (qy * dz / qz - dy) / qz
+    dm, dn = (qx * dz / qz - dx) / qz, (qy * dz / qz - dy) / qz
+    _, _, column_m, column_n, row_m, row_n = _through_lens(p, -qx / qz, -qy / qz)
+    return column_m * dm + column_n * dn, row_m * dm + row_n * dn
+
+
+@in_parallel
+def straight_pixels(p, column, row):
+    """Where a pin-hole without its lens would see what it sees at each pixel, by Newton's iteration."""
+    for i in prange(column.shape[0]):
+        for j in range(column.shape[1]):
+            m, n = (j - p[14]) / p[12], (p[15] - i) / p[13]
+            for _ in range(50):
+                seen_c, seen_r, cm, cn, rm, rn = _through_lens(p, m, n)
+                dc, dr = j - seen_c, i - seen_r
+                determinant = cm * rn - cn * rm
+                m += (dc * rn - dr * cn) / determinant
+                n += (dr * cm - dc * rm) / determinant
+                if abs(dc) + abs(dr) < CONVERGED:
+                    break
+            column[i, j] = p[14] + p[12] * m
+            row[i, j] = p[15] - p[13] * n
 
 
 @in_parallel
@@ -444,3 +493,36 @@ def reflectance(texture, floor, X, Y, value):
                 value[i, j] = 0.0
             else:
                 value[i, j] = floor + (1.0 - floor) * math.exp(-stroke_sum(texture, X[i, j], Y[i, j])[0])
+
+
+@compiled
+def _bars(position, pitch, blur):
+    """Dark bars that are half of the pitch wide, centred on 0, seen through a Gaussian blur: 0 dark, 1 white."""
+    nearest = position - pitch * math.floor(position / pitch + 0.5)
+    white = 1.0
+    k = math.sqrt(0.5) / blur
+    for bar in range(-2, 3):
+        from_left, from_right = nearest - (bar - 0.25) * pitch, nearest - (bar + 0.25) * pitch
+        white -= 0.5 * (math.erf(from_left * k) - math.erf(from_right * k))
+    return white
+
+
+@in_parallel
+def printed_grid(white, ink, pitch, turn, blur, X, Y, value):
+    """Reflectance of a grid printed on the plane: crossed bars of half the pitch, or with ``blur`` 0 crossed cosines.
+
+    ``turn`` [rad] is counter-clockwise as the camera sees it; ``ink`` is the reflectance of the print.
+    """
+    c, s = math.cos(turn), math.sin(turn)
+    for i in prange(X.shape[0]):
+        for j in range(X.shape[1]):
+            if math.isnan(X[i, j]):
+                value[i, j] = 0.0
+                continue
+            a, b = c * X[i, j] + s * Y[i, j], c * Y[i, j] - s * X[i, j]
+            if blur > 0.0:
+                bright = _bars(a, pitch, blur) * _bars(b, pitch, blur)
+            else:
+                k = 2.0 * math.pi / pitch
+                bright = 0.25 * (1.0 - math.cos(k * a)) * (1.0 - math.cos(k * b))
+            value[i, j] = ink + (white - ink) * bright
