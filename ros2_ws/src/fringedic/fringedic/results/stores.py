@@ -143,7 +143,7 @@ class ZarrStore:
         shape = tuple(sizes[dimension] for dimension in dimensions)
         # one map per chunk; what has one value per step shares a chunk
         chunks = (1, *shape[1:]) if dimensions == MAP_DIMENSIONS else tuple(max(size, 1024) for size in shape)
-        fill: Any = {"f4": np.nan, "f8": np.nan, "i8": 0, TEXT: ""}[dtype]
+        fill = np.nan if dtype in ("f4", "f8") else None  # what equals it is read as missing: no number or text may be
         array = self._group.create_array(
             name, shape=shape, dtype=str if dtype == TEXT else dtype, chunks=chunks, fill_value=fill
         )
