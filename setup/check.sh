@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# What `make test` runs in the environment that set-up has made: style, types, then every test.
+# What `make test` runs in the environment that set-up has made: style, types, then every test. The tests that need
+# system packages run where these are; `make test-hardware` asks for them.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -7,4 +8,9 @@ export ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST OPENBLA
 ruff check .
 ruff format --check .
 mypy
-python -m pytest "$@"
+if setup/hardware.sh; then
+    python -m pytest "$@"
+else
+    echo "without these the tests of real devices are left out; make test-hardware runs them alone" >&2
+    python -m pytest -m "not hardware" "$@"
+fi

@@ -4,7 +4,7 @@
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")"
 
-for kind in ros stock; do
+for kind in ros stock hardware; do
     uv pip compile --no-config --default-index https://pypi.org/simple --no-emit-index-url --no-header --no-annotate --quiet \
         --universal --python-version 3.11 --fork-strategy fewest --generate-hashes \
         "requirements-$kind.in" --output-file "requirements-$kind.lock" "$@"

@@ -9,7 +9,7 @@ cd "$root"
 venv=$root/.venv
 stamps=$venv/stamps
 log=$root/setup.log
-needed_mb=3000 # 1.4 GB stay; pip downloads and unpacks beside them
+needed_mb=4000 # 2 GB stay; pip downloads and unpacks beside them
 
 stop() {
     printf 'set-up: %s\n' "$1" >&2

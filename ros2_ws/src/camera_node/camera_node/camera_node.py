@@ -11,7 +11,17 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.timer import Timer
 from sensor_msgs.msg import CameraInfo, Image
 
-from camera_node.drivers import Driver, FilesDriver, Frame, Scene, VirtualDriver
+from camera_node.drivers import (
+    AravisDriver,
+    AravisSettings,
+    Driver,
+    FilesDriver,
+    Frame,
+    Scene,
+    StreamingDriver,
+    Trigger,
+    VirtualDriver,
+)
 from camera_node.drivers.virtual import TruthFile
 from fringedic.errors import CameraError, FringedicError, WaitTimeoutError
 from fringedic.sequence import FrameRecord, PatternKind, Projection, projection_of
@@ -31,12 +41,15 @@ FRAME_ID = "camera_optical_frame"
 Request = CaptureFrame.Request
 _TRUTH_TIMEOUT_S = 10.0
 _BUFFERS = 4  # exposures of the free run that may be under way, as in a camera driver
+_LOST_CAMERA_PAUSE_S = 0.05  # between attempts to take a frame
 
 
 class CameraParameters(HardwareParameters):
     """Parameters of the camera node."""
 
-    source: Literal["virtual", "files"] = Field("virtual", description="Where frames come from.")
+    source: Literal["virtual", "files", "aravis"] = Field(
+        "virtual", description="Where frames come from; aravis: a GigE Vision or USB3 Vision camera."
+    )
     exposure_time_s: float = Field(0.01, gt=0, le=60, description="Exposure time [s].")
     settle_time_s: float = Field(
         0.0, ge=0, le=60, description="From the pattern on the screen to the start of the exposure [s]."
@@ -56,12 +69,43 @@ class CameraParameters(HardwareParameters):
     )
     files: str = Field("", description="Images of the source `files`: a folder, or a pattern such as `folder/*.tif`.")
     repeat: bool = Field(False, description="Source `files`: begin again after the last image.")
+    camera: str = Field(
+        "", description="Source `aravis`: identifier or network address of the camera; empty: the only one there is."
+    )
+    pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono16"] = Field(
+        "Mono8", description="Source `aravis`: depth of the pixels."
+    )
+    region_px: list[int] = Field(
+        [], description="Source `aravis`: first column, first row, width and height [px]; empty: the whole sensor."
+    )
+    gain_db: float = Field(0.0, ge=-100, le=100, description="Source `aravis`: gain, when the camera has one [dB].")
+    trigger: Trigger = Field(Trigger.SOFTWARE, description="Source `aravis`: what begins an exposure.")
+    trigger_line: str = Field("Line1", description="Source `aravis`: input of the external triggers.")
+    packet_size_byte: int = Field(
+        0, ge=0, le=65535, description="Source `aravis`: network packets [byte]; 0 finds the largest that passes."
+    )
 
     @model_validator(mode="after")
     def _files_are_named(self) -> Self:
         if self.source == "files" and not self.files:
             raise ValueError("source files needs the parameter files: a folder of images")
+        if len(self.region_px) not in (0, 4):
+            raise ValueError("region_px needs four numbers: first column, first row, width, height")
         return self
+
+    def aravis(self) -> AravisSettings:
+        """The settings of a GenICam camera."""
+        return AravisSettings(
+            camera=self.camera,
+            exposure_time=self.exposure_time_s,
+            gain=self.gain_db,
+            pixel_format=self.pixel_format,
+            region=(*self.region_px,) if self.region_px else None,  # type: ignore[arg-type]
+            trigger=self.trigger,
+            trigger_line=self.trigger_line,
+            packet_size=self.packet_size_byte,
+            timeout=self.timeout_s / 2,
+        )
 
 
 class NoSubscriberError(FringedicError, LookupError):
@@ -78,8 +122,10 @@ class CameraNode(HardwareNode[CameraParameters]):
         self._truth: TruthFile | None = None
         self._truth_experiment = ""
         self._free_run: Timer | None = None
+        self._streaming = False
         self._free_run_index = 0
         self._dropped = 0
+        self._dropped_before = 0  # by the driver, when the free run began
         self._stamp_ns = 0
         self._pattern: Image | None = None
         self._load: LoadState | None = None
@@ -101,17 +147,23 @@ class CameraNode(HardwareNode[CameraParameters]):
         parameters = self.parameters.value
         if parameters.source == "files":
             self._driver = FilesDriver(parameters.files, repeat=parameters.repeat)
+        elif parameters.source == "aravis":
+            self._driver = AravisDriver(parameters.aravis())
         else:
             self._driver = VirtualDriver(virtual_configuration(parameters.virtual_rig))
 
     def activate(self) -> None:
         """Begin the free run, when one is asked for."""
         self._free_run_index = 0
-        if self.parameters.value.frame_rate_hz > 0:
+        self._dropped_before = 0 if self._driver is None else self._driver.dropped
+        rate = self.parameters.value.frame_rate_hz
+        if rate > 0 and isinstance(self._driver, StreamingDriver):
+            self._driver.start(rate)
+            self._streaming = True
+            self._worker.submit(self._stream, self._driver)
+        elif rate > 0:
             self._free_run = self.create_timer(
-                1 / self.parameters.value.frame_rate_hz,
-                self._expose_freely,
-                callback_group=MutuallyExclusiveCallbackGroup(),
+                1 / rate, self._expose_freely, callback_group=MutuallyExclusiveCallbackGroup()
             )
 
     def deactivate(self) -> None:
@@ -119,6 +171,12 @@ class CameraNode(HardwareNode[CameraParameters]):
         if self._free_run is not None:
             self.destroy_timer(self._free_run)
             self._free_run = None
+        if self._streaming:
+            self._streaming = False
+            self._worker.stop(self.parameters.value.timeout_s)
+            self._worker = Worker(self)
+            assert isinstance(self._driver, StreamingDriver), "only such a camera streams"
+            self._driver.stop()
 
     def close(self) -> None:
         """Give the camera back; what is still to be written of the truth is written first."""
@@ -197,7 +255,7 @@ class CameraNode(HardwareNode[CameraParameters]):
     def _check(self, request: CaptureFrame.Request) -> None:
         if not self.active:
             raise CameraError("the camera is not active; configure and activate it")
-        if self._free_run is not None:
+        if self._free_run is not None or self._streaming:
             raise CameraError("the camera runs freely; set frame_rate_hz to 0 and activate it again")
         if request.index >= request.count:
             raise CameraError(f"index {request.index} is not below the count {request.count}")
@@ -253,7 +311,7 @@ class CameraNode(HardwareNode[CameraParameters]):
         exposure = exposure_message(record, frame_id=FRAME_ID)
         exposure.header = image.header
         exposure.exposure_time = self.parameters.value.exposure_time_s
-        exposure.dropped = self._dropped
+        exposure.dropped = self._dropped + (0 if self._driver is None else self._driver.dropped)
         self._images.publish(image)
         self._infos.publish(CameraInfo(header=image.header, height=image.height, width=image.width))
         self._exposures.publish(exposure)
@@ -279,21 +337,41 @@ class CameraNode(HardwareNode[CameraParameters]):
         self._worker.submit(self._take_free_frame, self._free_run_index)
         self._free_run_index += 1
 
-    def _take_free_frame(self, index: int) -> None:
+    def _take_free_frame(self, number: int) -> None:
         """Take and publish one frame of the free run; in the worker's thread."""
-        assert self._driver is not None, "an active camera has a driver"
         pattern = None if self._pattern is None else image_array(self._pattern)
         position = 0.0 if self._load is None else self._load.position
-        try:
-            frame = self._driver.expose(Scene(self.get_clock().now().nanoseconds, pattern, position))
-        except FringedicError as error:
+        if not self._publish_free_frame(Scene(self.get_clock().now().nanoseconds, pattern, position), number):
             self._dropped += 1
             self.diagnostics.drop()
+
+    def _stream(self, driver: StreamingDriver) -> None:
+        """Take the frames of a camera that runs by its own clock; in the worker's thread."""
+        taken = 0
+        while self._streaming:
+            dropped = driver.dropped
+            if self._publish_free_frame(Scene(self.get_clock().now().nanoseconds, None, 0.0), taken):
+                taken += 1
+            else:
+                time.sleep(_LOST_CAMERA_PAUSE_S)
+            if driver.dropped > dropped:
+                self.diagnostics.drop(driver.dropped - dropped)
+            self.diagnostics.tell("camera_clock_drift_ppm", f"{1e6 * driver.drift:.1f}")
+
+    def _publish_free_frame(self, scene: Scene, number: int) -> bool:
+        """Expose and publish; False, and an error in the diagnostics, when there is no frame."""
+        assert self._driver is not None, "an active camera has a driver"
+        try:
+            frame = self._driver.expose(scene)
+        except FringedicError as error:
             self.diagnostics.failure(str(error))
             self.get_logger().error(str(error), throttle_duration_sec=1.0)
-            return
+            return False
+        # frames that the camera exposed and that did not arrive count as well
+        index = number + self._driver.dropped - self._dropped_before
         self._publish(frame, FrameRecord("", 0, index, 0, Projection(PatternKind.OTHER), 0, 0.0, 0))
         self.diagnostics.success()
+        return True
 
 
 def _record(request: CaptureFrame.Request) -> FrameRecord:

@@ -28,6 +28,7 @@ class NodeDiagnostics:
         self._drops = 0
         self._reported_drops = 0
         self._last_error = ""
+        self._told: dict[str, str] = {}
         self._failing = False
         self._period_start = time.monotonic()
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", DIAGNOSTICS)
@@ -44,6 +45,11 @@ class NodeDiagnostics:
         """Units of work were lost."""
         with self._lock:
             self._drops += count
+
+    def tell(self, key: str, value: str) -> None:
+        """Something else that is worth knowing of this node; replaces what was told under this key."""
+        with self._lock:
+            self._told[key] = value
 
     def failure(self, message: str) -> None:
         """The last unit of work failed."""
@@ -65,6 +71,7 @@ class NodeDiagnostics:
                     KeyValue(key="latency_s", value=f"{self._latency_s:.3g}"),
                     KeyValue(key="drops", value=str(self._drops)),
                     KeyValue(key="last_error", value=self._last_error),
+                    *(KeyValue(key=key, value=value) for key, value in self._told.items()),
                 ],
             )
             if self._failing:

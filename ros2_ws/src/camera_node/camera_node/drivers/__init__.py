@@ -1,7 +1,18 @@
 """Camera drivers without ROS: each turns one call into one frame."""
 
-from camera_node.drivers.driver import Driver, Frame, Scene
+from camera_node.drivers.aravis import AravisDriver, AravisSettings, Trigger
+from camera_node.drivers.driver import Driver, Frame, Scene, StreamingDriver
 from camera_node.drivers.files import FilesDriver
 from camera_node.drivers.virtual import VirtualDriver
 
-__all__ = ["Driver", "FilesDriver", "Frame", "Scene", "VirtualDriver"]
+__all__ = [
+    "AravisDriver",
+    "AravisSettings",
+    "Driver",
+    "FilesDriver",
+    "Frame",
+    "Scene",
+    "StreamingDriver",
+    "Trigger",
+    "VirtualDriver",
+]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -50,9 +50,12 @@ class Driver(Protocol):
     ----------
     needs_scene
         The camera is virtual: the scene has to be put together before the exposure.
+    dropped
+        Frames that were exposed and did not arrive, or not completely, since the camera was opened.
     """
 
     needs_scene: bool
+    dropped: int
 
     def expose(self, scene: Scene) -> Frame:
         """Take one frame that begins now.
@@ -66,4 +69,28 @@ class Driver(Protocol):
 
     def close(self) -> None:
         """Give the camera back."""
+        ...
+
+
+@runtime_checkable
+class StreamingDriver(Driver, Protocol):
+    """A camera that can expose by its own clock."""
+
+    def start(self, rate_hz: float) -> None:
+        """Expose at a rate [Hz] from now on; `expose` then gives one frame after the other, as they come.
+
+        Raises
+        ------
+        CameraError
+            The camera does not offer this rate.
+        """
+        ...
+
+    def stop(self) -> None:
+        """End what `start` began."""
+        ...
+
+    @property
+    def drift(self) -> float:
+        """How much faster this computer's clock runs than the camera's [s/s]; NaN when it cannot be told."""
         ...

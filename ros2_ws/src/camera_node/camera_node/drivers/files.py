@@ -36,6 +36,7 @@ class FilesDriver:
     """
 
     needs_scene = False
+    dropped = 0
 
     def __init__(self, files: str, *, repeat: bool) -> None:
         place = Path(files)

@@ -17,6 +17,7 @@ class VirtualDriver:
     """Camera of the digital twin. Frames are numbered from 0 on; the number and the rig's seed decide the noise."""
 
     needs_scene = True
+    dropped = 0
 
     def __init__(self, configuration: VirtualRigConfiguration) -> None:
         self.rig = VirtualRig(configuration)
