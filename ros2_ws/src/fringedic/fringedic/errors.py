@@ -45,6 +45,10 @@ class CalibrationPlanesError(FringedicError, ValueError):
     """There are too few calibration planes, or they do not differ."""
 
 
+class CalibrationStateError(FringedicError, RuntimeError):
+    """A part of a calibration is asked for before what it needs has been measured."""
+
+
 class CameraError(FringedicError, RuntimeError):
     """The camera cannot deliver a frame."""
 
@@ -117,6 +121,10 @@ class ImageTypeError(FringedicError, TypeError):
     """The pixels of an image are not real numbers."""
 
 
+class IncrementError(FringedicError, ValueError):
+    """Increments of a displacement do not fit together."""
+
+
 class InvalidCalibrationError(FringedicError, ValueError):
     """A rig parameter has no meaning, or a parameter is missing."""
 
@@ -127,6 +135,10 @@ class InvalidDistortionError(FringedicError, ValueError):
 
 class InvalidPatternError(FringedicError, ValueError):
     """A pattern is asked for that a projector cannot show or that no phase can be measured from."""
+
+
+class InvalidResponseError(FringedicError, ValueError):
+    """A response curve is not one, or the images do not tell it."""
 
 
 class InvalidSequenceError(FringedicError, ValueError):
@@ -165,6 +177,10 @@ class ParameterError(FringedicError, ValueError):
     """A node parameter has a value that is not allowed."""
 
 
+class ProbeError(FringedicError, ValueError):
+    """A probe on a result measures nothing or is described wrongly."""
+
+
 class RaysMissingError(FringedicError, LookupError):
     """A shape does not tell the lines of sight that it was measured along."""
 
@@ -189,12 +205,20 @@ class ShapeMismatchError(FringedicError, ValueError):
     """Two arrays that belong together differ in size."""
 
 
+class SpecimenFrameError(FringedicError, ValueError):
+    """Points do not define a frame of the specimen."""
+
+
 class StartError(FringedicError, RuntimeError):
     """A node or device cannot start."""
 
 
 class StepFailedError(FringedicError, RuntimeError):
     """A load step or a movement of the machine ended with an error code."""
+
+
+class StrainMeasureError(FringedicError, ValueError):
+    """A measure of strain is unknown."""
 
 
 class TexturelessImageError(FringedicError, ValueError):

@@ -1,0 +1,192 @@
+"""Least-squares planes in a moving window: slopes of fields over (x, y), and what noise does to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numba import njit, prange
+
+from fringedic.errors import InvalidWindowError
+from fringedic.rig import pixel_positions
+
+_BLOCK = 64  # rows that share running sums; fixed, so that results do not depend on the number of threads
+_MINIMUM_COVERAGE = 0.5  # of a window, measured
+
+
+@dataclass(frozen=True)
+class Planes:
+    """Planes fitted around every point, NaN where the point or more than half of the window is not measured.
+
+    Attributes
+    ----------
+    slopes : (field, 2, row, column)
+        Derivatives of the fields by x and y.
+    white : (3, row, column)
+        Variances of the slopes by x and y and their covariance for errors of variance 1 that are independent from
+        point to point [1/m^2].
+    means : (number, row, column)
+        Means over the window of the fields that were only to be averaged, where they are known.
+    half : (rows, columns)
+        Half-width of the window in points.
+    spacing : (rows, columns)
+        Distance of the points [px].
+    """
+
+    slopes: np.ndarray
+    white: np.ndarray
+    means: np.ndarray
+    half: tuple[int, int]
+    spacing: tuple[float, float]
+
+    @property
+    def width_px(self) -> tuple[float, float]:
+        """Distance between the first and the last point of a window along rows and columns [px]."""
+        return 2 * self.half[0] * self.spacing[0], 2 * self.half[1] * self.spacing[1]
+
+
+def fit_planes(cloud: xr.Dataset, names: tuple[str, ...], window: int, averaged: tuple[str, ...] = ()) -> Planes:
+    """Fit planes over ``x`` and ``y`` of a cloud to its fields `names`, and average the squares of the fields `averaged`.
+
+    Parameters
+    ----------
+    window
+        Width of the window [px of the reference image].
+
+    Raises
+    ------
+    InvalidWindowError
+        When the window holds fewer than 3 x 3 points.
+    """
+    rows, columns = pixel_positions(cloud, cloud["x"].shape)
+    half, spacing = zip(*(_half_width(window, positions) for positions in (rows, columns)), strict=True)
+    arrays = [np.asarray(cloud[name]) for name in ("x", "y", *names)]
+    kind = np.result_type(np.float32, *arrays)
+    fields = np.stack([np.asarray(each, kind) for each in arrays])
+    squared = np.empty((len(averaged), *fields.shape[1:]), kind)
+    for target, name in zip(squared, averaged, strict=True):
+        np.square(np.asarray(cloud[name], kind), out=target)
+    # sums of squares keep their digits around the middle; slopes do not depend on it
+    with np.errstate(invalid="ignore"):
+        middle = np.array([np.nanmean(each[::8, ::8].astype(float)) if each.size else 0.0 for each in fields])
+    middle[~np.isfinite(middle)] = 0.0
+    slopes = np.empty((len(names), 2, *fields.shape[1:]), kind)
+    white = np.empty((3, *fields.shape[1:]), kind)
+    means = np.empty((len(averaged), *fields.shape[1:]), kind)
+    _fit(fields, squared, middle, half[0], half[1], slopes, white, means)
+    return Planes(slopes, white, means, half, spacing)
+
+
+def _half_width(window: int, positions: np.ndarray) -> tuple[int, float]:
+    spacing = float(positions[1] - positions[0]) if len(positions) > 1 else 1.0
+    half = round((window - 1) / 2 / spacing)
+    if half < 1:
+        raise InvalidWindowError(
+            f"a window of {window} px holds fewer than 3 points at a spacing of {spacing:g} px: widen it"
+        )
+    return half, spacing
+
+
+@njit(cache=True, nogil=True)
+def _add_row(
+    fields: np.ndarray, squared: np.ndarray, middle: np.ndarray, row: int, sign: float, sums: np.ndarray
+) -> None:
+    """Add what a row gives to the sums (column, quantity).
+
+    Quantities are the number of points, x, y, xx, xy, yy, then f, xf, yf of each field, then number and sum of each
+    averaged field.
+    """
+    count, _, columns = fields.shape
+    for column in range(columns):
+        known = True
+        for k in range(count):
+            known = known and np.isfinite(fields[k, row, column])
+        if not known:
+            continue
+        x, y = fields[0, row, column] - middle[0], fields[1, row, column] - middle[1]
+        sums[column, 0] += sign
+        sums[column, 1] += sign * x
+        sums[column, 2] += sign * y
+        sums[column, 3] += sign * x * x
+        sums[column, 4] += sign * x * y
+        sums[column, 5] += sign * y * y
+        for k in range(count - 2):
+            f = sign * (fields[k + 2, row, column] - middle[k + 2])
+            sums[column, 6 + 3 * k] += f
+            sums[column, 7 + 3 * k] += x * f
+            sums[column, 8 + 3 * k] += y * f
+        at = 3 * count
+        for k in range(len(squared)):
+            if np.isfinite(squared[k, row, column]):
+                sums[column, at + 2 * k] += sign
+                sums[column, at + 2 * k + 1] += sign * squared[k, row, column]
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _fit(
+    fields: np.ndarray,
+    squared: np.ndarray,
+    middle: np.ndarray,
+    half_rows: int,
+    half_columns: int,
+    slopes: np.ndarray,
+    white: np.ndarray,
+    means: np.ndarray,
+) -> None:
+    count, rows, columns = fields.shape
+    quantities = 3 * count + 2 * len(squared)
+    enough = _MINIMUM_COVERAGE * (2 * half_rows + 1) * (2 * half_columns + 1)
+    for block in prange((rows + _BLOCK - 1) // _BLOCK):
+        sums = np.zeros((columns, quantities))
+        total = np.empty(quantities)
+        first = block * _BLOCK
+        last = min(first + _BLOCK, rows)
+        for row in range(max(first - half_rows, 0), min(first + half_rows, rows)):
+            _add_row(fields, squared, middle, row, 1.0, sums)
+        for row in range(first, last):
+            if row + half_rows < rows:
+                _add_row(fields, squared, middle, row + half_rows, 1.0, sums)
+            if row > first and row - half_rows - 1 >= 0:
+                _add_row(fields, squared, middle, row - half_rows - 1, -1.0, sums)
+            total[:] = 0.0
+            for column in range(min(half_columns, columns)):
+                for k in range(quantities):
+                    total[k] += sums[column, k]
+            for column in range(columns):
+                if column + half_columns < columns:
+                    for k in range(quantities):
+                        total[k] += sums[column + half_columns, k]
+                if column - half_columns - 1 >= 0:
+                    for k in range(quantities):
+                        total[k] -= sums[column - half_columns - 1, k]
+                known = True
+                for k in range(count):
+                    known = known and np.isfinite(fields[k, row, column])
+                number = total[0]
+                if not known or number < enough:
+                    slopes[:, :, row, column] = np.nan
+                    white[:, row, column] = np.nan
+                    means[:, row, column] = np.nan
+                    continue
+                x, y = total[1] / number, total[2] / number
+                xx = total[3] / number - x * x
+                xy = total[4] / number - x * y
+                yy = total[5] / number - y * y
+                determinant = xx * yy - xy * xy
+                for k in range(count - 2):
+                    f = total[6 + 3 * k] / number
+                    xf = total[7 + 3 * k] / number - x * f
+                    yf = total[8 + 3 * k] / number - y * f
+                    slopes[k, 0, row, column] = (yy * xf - xy * yf) / determinant
+                    slopes[k, 1, row, column] = (xx * yf - xy * xf) / determinant
+                white[0, row, column] = yy / (number * determinant)
+                white[1, row, column] = xx / (number * determinant)
+                white[2, row, column] = -xy / (number * determinant)
+                for k in range(len(squared)):
+                    at = 3 * count + 2 * k
+                    # what remains of the sums where nothing is known is rounding
+                    if total[at] > 0.5:
+                        means[k, row, column] = max(total[at + 1] / total[at], 0.0)
+                    else:
+                        means[k, row, column] = np.nan

@@ -1,0 +1,270 @@
+"""A shape made ready for coupling: its height smoothed, and where the surface runs on without a tear."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import xarray as xr
+from numba import njit, prange
+
+from fringedic.errors import InvalidWindowError, RaysMissingError, ShapeMismatchError
+from fringedic.rig import RigModel, pixel_positions
+
+JUMP = 6.0  # standard deviations of a third difference beyond which a surface is torn
+_REACH = 3.0  # half-width of the Gaussian filter in standard deviations
+
+
+class PreparedShape:
+    """A shape prepared once for many couplings.
+
+    Parameters
+    ----------
+    shape
+        From `RigModel.reconstruct`, whole image or crop with unit steps of ``row`` and ``column``; used are ``x``,
+        ``y``, ``z`` and ``sigma_z`` [m].
+    z_filter
+        As in `couple`.
+    calibration
+        Where the camera's distance comes from; without, from the attribute ``camera_distance`` of the shape.
+
+    Attributes
+    ----------
+    rows, columns : (row,), (column,)
+        Pixel positions.
+    rays : (2, row, column)
+        Slope of each pixel's line of sight: x = ray_x (z - h0), y = ray_y (z - h0).
+    z, variance : (row, column)
+        Smoothed height [m] and its variance [m^2].
+    right, down : (row, column) bool
+        The surface runs on from this pixel to the next one of its row, of its column.
+    camera_distance
+        h0, height of the camera's pin-hole [m].
+    z_filter
+        Standard deviation of the Gaussian [px].
+
+    Raises
+    ------
+    RaysMissingError
+        When neither a calibration nor the attributes tell the camera's distance.
+    ShapeMismatchError
+        When x, y or sigma_z differ in size from z.
+    InvalidWindowError
+        When the filter is negative or no number.
+    """
+
+    def __init__(self, shape: xr.Dataset, *, z_filter: float = 0.0, calibration: RigModel | None = None) -> None:
+        kernel = gaussian(z_filter)
+        self.z_filter = z_filter
+        self.camera_distance = _camera_distance(shape, calibration)
+        self.rows, self.columns = pixel_positions(shape, shape["z"].shape)
+        z = np.ascontiguousarray(shape["z"], np.float32)
+        x, y, sigma = (np.ascontiguousarray(shape[name], np.float32) for name in ("x", "y", "sigma_z"))
+        for name, each in (("x", x), ("y", y), ("sigma_z", sigma)):
+            if each.shape != z.shape:
+                raise ShapeMismatchError(f"{name} of shape {each.shape} for z of shape {z.shape}")
+        self.rays = np.empty((2, *z.shape), np.float32)
+        variance = np.empty_like(z)
+        _rays(x, y, z, sigma, self.camera_distance, self.rays, variance)
+        # neither what the sigmas do not know of (speckle seen through blur) nor the relief of one pixel is a tear
+        roughness = max(_roughness(z), _roughness(z.T), self._pixel_size() / JUMP)
+        self.right, self.down = np.zeros(z.shape, np.bool_), np.zeros(z.shape, np.bool_)
+        _runs_on(z, variance, np.float32(roughness), self.right, self.down)
+        if len(kernel) > 1:
+            z, variance = _smooth(z, variance, self.right, self.down, kernel.astype(np.float32))
+        self.z, self.variance = z, variance
+
+    def _pixel_size(self) -> float:
+        """Return the width of a column on the reference plane [m], 0 when no two neighbours are measured."""
+        steps = np.diff(self.rays[0, :: max(1, len(self.rows) // 50)], axis=-1)
+        steps = steps[np.isfinite(steps)]
+        return self.camera_distance * abs(float(np.median(steps))) if len(steps) else 0.0
+
+
+def _camera_distance(shape: xr.Dataset, calibration: RigModel | None) -> float:
+    if calibration is not None:
+        return calibration.camera_distance
+    try:
+        return float(shape.attrs["camera_distance"])
+    except KeyError:
+        raise RaysMissingError(
+            "the shape has no attribute camera_distance: give the calibration it was made with"
+        ) from None
+
+
+def gaussian(width: float) -> np.ndarray:
+    """Return one half of a Gaussian from its centre on, not normalised; its centre alone for no filter."""
+    if not math.isfinite(width) or width < 0:
+        raise InvalidWindowError(f"z_filter is {width}: give its standard deviation in pixels, 0 for none")
+    if width == 0:
+        return np.ones(1)
+    return np.exp(-0.5 * (np.arange(math.ceil(_REACH * width) + 1) / width) ** 2)
+
+
+def _roughness(z: np.ndarray) -> float:
+    """Return the robust standard deviation of third differences along rows, 0 when there are none."""
+    sample = z[:: max(1, len(z) // 100)]
+    difference = np.abs(sample[:, 3:] - sample[:, :-3] - 3 * (sample[:, 2:-1] - sample[:, 1:-2]))
+    difference = difference[np.isfinite(difference)]
+    return 1.4826 * float(np.median(difference)) if len(difference) else 0.0
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _rays(
+    x: np.ndarray,
+    y: np.ndarray,
+    z: np.ndarray,
+    sigma: np.ndarray,
+    camera_distance: float,
+    rays: np.ndarray,
+    variance: np.ndarray,
+) -> None:
+    for i in prange(z.shape[0]):
+        for j in range(z.shape[1]):
+            depth = z[i, j] - camera_distance
+            rays[0, i, j] = x[i, j] / depth
+            rays[1, i, j] = y[i, j] / depth
+            variance[i, j] = sigma[i, j] * sigma[i, j]
+
+
+@njit(cache=True, nogil=True)
+def _small(
+    a: np.float32, b: np.float32, c: np.float32, d: np.float32, inner: np.float32, outer: np.float32, floor: np.float32
+) -> bool:
+    """Tell whether the third difference of four heights is small against its noise."""
+    third = d - a - np.float32(3) * (c - b)
+    noise = outer + np.float32(9) * inner
+    # a noise that is not known, NaN, is not larger either
+    noise = noise if noise > floor else floor
+    return third * third <= np.float32(JUMP * JUMP) * noise
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _runs_on(z: np.ndarray, variance: np.ndarray, roughness: np.float32, right: np.ndarray, down: np.ndarray) -> None:
+    """Tell for each pixel whether the surface runs on to the next one, judged by four pixels; starts from False."""
+    rows, columns = z.shape
+    floor = roughness * roughness
+    for i in prange(rows):
+        for j in range(1, columns - 2):
+            right[i, j] = _small(
+                z[i, j - 1],
+                z[i, j],
+                z[i, j + 1],
+                z[i, j + 2],
+                variance[i, j] + variance[i, j + 1],
+                variance[i, j - 1] + variance[i, j + 2],
+                floor,
+            )
+        if 1 <= i < rows - 2:
+            for j in range(columns):
+                down[i, j] = _small(
+                    z[i - 1, j],
+                    z[i, j],
+                    z[i + 1, j],
+                    z[i + 2, j],
+                    variance[i, j] + variance[i + 1, j],
+                    variance[i - 1, j] + variance[i + 2, j],
+                    floor,
+                )
+
+
+def _smooth(
+    z: np.ndarray, variance: np.ndarray, right: np.ndarray, down: np.ndarray, kernel: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return z and its variance, smoothed along rows and then along columns."""
+    sample = variance[::8, ::8][np.isfinite(z[::8, ::8])]
+    typical = np.float32(np.median(sample)) if len(sample) else np.float32(np.nan)
+    # close to 1, or the squares of the weights leave the range of float32
+    relative = variance / typical if typical > 0 else np.ones_like(z)
+    z_rows, relative_rows = np.empty_like(z), np.empty_like(z)
+    _filter(z, relative, right, kernel, True, z_rows, relative_rows)
+    smooth, noise = np.empty_like(z), np.empty_like(z)
+    _filter(z_rows, relative_rows, down, kernel, False, smooth, noise)
+    return smooth, noise * typical
+
+
+@njit(cache=True, nogil=True)
+def _add_pairs(
+    twice: np.float32,
+    runs_before: np.ndarray,
+    runs_after: np.ndarray,
+    z_before: np.ndarray,
+    z_after: np.ndarray,
+    variance_before: np.ndarray,
+    variance_after: np.ndarray,
+    whole: np.ndarray,
+    total: np.ndarray,
+    mean: np.ndarray,
+    spread: np.ndarray,
+) -> None:
+    """Add the pairs of a row at one distance, where the surface runs on as far as that on both sides."""
+    zero = np.float32(0)
+    for j in range(len(whole)):
+        joined = whole[j] & runs_before[j] & runs_after[j]
+        whole[j] = joined
+        both = variance_before[j] + variance_after[j]
+        share = twice / both
+        total[j] += np.float32(2) * share if joined else zero
+        mean[j] += share * (z_before[j] + z_after[j]) if joined else zero
+        spread[j] += share * share * both if joined else zero
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _filter(
+    z: np.ndarray,
+    variance: np.ndarray,
+    runs_on: np.ndarray,
+    kernel: np.ndarray,
+    along_rows: bool,
+    smooth: np.ndarray,
+    noise: np.ndarray,
+) -> None:
+    """Smooth by pairs at equal distances from each pixel, as far as both sides run on.
+
+    A pair weighs as much as its noise allows: the mean of two has the variance (v1 + v2)/4, and dark speckles have many
+    times the variance of their surroundings. Being weighed together the two keep any slope.
+    """
+    rows, columns = z.shape
+    for i in prange(rows):
+        total, mean = np.empty(columns, np.float32), np.empty(columns, np.float32)
+        spread, whole = np.empty(columns, np.float32), np.ones(columns, np.bool_)
+        for j in range(columns):
+            share = kernel[0] / variance[i, j]
+            total[j] = share
+            mean[j] = share * z[i, j]
+            spread[j] = share * share * variance[i, j]
+        for k in range(1, len(kernel)):
+            twice = np.float32(2) * kernel[k]
+            if along_rows and 2 * k < columns:
+                inner = slice(k, columns - k)
+                first, last = slice(0, columns - 2 * k), slice(2 * k, columns)
+                _add_pairs(
+                    twice,
+                    runs_on[i, first],
+                    runs_on[i, 2 * k - 1 : columns - 1],
+                    z[i, first],
+                    z[i, last],
+                    variance[i, first],
+                    variance[i, last],
+                    whole[inner],
+                    total[inner],
+                    mean[inner],
+                    spread[inner],
+                )
+            elif not along_rows and i - k >= 0 and i + k < rows:
+                _add_pairs(
+                    twice,
+                    runs_on[i - k],
+                    runs_on[i + k - 1],
+                    z[i - k],
+                    z[i + k],
+                    variance[i - k],
+                    variance[i + k],
+                    whole,
+                    total,
+                    mean,
+                    spread,
+                )
+        for j in range(columns):
+            smooth[i, j] = mean[j] / total[j]
+            noise[i, j] = spread[j] / (total[j] * total[j])

@@ -1,0 +1,305 @@
+"""Strain of the surface in its own tangent plane, its uncertainty, and measures that follow from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+import xarray as xr
+from numba import njit, prange
+
+from fringedic.errors import StrainMeasureError
+from fringedic.surface.correlated import displacement_gains, height_gains
+from fringedic.surface.planes import Planes, fit_planes
+
+_ERRORS = ("sigma_z", "sigma_z_deformed", "displacement_sigma_x", "displacement_sigma_y")
+_STRAIN = {
+    "e_11": ("1", "strain along t1"),
+    "e_22": ("1", "strain along t2"),
+    "e_12": ("1", "tensor shear strain"),
+    "e_1": ("1", "larger principal strain"),
+    "e_2": ("1", "smaller principal strain"),
+    "direction": ("rad", "angle of the larger principal strain from t1 towards t2"),
+}
+_SIGMAS = {
+    "sigma_e_11": ("1", "standard deviation of e_11"),
+    "sigma_e_22": ("1", "standard deviation of e_22"),
+    "sigma_e_12": ("1", "standard deviation of e_12"),
+}
+_MEASURES = {
+    "von_mises": {"e_von_mises": ("1", "von Mises strain of a volume that stays")},
+    "area_change": {"area_change": ("1", "change of area over area")},
+    "hencky": {
+        "h_11": ("1", "Hencky strain along t1"),
+        "h_22": ("1", "Hencky strain along t2"),
+        "h_12": ("1", "Hencky tensor shear strain"),
+        "h_1": ("1", "larger principal Hencky strain"),
+        "h_2": ("1", "smaller principal Hencky strain"),
+    },
+    "engineering": {
+        "elongation_1": ("1", "change of length over length of a line along t1"),
+        "elongation_2": ("1", "change of length over length of a line along t2"),
+        "shear_angle": ("rad", "loss of the right angle between t1 and t2"),
+    },
+}
+
+
+def surface_strain(displacement_3d: xr.Dataset, *, window: int, measures: Iterable[str] = ()) -> xr.Dataset:
+    """Return the Green-Lagrange strain of the surface in its own tangent plane.
+
+    Least-squares planes of z, u, v and w over (x, y) in the window give the tangent vectors of the surface before,
+    A1 = (1, 0, z_x) and A2 = (0, 1, z_y), and after, a_i = A_i + (u, v, w)_i. The strain is half the difference of
+    their scalar products, expressed in the basis t1, t2 of `to_local_frame`. A rigid motion gives zero on any surface.
+
+    The standard deviations follow from the independent errors that `couple` names: noise of both heights along the
+    lines of sight and noise of the in-plane displacement, through the planes and the scalar products to first order,
+    with the correlation of neighbouring errors.
+
+    Parameters
+    ----------
+    displacement_3d
+        From `couple`.
+    window
+        Width of the window [px of the reference image]; the strain is NaN where its centre or more than half of it is
+        not measured.
+    measures
+        What else to compute from the strain:
+
+        - ``von_mises``: ``e_von_mises`` = 2/sqrt(3) sqrt(e_1^2 + e_1 e_2 + e_2^2), the equivalent strain of a material
+          whose volume stays, so that the strain across the surface, which is not seen, is -(e_1 + e_2). It is
+          abs(e_1) in uniaxial tension.
+        - ``area_change``: change of the surface's area over its area, without any assumption on the thickness.
+        - ``hencky``: logarithmic strain ``h_11``, ``h_22``, ``h_12``, ``h_1``, ``h_2``; principal values are
+          ln(1 + 2 e)/2 in the same directions.
+        - ``engineering``: ``elongation_1``, ``elongation_2`` of lines along t1 and t2, and ``shear_angle``, what their
+          right angle loses [rad].
+
+    Returns
+    -------
+    Dataset
+        ``e_11``, ``e_22``, ``e_12`` (tensor shear, half the engineering one), principal values ``e_1`` >= ``e_2``
+        [1], and ``direction`` [rad] of the first one: its angle from t1 towards t2, in (-pi/2, pi/2]. Standard
+        deviations ``sigma_e_11``, ``sigma_e_22``, ``sigma_e_12`` where the errors and the window of the in-plane
+        displacement are known. The attributes ``virtual_strain_gauge_px`` and ``virtual_strain_gauge_mm`` tell the
+        length over which a value is taken: from the first to the last point of the window, plus the window of the
+        in-plane displacement when it is known.
+
+    Raises
+    ------
+    InvalidWindowError
+        When the window holds fewer than 3 x 3 points.
+    StrainMeasureError
+        When a measure is unknown.
+    """
+    measures = tuple(measures)
+    unknown = sorted(set(measures) - _MEASURES.keys())
+    if unknown:
+        raise StrainMeasureError(f"measure {', '.join(unknown)} is unknown; there are {', '.join(_MEASURES)}")
+    attributes = displacement_3d.attrs
+    known_errors = "displacement_window_px" in attributes and all(name in displacement_3d for name in _ERRORS)
+    planes = fit_planes(displacement_3d, ("z", "u", "v", "w"), window, _ERRORS if known_errors else ())
+    strain = np.empty((len(_STRAIN), *planes.slopes.shape[2:]), planes.slopes.dtype)
+    _green_lagrange(planes.slopes, strain)
+    fields = dict(zip(_STRAIN, strain, strict=True))
+    units = dict(_STRAIN)
+    if known_errors:
+        fields |= zip(_SIGMAS, _sigmas(displacement_3d, planes), strict=True)
+        units |= _SIGMAS
+    for measure in measures:
+        fields |= zip(_MEASURES[measure], _FUNCTIONS[measure](*strain), strict=True)
+        units |= _MEASURES[measure]
+    return xr.Dataset(
+        {
+            name: (("row", "column"), values, {"units": units[name][0], "long_name": units[name][1]})
+            for name, values in fields.items()
+        },
+        coords={name: displacement_3d.coords[name] for name in ("row", "column")},
+        attrs={"window_px": window, **_gauge_length(displacement_3d, planes)},
+    )
+
+
+def _gauge_length(cloud: xr.Dataset, planes: Planes) -> dict[str, float]:
+    length = max(planes.width_px) + float(cloud.attrs.get("displacement_window_px", 1))
+    steps = np.diff(np.asarray(cloud["x"])[:: max(1, cloud.sizes["row"] // 50)], axis=-1) / planes.spacing[1]
+    steps = steps[np.isfinite(steps)]
+    pixel = abs(float(np.median(steps))) if len(steps) else math.nan
+    return {"virtual_strain_gauge_px": length, "virtual_strain_gauge_mm": 1e3 * length * pixel}
+
+
+def _sigmas(cloud: xr.Dataset, planes: Planes) -> np.ndarray:
+    spacing = (round(planes.spacing[0]), round(planes.spacing[1]))
+    z_filter = float(cloud.attrs["z_filter_px"])
+    window, method = int(cloud.attrs["displacement_window_px"]), str(cloud.attrs.get("displacement_method", "dense"))
+    in_plane = displacement_gains(window, method, planes.half, spacing)
+    gains = np.array([height_gains(z_filter, after, planes.half, spacing) for after in (False, True)])
+    h0 = float(cloud.attrs["camera_distance"])
+    positions = [np.ascontiguousarray(cloud[name], planes.slopes.dtype) for name in ("x", "y", "z", "u", "v", "w")]
+    sigmas = np.empty((len(_SIGMAS), *planes.slopes.shape[2:]), planes.slopes.dtype)
+    _propagate(
+        planes.slopes,
+        planes.white,
+        planes.means,
+        np.stack(positions),
+        _pixel(cloud, h0),
+        h0,
+        np.stack([*gains, in_plane, in_plane]),
+        sigmas,
+    )
+    return sigmas
+
+
+def _pixel(cloud: xr.Dataset, h0: float) -> np.ndarray:
+    """Return how the slope of the line of sight (x, y) changes by one column and by one row, shape (2, 2)."""
+    few = {name: slice(None, None, max(1, cloud.sizes[name] // 50)) for name in ("row", "column")}
+    some = cloud[["x", "y", "z"]].isel(few)
+    row, column = (each.astype(float) for each in np.meshgrid(some.row, some.column, indexing="ij"))
+    depth = np.asarray(some.z, float) - h0
+    known = np.isfinite(depth)
+    if np.count_nonzero(known) < 3:
+        return np.full((2, 2), np.nan)
+    basis = np.stack([column[known], row[known], np.ones(np.count_nonzero(known))], axis=-1)
+    rays = np.stack([(np.asarray(some[name], float) / depth)[known] for name in ("x", "y")], axis=-1)
+    return np.ascontiguousarray(np.linalg.lstsq(basis, rays, rcond=None)[0][:2].T)
+
+
+@njit(cache=True, nogil=True)
+def _basis(z_x: float, z_y: float) -> tuple[float, float, float]:
+    """Return p, q, r of t1 = p A1, t2 = q A1 + r A2, orthonormal."""
+    squared = 1.0 + z_x * z_x
+    r = math.sqrt(squared / (squared + z_y * z_y))
+    return 1.0 / math.sqrt(squared), -r * z_x * z_y / squared, r
+
+
+@njit(cache=True, nogil=True)
+def _metric_change(
+    slopes: np.ndarray, i: int, j: int
+) -> tuple[float, float, float, float, float, float, float, float, float, float, float]:
+    """Return (a_i . a_j - A_i . A_j)/2 with a_i = A_i + (u, v, w)_i for xx, yy, xy, and the slopes."""
+    z_x, z_y = float(slopes[0, 0, i, j]), float(slopes[0, 1, i, j])
+    u_x, u_y = float(slopes[1, 0, i, j]), float(slopes[1, 1, i, j])
+    v_x, v_y = float(slopes[2, 0, i, j]), float(slopes[2, 1, i, j])
+    w_x, w_y = float(slopes[3, 0, i, j]), float(slopes[3, 1, i, j])
+    e_xx = u_x + z_x * w_x + 0.5 * (u_x * u_x + v_x * v_x + w_x * w_x)
+    e_yy = v_y + z_y * w_y + 0.5 * (u_y * u_y + v_y * v_y + w_y * w_y)
+    e_xy = 0.5 * (u_y + v_x + z_x * w_y + z_y * w_x + u_x * u_y + v_x * v_y + w_x * w_y)
+    return e_xx, e_yy, e_xy, z_x, z_y, u_x, u_y, v_x, v_y, w_x, w_y
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _green_lagrange(slopes: np.ndarray, strain: np.ndarray) -> None:
+    """Strain of the tangent vectors A1, A2 in the basis t1 = A1/|A1|, t2 = n x t1, and its principal values."""
+    rows, columns = slopes.shape[2:]
+    for i in prange(rows):
+        for j in range(columns):
+            e_xx, e_yy, e_xy, z_x, z_y, _, _, _, _, _, _ = _metric_change(slopes, i, j)
+            p, q, r = _basis(z_x, z_y)
+            e_11 = p * p * e_xx
+            e_22 = q * q * e_xx + 2.0 * q * r * e_xy + r * r * e_yy
+            e_12 = p * (q * e_xx + r * e_xy)
+            centre = 0.5 * (e_11 + e_22)
+            radius = math.sqrt(0.25 * (e_11 - e_22) ** 2 + e_12 * e_12)
+            strain[0, i, j] = e_11
+            strain[1, i, j] = e_22
+            strain[2, i, j] = e_12
+            strain[3, i, j] = centre + radius
+            strain[4, i, j] = centre - radius
+            strain[5, i, j] = 0.5 * math.atan2(2.0 * e_12, e_11 - e_22)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _propagate(
+    slopes: np.ndarray,
+    white: np.ndarray,
+    means: np.ndarray,
+    positions: np.ndarray,
+    pixel: np.ndarray,
+    h0: float,
+    gains: np.ndarray,
+    sigmas: np.ndarray,
+) -> None:
+    """Standard deviations of e_11, e_22, e_12.
+
+    An independent error n of a source moves the point before by b n and the point after by c n. To first order, and
+    with the fitted slopes over x, y that carry the same error, the strain of the metric changes by
+
+        e_xx: m_x N_x,   e_yy: m_y N_y,   e_xy: (m_x N_y + m_y N_x)/2,   m_i = a_i . c - A_i . b - 2 (e_ix b_x + e_iy b_y)
+
+    where N_x and N_y are the slopes of the plane through n. In the basis t1, t2 both m and N turn like derivatives. The
+    sources are the heights before and after, which move points along their lines of sight, and the displacement by one
+    column and one row, which moves the point after along its surface.
+    """
+    rows, columns = slopes.shape[2:]
+    for i in prange(rows):
+        for j in range(columns):
+            e_xx, e_yy, e_xy, z_x, z_y, u_x, u_y, v_x, v_y, w_x, w_y = _metric_change(slopes, i, j)
+            p, q, r = _basis(z_x, z_y)
+            x, y, z = float(positions[0, i, j]), float(positions[1, i, j]), float(positions[2, i, j])
+            ray_x, ray_y = x / (z - h0), y / (z - h0)
+            depth = z + positions[5, i, j] - h0
+            after_x, after_y = (x + positions[3, i, j]) / depth, (y + positions[4, i, j]) / depth
+            a_xx, a_xy, a_xz = 1.0 + u_x, v_x, z_x + w_x
+            a_yx, a_yy, a_yz = u_y, 1.0 + v_y, z_y + w_y
+            normal_x = a_xy * a_yz - a_xz * a_yy
+            normal_y = a_xz * a_yx - a_xx * a_yz
+            normal_z = a_xx * a_yy - a_xy * a_yx
+            facing = normal_x * after_x + normal_y * after_y + normal_z
+            variance_11, variance_22, variance_12 = 0.0, 0.0, 0.0
+            for source in range(4):
+                if source == 0:
+                    m_x = -(ray_x + z_x + 2.0 * (e_xx * ray_x + e_xy * ray_y))
+                    m_y = -(ray_y + z_y + 2.0 * (e_xy * ray_x + e_yy * ray_y))
+                elif source == 1:
+                    m_x = a_xx * after_x + a_xy * after_y + a_xz
+                    m_y = a_yx * after_x + a_yy * after_y + a_yz
+                else:
+                    turn_x, turn_y = pixel[0, source - 2], pixel[1, source - 2]
+                    sink = (normal_x * turn_x + normal_y * turn_y) / facing
+                    c_x, c_y, c_z = turn_x - after_x * sink, turn_y - after_y * sink, -sink
+                    m_x = depth * (a_xx * c_x + a_xy * c_y + a_xz * c_z)
+                    m_y = depth * (a_yx * c_x + a_yy * c_y + a_yz * c_z)
+                m_1, m_2 = p * m_x, q * m_x + r * m_y
+                noise = means[source, i, j]
+                n_xx, n_yy = noise * gains[source, 0] * white[0, i, j], noise * gains[source, 1] * white[1, i, j]
+                n_xy = noise * math.sqrt(gains[source, 0] * gains[source, 1]) * white[2, i, j]
+                n_11 = p * p * n_xx
+                n_12 = p * (q * n_xx + r * n_xy)
+                n_22 = q * q * n_xx + 2.0 * q * r * n_xy + r * r * n_yy
+                variance_11 += m_1 * m_1 * n_11
+                variance_22 += m_2 * m_2 * n_22
+                variance_12 += 0.25 * (m_1 * m_1 * n_22 + 2.0 * m_1 * m_2 * n_12 + m_2 * m_2 * n_11)
+            sigmas[0, i, j] = math.sqrt(variance_11)
+            sigmas[1, i, j] = math.sqrt(variance_22)
+            sigmas[2, i, j] = math.sqrt(variance_12)
+
+
+def _von_mises(*strain: np.ndarray) -> list[np.ndarray]:
+    _, _, _, e_1, e_2, _ = strain
+    return [2 / math.sqrt(3) * np.sqrt(e_1**2 + e_1 * e_2 + e_2**2)]
+
+
+def _area_change(*strain: np.ndarray) -> list[np.ndarray]:
+    _, _, _, e_1, e_2, _ = strain
+    return [np.sqrt((1 + 2 * e_1) * (1 + 2 * e_2)) - 1]
+
+
+def _hencky(*strain: np.ndarray) -> list[np.ndarray]:
+    _, _, _, e_1, e_2, direction = strain
+    h_1, h_2 = 0.5 * np.log1p(2 * e_1), 0.5 * np.log1p(2 * e_2)
+    middle, half = (h_1 + h_2) / 2, (h_1 - h_2) / 2
+    cosine, sine = np.cos(2 * direction), np.sin(2 * direction)
+    return [middle + half * cosine, middle - half * cosine, half * sine, h_1, h_2]
+
+
+def _engineering(*strain: np.ndarray) -> list[np.ndarray]:
+    e_11, e_22, e_12, _, _, _ = strain
+    stretch_1, stretch_2 = np.sqrt(1 + 2 * e_11), np.sqrt(1 + 2 * e_22)
+    return [stretch_1 - 1, stretch_2 - 1, np.arcsin(2 * e_12 / (stretch_1 * stretch_2))]
+
+
+_FUNCTIONS = {
+    "von_mises": _von_mises,
+    "area_change": _area_change,
+    "hencky": _hencky,
+    "engineering": _engineering,
+}
