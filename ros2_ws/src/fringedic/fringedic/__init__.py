@@ -24,12 +24,22 @@ if TYPE_CHECKING:
     from fringedic.results import compare_with_truth, open_experiment, process_bag
     from fringedic.rig import RigModel
     from fringedic.rig_file import load_programme, load_rig_file
-    from fringedic.surface import couple, surface_strain, to_local_frame
+    from fringedic.surface import (
+        CylinderFrame,
+        PreparedShape,
+        SpecimenFrame,
+        couple,
+        surface_strain,
+        to_local_frame,
+    )
 
 _HOMES = {
+    "CylinderFrame": "surface",
     "FringedicError": "errors",
+    "PreparedShape": "surface",
     "Reference": "correlation",
     "RigModel": "rig",
+    "SpecimenFrame": "surface",
     "absolute_phase": "phase",
     "compare_with_truth": "results",
     "couple": "surface",
@@ -47,9 +57,12 @@ _HOMES = {
 }
 
 __all__ = [
+    "CylinderFrame",
     "FringedicError",
+    "PreparedShape",
     "Reference",
     "RigModel",
+    "SpecimenFrame",
     "absolute_phase",
     "compare_with_truth",
     "couple",

@@ -177,7 +177,7 @@ class CylinderFrame:
         away = relative - self.axis[:, None, None] * axial
         radial = np.sqrt(np.sum(away**2, axis=0))
         outwards = away / radial
-        around = np.stack(np.cross(self.axis, np.moveaxis(outwards, 0, -1)).transpose(2, 0, 1))
+        around = np.moveaxis(np.cross(self.axis, np.moveaxis(outwards, 0, -1)), -1, 0)
         towards_camera = np.array([0.0, 0.0, 1.0]) - self.axis[2] * self.axis
         towards_camera /= np.linalg.norm(towards_camera)
         side = np.cross(self.axis, towards_camera)

@@ -47,7 +47,7 @@ class Planes:
 
 
 def fit_planes(cloud: xr.Dataset, names: tuple[str, ...], window: int, averaged: tuple[str, ...] = ()) -> Planes:
-    """Fit planes over ``x`` and ``y`` of a cloud to its fields `names`, and average the squares of the fields `averaged`.
+    """Fit planes over ``x`` and ``y`` of a cloud to its fields `names`; average the squares of the fields `averaged`.
 
     Parameters
     ----------

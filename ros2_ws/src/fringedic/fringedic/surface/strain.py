@@ -223,7 +223,8 @@ def _propagate(
     An independent error n of a source moves the point before by b n and the point after by c n. To first order, and
     with the fitted slopes over x, y that carry the same error, the strain of the metric changes by
 
-        e_xx: m_x N_x,   e_yy: m_y N_y,   e_xy: (m_x N_y + m_y N_x)/2,   m_i = a_i . c - A_i . b - 2 (e_ix b_x + e_iy b_y)
+        e_xx: m_x N_x,   e_yy: m_y N_y,   e_xy: (m_x N_y + m_y N_x)/2
+        m_i = a_i . c - A_i . b - 2 (e_ix b_x + e_iy b_y)
 
     where N_x and N_y are the slopes of the plane through n. In the basis t1, t2 both m and N turn like derivatives. The
     sources are the heights before and after, which move points along their lines of sight, and the displacement by one
