@@ -109,6 +109,34 @@ class FrameMissingError(StepError, LookupError):
     """Frames of a step never arrived."""
 
 
+class GridError(FringedicError, ValueError):
+    """The image of a printed grid cannot tell the distortion of a camera."""
+
+
+class GridAliasedError(GridError):
+    """The grid is in step with the pixels."""
+
+
+class GridContrastError(GridError):
+    """The grid is too dark, too bright or too blurred."""
+
+
+class GridCoveredError(GridError):
+    """Too much of the image shows no grid."""
+
+
+class GridDirectionError(GridError):
+    """The grid has lines along one direction only."""
+
+
+class GridNotFoundError(GridError):
+    """There is no grid in the image."""
+
+
+class GridPitchError(GridError):
+    """The grid's period is too long, too short or not the one that was said."""
+
+
 class ImageMessageError(FringedicError, ValueError):
     """An image message contradicts itself or has an encoding that is not supported."""
 
