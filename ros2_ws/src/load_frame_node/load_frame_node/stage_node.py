@@ -54,7 +54,7 @@ class StageNode(HardwareNode[StageParameters]):
     def _place(
         self, request: PlaceReferencePlane.Request, response: PlaceReferencePlane.Response
     ) -> PlaceReferencePlane.Response:
-        response.message = self._refusal(request)
+        response.message = self._why_not(request)
         if response.message:
             self.get_logger().error(response.message)
             self.diagnostics.failure(response.message)
@@ -65,7 +65,7 @@ class StageNode(HardwareNode[StageParameters]):
         self.diagnostics.success()
         return response
 
-    def _refusal(self, request: PlaceReferencePlane.Request) -> str:
+    def _why_not(self, request: PlaceReferencePlane.Request) -> str:
         parameters = self.parameters.value
         if not self.active:
             return "the stage is not active; configure and activate it"
