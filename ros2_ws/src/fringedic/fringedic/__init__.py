@@ -18,10 +18,11 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from fringedic.correlation import Reference, measure_displacement
     from fringedic.errors import FringedicError
-    from fringedic.patterns import fringe_sequence
-    from fringedic.phase import absolute_phase, demodulate, unwrap_hierarchical
+    from fringedic.patterns import fringe_sequence, gray_code_sequence, one_image_sequence
+    from fringedic.phase import absolute_phase, demodulate, unwrap_hierarchical, unwrap_spatial
     from fringedic.pictures import save_pictures
     from fringedic.results import compare_with_truth, open_experiment, process_bag
+    from fringedic.response import ResponseCurve, measure_response
     from fringedic.rig import RigModel
     from fringedic.rig_file import load_programme, load_rig_file
     from fringedic.surface import (
@@ -38,6 +39,7 @@ _HOMES = {
     "FringedicError": "errors",
     "PreparedShape": "surface",
     "Reference": "correlation",
+    "ResponseCurve": "response",
     "RigModel": "rig",
     "SpecimenFrame": "surface",
     "absolute_phase": "phase",
@@ -45,15 +47,19 @@ _HOMES = {
     "couple": "surface",
     "demodulate": "phase",
     "fringe_sequence": "patterns",
+    "gray_code_sequence": "patterns",
     "load_programme": "rig_file",
     "load_rig_file": "rig_file",
     "measure_displacement": "correlation",
+    "measure_response": "response",
+    "one_image_sequence": "patterns",
     "open_experiment": "results",
     "process_bag": "results",
     "save_pictures": "pictures",
     "surface_strain": "surface",
     "to_local_frame": "surface",
     "unwrap_hierarchical": "phase",
+    "unwrap_spatial": "phase",
 }
 
 __all__ = [
@@ -61,6 +67,7 @@ __all__ = [
     "FringedicError",
     "PreparedShape",
     "Reference",
+    "ResponseCurve",
     "RigModel",
     "SpecimenFrame",
     "absolute_phase",
@@ -68,15 +75,19 @@ __all__ = [
     "couple",
     "demodulate",
     "fringe_sequence",
+    "gray_code_sequence",
     "load_programme",
     "load_rig_file",
     "measure_displacement",
+    "measure_response",
+    "one_image_sequence",
     "open_experiment",
     "process_bag",
     "save_pictures",
     "surface_strain",
     "to_local_frame",
     "unwrap_hierarchical",
+    "unwrap_spatial",
 ]
 
 

@@ -1,15 +1,16 @@
-"""The patterns that the projector shows: phase-shifted fringes (eq. 8), white light and set-up patterns."""
+"""The patterns that the projector shows: phase-shifted fringes (eq. 8), Gray codes, plain light, set-up patterns."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from fringedic.errors import InvalidPatternError
+from fringedic.response import ResponseCurve
 from fringedic.sequence import Orientation, PatternKind, Projection
 
 DARKEST, BRIGHTEST = 5, 250  # clear of both ends of the 8-bit scale, where projectors clip
@@ -27,11 +28,14 @@ class PatternSequence:
         Size of the projector [px].
     projections
         What each frame shows: pitches coarse to fine, within a pitch k = 1..n q.
+    response
+        Response curve that the images make up for, None for a projector and a camera without one.
     """
 
     width: int
     height: int
     projections: tuple[Projection, ...]
+    response: ResponseCurve | None = None
 
     def __len__(self) -> int:
         return len(self.projections)
@@ -45,7 +49,7 @@ class PatternSequence:
 
     def image(self, projection: Projection) -> np.ndarray:
         """Return the image of any projection at this projector's size, uint8 of shape (height, width)."""
-        return render_pattern(projection, self.width, self.height)
+        return render_pattern(projection, self.width, self.height, response=self.response)
 
 
 def fringe_sequence(
@@ -56,6 +60,7 @@ def fringe_sequence(
     orientation: str = "vertical",
     *,
     periods: int = 1,
+    response: ResponseCurve | None = None,
 ) -> PatternSequence:
     """Return the n x q phase-shifted frames of every pitch.
 
@@ -72,14 +77,15 @@ def fringe_sequence(
         "vertical": fringes along y, the phase grows with the column; "horizontal": along x, it grows upwards.
     periods
         n of eq. 11: how often each cycle of q frames is shown.
+    response
+        Response curve that the images make up for.
 
     Raises
     ------
     InvalidPatternError
         When a pitch, a number of shifts or a size cannot be shown, or the pitches do not become finer.
     """
-    if orientation.upper() not in Orientation.__members__:
-        raise InvalidPatternError(f"orientation '{orientation}' is unknown: use 'vertical' or 'horizontal'")
+    direction = _direction(orientation)
     if not pitches:
         raise InvalidPatternError("a fringe sequence needs at least one pitch")
     if periods < 1:
@@ -90,21 +96,87 @@ def fringe_sequence(
     if any(fine >= coarse for coarse, fine in pairwise(pitches)):
         raise InvalidPatternError(f"pitches {list(pitches)} px have to become finer from each to the next")
     projections = tuple(
-        Projection(PatternKind.FRINGES, Orientation[orientation.upper()], float(pitch), shift, count)
+        Projection(PatternKind.FRINGES, direction, float(pitch), shift, count)
         for pitch, count in zip(pitches, of_each, strict=True)
         for shift in range(1, periods * count + 1)
     )
-    for projection in projections:
-        _check(projection, width, height)
-    return PatternSequence(width, height, projections)
+    return _checked(PatternSequence(width, height, projections, response))
 
 
-def render_pattern(projection: Projection, width: int, height: int, name: str = "") -> np.ndarray:
+def gray_code_sequence(
+    width: int,
+    height: int,
+    pitch: float,
+    shifts: int,
+    orientation: str = "vertical",
+    *,
+    periods: int = 1,
+    response: ResponseCurve | None = None,
+) -> PatternSequence:
+    """Return a Gray code that numbers the fringes of one pitch, followed by their n x q phase-shifted frames.
+
+    The code numbers half periods, one bit more than the orders need: its edges lie a quarter of a period away from
+    where the order is read, so that a bit that is blurred at its edge never makes a wrong order.
+
+    Parameters
+    ----------
+    width, height, pitch, shifts, orientation, periods, response
+        See `fringe_sequence`; there is one pitch.
+
+    Raises
+    ------
+    InvalidPatternError
+        When pitch, number of shifts or size cannot be shown.
+    """
+    direction = _direction(orientation)
+    if periods < 1:
+        raise InvalidPatternError(f"{periods} periods of shifts: show at least one")
+    fringes = Projection(PatternKind.FRINGES, direction, float(pitch), 1, shifts)
+    _check(fringes, width, height)
+    length = width if direction == Orientation.VERTICAL else height
+    bits = max(2, math.ceil(math.log2(length / pitch + 2)) + 1)
+    code = [Projection(PatternKind.GRAY_CODE, direction, float(pitch), bit, bits) for bit in range(1, bits + 1)]
+    steps = [replace(fringes, shift=shift) for shift in range(1, periods * shifts + 1)]
+    return PatternSequence(width, height, (*code, *steps), response)
+
+
+def one_image_sequence(
+    width: int,
+    height: int,
+    pitch: float,
+    orientation: str = "vertical",
+    *,
+    grey: bool = False,
+    response: ResponseCurve | None = None,
+) -> PatternSequence:
+    """Return one fringe image for events that are too fast for phase stepping.
+
+    Parameters
+    ----------
+    width, height, pitch, orientation, response
+        See `fringe_sequence`; there is one pitch.
+    grey
+        Show uniform grey as bright as the mean of the fringes first, for the texture of the surface.
+
+    Raises
+    ------
+    InvalidPatternError
+        When pitch or size cannot be shown.
+    """
+    fringes = Projection(PatternKind.FRINGES, _direction(orientation), float(pitch), 1, 1)
+    plain = (Projection(PatternKind.GREY, shift=1, shifts=2),) if grey else ()
+    return _checked(PatternSequence(width, height, (*plain, fringes), response))
+
+
+def render_pattern(
+    projection: Projection, width: int, height: int, name: str = "", *, response: ResponseCurve | None = None
+) -> np.ndarray:
     """Return the 8-bit image of one projection.
 
     Fringes are ``I = A + B cos(phi - 2 pi k / q)`` between 5 and 250 with ``phi = 2 pi (c - (width - 1)/2) / pitch``
     at column c, or ``phi = 2 pi ((height - 1)/2 - row) / pitch`` for horizontal ones: zero at the centre of the
-    image for every pitch, growing to the right or upwards. White is as bright as the brightest fringe.
+    image for every pitch, growing to the right or upwards. White is as bright as the brightest fringe. The Gray code of
+    a pitch numbers half periods, as many on both sides of the centre.
 
     Parameters
     ----------
@@ -114,6 +186,9 @@ def render_pattern(projection: Projection, width: int, height: int, name: str = 
         Size of the projector [px].
     name
         Which set-up pattern, for projections of kind OTHER: "dark", "grid" or "crosshair".
+    response
+        Response curve that fringes and Gray codes make up for, so that the camera's grey levels are what is said
+        above.
 
     Returns
     -------
@@ -126,10 +201,17 @@ def render_pattern(projection: Projection, width: int, height: int, name: str = 
         When there is no such pattern.
     """
     _check(projection, width, height)
-    if projection.kind == PatternKind.FRINGES:
-        return _fringes(projection, width, height)
+    if projection.kind in (PatternKind.FRINGES, PatternKind.GRAY_CODE):
+        levels = _levels(projection, width, height)
+        if response is not None:
+            levels = response.level_for(levels / 255)
+        shown = np.round(levels).astype(np.uint8)
+        vertical = projection.orientation == Orientation.VERTICAL
+        return np.ascontiguousarray(np.broadcast_to(shown if vertical else shown[:, None], (height, width)))
     if projection.kind == PatternKind.WHITE:
         return np.full((height, width), BRIGHTEST, np.uint8)
+    if projection.kind == PatternKind.GREY:
+        return np.full((height, width), round(255 * projection.shift / projection.shifts), np.uint8)
     image = np.zeros((height, width), np.uint8)
     if name == "grid":
         image[_lines(height), :] = BRIGHTEST
@@ -142,14 +224,19 @@ def render_pattern(projection: Projection, width: int, height: int, name: str = 
     return image
 
 
-def _fringes(projection: Projection, width: int, height: int) -> np.ndarray:
+def _levels(projection: Projection, width: int, height: int) -> np.ndarray:
+    """Return the grey levels of fringes or of one bit of a Gray code along the direction in which they change."""
     vertical = projection.orientation == Orientation.VERTICAL
     length = width if vertical else height
     position = np.arange(length) - (length - 1) / 2
-    phase = 2 * np.pi * (position if vertical else -position) / projection.pitch
-    wave = np.cos(phase - 2 * np.pi * projection.shift / projection.shifts)
-    levels = np.round((BRIGHTEST + DARKEST) / 2 + (BRIGHTEST - DARKEST) / 2 * wave).astype(np.uint8)
-    return np.ascontiguousarray(np.broadcast_to(levels if vertical else levels[:, None], (height, width)))
+    fringe = (position if vertical else -position) / projection.pitch
+    if projection.kind == PatternKind.GRAY_CODE:
+        half_period = np.floor(2 * fringe + 1).astype(int) + (1 << (projection.shifts - 1))
+        gray = half_period ^ (half_period >> 1)
+        wave = 2.0 * (gray >> (projection.shifts - projection.shift) & 1) - 1
+    else:
+        wave = np.cos(2 * np.pi * (fringe - projection.shift / projection.shifts))
+    return (BRIGHTEST + DARKEST) / 2 + (BRIGHTEST - DARKEST) / 2 * wave
 
 
 def _lines(length: int) -> np.ndarray:
@@ -157,14 +244,40 @@ def _lines(length: int) -> np.ndarray:
     return np.arange(length // 2 % _GRID_SPACING, length, _GRID_SPACING)
 
 
+def _direction(orientation: str) -> Orientation:
+    if orientation.upper() not in Orientation.__members__:
+        raise InvalidPatternError(f"orientation '{orientation}' is unknown: use 'vertical' or 'horizontal'")
+    return Orientation[orientation.upper()]
+
+
+def _checked(sequence: PatternSequence) -> PatternSequence:
+    for projection in sequence.projections:
+        _check(projection, sequence.width, sequence.height)
+    return sequence
+
+
 def _check(projection: Projection, width: int, height: int) -> None:
     if width < 1 or height < 1:
         raise InvalidPatternError(f"projector of {width}x{height} px: both have to be at least 1")
-    if projection.kind != PatternKind.FRINGES:
+    if projection.kind == PatternKind.GREY:
+        if not 0 <= projection.shift <= projection.shifts or projection.shifts < 1:
+            raise InvalidPatternError(f"{projection}: the brightness has to be from 0 to 1")
+        return
+    if projection.kind not in (PatternKind.FRINGES, PatternKind.GRAY_CODE):
         return
     if not math.isfinite(projection.pitch) or projection.pitch <= 2:
         raise InvalidPatternError(f"{projection}: the pitch has to be above 2 projector pixels")
-    if projection.shifts < 3:
-        raise InvalidPatternError(f"{projection}: at least 3 shifts are needed to separate mean, modulation and phase")
+    if projection.kind == PatternKind.GRAY_CODE:
+        length = width if projection.orientation == Orientation.VERTICAL else height
+        if not 1 <= projection.shift <= projection.shifts or projection.shifts > 24:
+            raise InvalidPatternError(f"{projection}: bits are counted from 1 to their number, 24 at most")
+        if length / projection.pitch + 1 > 1 << (projection.shifts - 1):
+            raise InvalidPatternError(f"{projection}: so few bits do not number all fringes on {length} px")
+        return
+    if projection.shifts < 3 and (projection.shift, projection.shifts) != (1, 1):
+        raise InvalidPatternError(
+            f"{projection}: at least 3 shifts are needed to separate mean, modulation and phase, "
+            "or shift 1 of 1 for one image"
+        )
     if projection.shift < 1:
         raise InvalidPatternError(f"{projection}: shifts are counted from 1")

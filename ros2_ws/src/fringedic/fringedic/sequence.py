@@ -21,6 +21,11 @@ class PatternKind(IntEnum):
     WHITE = 0
     FRINGES = 1
     OTHER = 2
+    GRAY_CODE = 3
+    GREY = 4
+
+
+PHASE_KINDS = frozenset({PatternKind.FRINGES, PatternKind.GRAY_CODE, PatternKind.GREY})  # frames of a fringe step
 
 
 class Orientation(IntEnum):
@@ -41,15 +46,16 @@ class Projection:
     Attributes
     ----------
     kind
-        White light, fringes, or a set-up pattern.
+        White light, fringes, a bit of the Gray code that numbers them, uniform grey, or a set-up pattern.
     orientation
         Direction of the fringes.
     pitch
         Fringe pitch [projector pixel], 0 without fringes.
     shift
-        k of eq. 11, from 1 on; 0 without fringes.
+        k of eq. 11, from 1 on; which bit of a Gray code, 1 for the coarsest; of uniform grey the numerator of its
+        brightness shift / shifts; else 0.
     shifts
-        q of eq. 11, 0 without fringes.
+        q of eq. 11; number of bits of a Gray code; denominator of a grey's brightness; else 0.
     """
 
     kind: PatternKind
@@ -59,6 +65,11 @@ class Projection:
     shifts: int = 0
 
     def __str__(self) -> str:
+        if self.kind == PatternKind.GREY:
+            return f"uniform grey of {self.shift}/{self.shifts}"
+        if self.kind == PatternKind.GRAY_CODE:
+            fringes = f"{self.orientation.name.lower()} fringes of pitch {self.pitch:g} px"
+            return f"bit {self.shift} of {self.shifts} of the Gray code for {fringes}"
         if self.kind != PatternKind.FRINGES:
             return self.kind.name.lower()
         return f"{self.orientation.name.lower()} fringes, pitch {self.pitch:g} px, shift {self.shift} of {self.shifts}"
@@ -121,8 +132,8 @@ class Stack:
 
     @property
     def kind(self) -> PatternKind:
-        """What the whole step showed: a sequence never mixes kinds."""
-        return self.records[0].projection.kind
+        """What the whole step showed: FRINGES also when a Gray code or grey light belongs to them."""
+        return _kind_of_step(self.records[-1].projection)
 
 
 @dataclass
@@ -291,7 +302,7 @@ class FrameCollector:
             return f"has pixels of type {image.dtype}, the step began with {opened.frames.dtype}"
         if record.count != first.count:
             return f"belongs to a sequence of {record.count} frames, the step began with {first.count}"
-        if record.projection.kind != first.projection.kind:
+        if _kind_of_step(record.projection) != _kind_of_step(first.projection):
             kinds = record.projection.kind.name, first.projection.kind.name
             return "shows {}, the step began with {}".format(*kinds)
         return ""
@@ -307,6 +318,11 @@ class FrameCollector:
             self._ended.add(key)
 
 
+def _kind_of_step(projection: Projection) -> PatternKind:
+    """Return the kind of the step that a frame belongs to."""
+    return PatternKind.FRINGES if projection.kind in PHASE_KINDS else projection.kind
+
+
 def _missing(where: str, missing: list[int], count: int, experiment: str, step: int) -> FrameMissingError:
     names = ", ".join(map(str, missing))
     return FrameMissingError(
@@ -320,8 +336,11 @@ def _missing(where: str, missing: list[int], count: int, experiment: str, step: 
 def _incomplete_periods(projections: list[Projection]) -> str:
     """Return which pitch lacks frames of a whole period, empty when all shifts are there equally often.
 
-    Unequal numbers would leak the mean and the modulation into the arctangent of eq. 11.
+    Unequal numbers would leak the mean and the modulation into the arctangent of eq. 11. A single fringe image is not
+    stepped and has no periods to cover.
     """
+    if [each.kind for each in projections].count(PatternKind.FRINGES) == 1:
+        return ""
     shifts_of: defaultdict[tuple[Orientation, float, int], Counter[int]] = defaultdict(Counter)
     for projection in projections:
         if projection.kind == PatternKind.FRINGES:

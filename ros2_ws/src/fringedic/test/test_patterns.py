@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fringedic.errors import FringedicError, InvalidPatternError
-from fringedic.patterns import fringe_sequence, render_pattern
+from fringedic.patterns import fringe_sequence, gray_code_sequence, one_image_sequence, render_pattern
 from fringedic.sequence import Orientation, PatternKind, Projection
 
 
@@ -101,3 +101,48 @@ def test_bad_projections_are_refused() -> None:
         render_pattern(Projection(PatternKind.FRINGES, Orientation.VERTICAL, 10.0, 0, 4), 64, 48)
     with pytest.raises(InvalidPatternError, match="one"):
         fringe_sequence(64, 48, [10], 4, periods=0)
+
+
+@pytest.mark.parametrize("orientation", ["vertical", "horizontal"])
+def test_gray_code_numbers_half_periods_upwards_from_the_centre(orientation: str) -> None:
+    width, height, pitch = (401, 6, 12.5) if orientation == "vertical" else (6, 401, 12.5)
+    sequence = gray_code_sequence(width, height, pitch, 4, orientation)
+    code = [each for each in sequence.projections if each.kind == PatternKind.GRAY_CODE]
+    images = np.array([sequence.image(each) for each in code])
+    assert set(np.unique(images)) == {5, 250}
+    lines = images[:, 0, :] if orientation == "vertical" else images[:, ::-1, 0]
+    number = np.zeros(401, int)
+    bit = np.zeros(401, int)
+    for line in lines > 127:
+        bit ^= line
+        number = 2 * number + bit
+    half_period = np.floor((np.arange(401) - 200) / (pitch / 2) + 1).astype(int)
+    assert np.array_equal(number - (1 << (len(code) - 1)), half_period)
+    changed = np.sum(np.diff((lines > 127).astype(int), axis=1) != 0, axis=0)
+    assert changed.max() == 1, "only one bit changes at an edge"
+    assert [each.kind for each in sequence.projections[len(code) :]] == [PatternKind.FRINGES] * 4
+
+
+def test_one_image_and_grey() -> None:
+    sequence = one_image_sequence(60, 10, 12, grey=True)
+    grey, fringes = list(sequence)
+    assert set(np.unique(grey)) == {128}
+    assert abs(fringes.mean() - 127.5) < 1
+    assert np.argmax(fringes[0]) % 12 in (6, 5), "phase - 2 pi has its maximum on the axis, at 29.5"
+    assert set(np.unique(render_pattern(Projection(PatternKind.GREY, shift=51, shifts=255), 4, 3))) == {51}
+
+
+@pytest.mark.parametrize(
+    ("projection", "words"),
+    [
+        (Projection(PatternKind.GREY, shift=3, shifts=2), "from 0 to 1"),
+        (Projection(PatternKind.GREY), "from 0 to 1"),
+        (Projection(PatternKind.GRAY_CODE, pitch=10.0, shift=9, shifts=8), "counted from 1"),
+        (Projection(PatternKind.GRAY_CODE, pitch=10.0, shift=1, shifts=3), "so few bits"),
+        (Projection(PatternKind.GRAY_CODE, pitch=1.0, shift=1, shifts=8), "above 2"),
+        (Projection(PatternKind.FRINGES, pitch=10.0, shift=2, shifts=2), "1 of 1 for one image"),
+    ],
+)
+def test_impossible_codes_and_greys_are_refused(projection: Projection, words: str) -> None:
+    with pytest.raises(InvalidPatternError, match=words):
+        render_pattern(projection, 800, 10)

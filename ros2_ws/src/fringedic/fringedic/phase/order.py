@@ -1,0 +1,117 @@
+"""Fringe orders from phases alone: coarse to fine (absolute), or over the image from pixel to pixel (relative)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+import xarray as xr
+from skimage.restoration import unwrap_phase
+
+from fringedic.errors import ShapeMismatchError
+from fringedic.phase.layout import check_finer, pixels
+
+
+def unwrap_hierarchical(wrapped: Sequence[np.ndarray | xr.DataArray], pitches: Sequence[float]) -> xr.DataArray:
+    """Unwrap phases coarse to fine: each tells the fringe order of the next.
+
+    Parameters
+    ----------
+    wrapped
+        Wrapped phases [rad], one image of shape (row, column) for each pitch, all zero on the projector axis. The
+        first has to be unique over the field: it is taken as it is.
+    pitches
+        Fringe pitches, coarse to fine, in any one unit.
+
+    Returns
+    -------
+    DataArray
+        Absolute phase at the finest pitch [rad]; NaN where any phase is NaN.
+
+    Raises
+    ------
+    InvalidSequenceError
+        When the pitches do not become finer.
+    ShapeMismatchError
+        When there is not one image for each pitch or the images differ in size.
+    """
+    if len(wrapped) != len(pitches) or not wrapped:
+        raise ShapeMismatchError(f"{len(wrapped)} phase images for {len(pitches)} pitches: give one for each")
+    check_finer(pitches)
+    images = [np.asarray(image, float) for image in wrapped]
+    if len({image.shape for image in images}) > 1:
+        raise ShapeMismatchError(f"phase images differ in size: {[image.shape for image in images]}")
+    phase = images[0]
+    for image, coarse, fine in zip(images[1:], pitches, pitches[1:], strict=False):
+        phase = image + 2 * np.pi * np.round((phase * coarse / fine - image) / (2 * np.pi))
+    return _named(phase, relative=False)
+
+
+def unwrap_spatial(wrapped: np.ndarray | xr.DataArray) -> xr.DataArray:
+    """Unwrap one phase over the image, from pixel to pixel: true only up to whole fringes, the same everywhere.
+
+    Where neighbours differ by more than half a fringe (steps, shadows) the orders behind are wrong, and nothing tells;
+    a region that is not connected to the largest one has no order relative to it and is left out.
+
+    Parameters
+    ----------
+    wrapped
+        Wrapped phase [rad], shape (row, column), NaN where not measured.
+
+    Returns
+    -------
+    DataArray
+        Phase [rad] of the largest connected region, NaN elsewhere, with the attribute ``relative`` = 1. Its offset is
+        chosen so that the median phase lies in the wrapped range.
+
+    Notes
+    -----
+    Uses scikit-image's `unwrap_phase` (Herraez et al. 2002, sorting by reliability).
+    """
+    image = np.asarray(wrapped, float)
+    measured = np.isfinite(image)
+    phase = np.full(image.shape, np.nan)
+    if measured.any():
+        _, labels, statistics, _ = cv2.connectedComponentsWithStats(measured.astype(np.uint8), connectivity=4)
+        region = labels == 1 + int(np.argmax(statistics[1:, cv2.CC_STAT_AREA]))
+        rows, columns = (np.flatnonzero(region.any(axis=axis)) for axis in (1, 0))
+        window = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        inside = region[window]
+        masked = np.ma.array(np.where(inside, image[window], 0.0), mask=~inside)
+        unwrapped = np.asarray(np.ma.getdata(unwrap_phase(masked)))
+        orders = np.round((unwrapped - image[window]) / (2 * np.pi))  # whole turns: the phase itself stays bit by bit
+        orders -= np.round(np.median(orders[inside] + image[window][inside] / (2 * np.pi)))
+        phase[window][inside] = (image[window] + 2 * np.pi * orders)[inside]
+    return _named(phase, relative=True)
+
+
+def assign_orders(phase: np.ndarray | xr.DataArray, coarse: np.ndarray | xr.DataArray) -> xr.DataArray:
+    """Make a relative or wrapped phase absolute by another that is known to within half a fringe.
+
+    Parameters
+    ----------
+    phase
+        Phase [rad], shape (row, column), true up to whole turns at every pixel.
+    coarse
+        Absolute phase at the same pitch [rad], same shape, such as that of the step before.
+
+    Raises
+    ------
+    ShapeMismatchError
+        When the images differ in size.
+    """
+    image, known = np.asarray(phase, float), np.asarray(coarse, float)
+    if image.shape != known.shape:
+        raise ShapeMismatchError(f"a phase of shape {image.shape} cannot take its orders from one of {known.shape}")
+    return _named(image + 2 * np.pi * np.round((known - image) / (2 * np.pi)), relative=False)
+
+
+def _named(phase: np.ndarray, *, relative: bool) -> xr.DataArray:
+    return xr.DataArray(
+        phase,
+        dims=("row", "column"),
+        coords=pixels(phase.shape),
+        name="phase",
+        attrs={"units": "rad", "relative": int(relative)},
+    )
