@@ -17,6 +17,7 @@ from camera_node.drivers import (
     Driver,
     FilesDriver,
     Frame,
+    PlacedPlane,
     Scene,
     StreamingDriver,
     Trigger,
@@ -25,7 +26,7 @@ from camera_node.drivers import (
 from camera_node.drivers.virtual import TruthFile
 from fringedic.errors import CameraError, FringedicError, WaitTimeoutError
 from fringedic.sequence import FrameRecord, PatternKind, Projection, projection_of
-from fringedic_msgs.msg import Exposure, LoadState
+from fringedic_msgs.msg import Exposure, LoadState, ReferencePlane
 from fringedic_msgs.srv import CaptureFrame
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
@@ -129,12 +130,14 @@ class CameraNode(HardwareNode[CameraParameters]):
         self._stamp_ns = 0
         self._pattern: Image | None = None
         self._load: LoadState | None = None
+        self._plane: PlacedPlane | None = None
         self._scene_changed = Condition(self)
         self._images = self.create_publisher(Image, "camera/image_raw", IMAGES, qos_overriding_options=OVERRIDABLE)
         self._infos = self.create_publisher(CameraInfo, "camera/camera_info", IMAGES)
         self._exposures = self.create_publisher(Exposure, "camera/exposure", IMAGES)
         self.create_subscription(Image, "projector/image", self._take_pattern, LATCHED)
         self.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
+        self.create_subscription(ReferencePlane, "reference_plane/state", self._take_plane, LATCHED)
         # a capture waits for the scene: it needs a group of its own, which also serves one capture after the other
         self.create_service(
             CaptureFrame, "camera/capture", self._capture, callback_group=MutuallyExclusiveCallbackGroup()
@@ -204,6 +207,12 @@ class CameraNode(HardwareNode[CameraParameters]):
         self._load = message
         self._scene_changed.notify()
 
+    def _take_plane(self, message: ReferencePlane) -> None:
+        # the stage answers whoever had the plane placed when this message is here, and captures follow that answer
+        surface: Literal["plain", "grid"] = "grid" if message.kind == ReferencePlane.GRID else "plain"
+        there = message.kind != ReferencePlane.SPECIMEN
+        self._plane = PlacedPlane(surface, message.angle, message.height) if there else None
+
     async def _scene(self, shown_ns: int) -> Scene:
         """What the camera sees now: the pattern that was shown and the specimen at the middle of the exposure."""
         timeout = self.parameters.value.timeout_s
@@ -225,7 +234,7 @@ class CameraNode(HardwareNode[CameraParameters]):
                 "a sample of load_frame/state during the exposure",
             )
         pattern = None if self._pattern is None else image_array(self._pattern)
-        return Scene(stamp, pattern, 0.0 if self._load is None else self._load.position)
+        return Scene(stamp, pattern, 0.0 if self._load is None else self._load.position, self._plane)
 
     def _needs_scene(self) -> bool:
         return self._driver is not None and self._driver.needs_scene
@@ -322,6 +331,8 @@ class CameraNode(HardwareNode[CameraParameters]):
         folder = self.parameters.value.truth_folder
         if not folder or not isinstance(self._driver, VirtualDriver) or request.index + 1 < request.count:
             return
+        if scene.plane is not None:
+            return  # the truth is that of the specimen
         if self._truth is None or self._truth_experiment != request.experiment:
             self._truth = TruthFile(Path(folder) / "truth.nc", self._driver.rig)
             self._truth_experiment = request.experiment

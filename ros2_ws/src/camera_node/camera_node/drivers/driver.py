@@ -3,9 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
+
+
+@dataclass(frozen=True)
+class PlacedPlane:
+    """The reference plane that stands where the specimen would.
+
+    Attributes
+    ----------
+    surface
+        ``plain``, or with the printed ``grid`` on it.
+    angle, height
+        Of the stage [rad, m].
+    """
+
+    surface: Literal["plain", "grid"]
+    angle: float
+    height: float
 
 
 @dataclass(frozen=True)
@@ -20,11 +37,14 @@ class Scene:
         Image on the projector, uint8 (row, column); None: the projector is dark.
     position
         Crosshead position [m].
+    plane
+        What the stage holds; None: the specimen is there.
     """
 
     stamp_ns: int
     pattern: np.ndarray | None
     position: float
+    plane: PlacedPlane | None = None
 
 
 @dataclass(frozen=True)

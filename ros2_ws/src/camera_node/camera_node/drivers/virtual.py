@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import h5netcdf
 import numpy as np
 import xarray as xr
 
-from camera_node.drivers.driver import Frame, Scene
+from camera_node.drivers.driver import Frame, PlacedPlane, Scene
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
 
@@ -21,6 +22,7 @@ class VirtualDriver:
 
     def __init__(self, configuration: VirtualRigConfiguration) -> None:
         self.rig = VirtualRig(configuration)
+        self._plane: tuple[PlacedPlane, VirtualRig] | None = None
         self._frames = 0
         # the first call compiles, or loads what was compiled: before the first frame is asked for
         self.rig.expose(self._dark(), 0.0, 0)
@@ -28,12 +30,26 @@ class VirtualDriver:
     def expose(self, scene: Scene) -> Frame:
         """Render what the camera sees of a scene."""
         pattern = self._dark() if scene.pattern is None else scene.pattern
-        image = self.rig.expose(pattern, scene.position, self._frames)
+        image = self._rig_with(scene.plane).expose(pattern, scene.position, self._frames)
         self._frames += 1
         return Frame(image, scene.stamp_ns)
 
     def close(self) -> None:
         """Nothing is kept open."""
+
+    def _rig_with(self, plane: PlacedPlane | None) -> VirtualRig:
+        """The rig in front of the specimen, or of the reference plane; the latest place of that is kept."""
+        if plane is None:
+            return self.rig
+        if self._plane is None or self._plane[0] != plane:
+            specimen = {
+                "kind": "reference_plane",
+                "surface": plane.surface,
+                "angle_degree": math.degrees(plane.angle),
+                "height_mm": 1e3 * plane.height,
+            }
+            self._plane = plane, self.rig.with_specimen(specimen)
+        return self._plane[1]
 
     def _dark(self) -> np.ndarray:
         return np.zeros(self.rig.projector_shape, np.uint8)
