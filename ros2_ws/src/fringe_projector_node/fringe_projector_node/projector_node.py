@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from sensor_msgs.msg import Image
 
+from fringe_projector_node.display import DisplayScreen
 from fringe_projector_node.screens import Screen, VirtualScreen
 from fringedic.errors import InvalidPatternError, ScreenError
 from fringedic.patterns import render_pattern
@@ -21,12 +23,19 @@ from fringedic_ros.qos import LATCHED
 from fringedic_ros.stamps import to_msg
 
 FRAME_ID = "projector_optical_frame"
+_CHECK_PERIOD_S = 0.1
 _KEPT_PATTERNS = 64  # more than a sequence of shifts, so that each step after the first renders nothing
 
 
 class ProjectorParameters(HardwareParameters):
     """Parameters of the projector node."""
 
+    screen: Literal["virtual", "display"] = Field(
+        "virtual", description="virtual: the camera of the virtual rig sees the patterns; display: a real projector."
+    )
+    display: int = Field(
+        0, ge=0, le=15, description="Screen `display`: which of this computer's displays the projector is, from 0 on."
+    )
     width_px: int = Field(800, ge=16, le=16384, description="Columns of the projector [px].")
     height_px: int = Field(600, ge=16, le=16384, description="Rows of the projector [px].")
 
@@ -39,7 +48,10 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
         self._screen: Screen = VirtualScreen()
         self._shown_ns = 0
         self._images = self.create_publisher(Image, "projector/image", LATCHED)
-        self.create_service(ShowPattern, "projector/show", self._show, callback_group=MutuallyExclusiveCallbackGroup())
+        # one group, so that the screen serves one call after the other
+        screen = MutuallyExclusiveCallbackGroup()
+        self.create_service(ShowPattern, "projector/show", self._show, callback_group=screen)
+        self.create_timer(_CHECK_PERIOD_S, self._check, callback_group=screen)
 
     def open(self) -> None:
         """Prepare the screen of the size that the parameters say."""
@@ -50,7 +62,10 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
             return render_pattern(projection, width, height, name)
 
         self._render = render
-        self._screen = VirtualScreen()
+        if self.parameters.value.screen == "display":
+            self._screen = DisplayScreen(self.parameters.value.display, width, height)
+        else:
+            self._screen = VirtualScreen()
 
     def activate(self) -> None:
         """Begin with a dark screen."""
@@ -59,6 +74,7 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
     def close(self) -> None:
         """Give the screen back."""
         self._screen.close()
+        self._screen = VirtualScreen()
 
     def _put(self, image: np.ndarray) -> int:
         # strictly increasing, so that a stamp names one pattern
@@ -77,6 +93,13 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
         except ScreenError as error:
             self._refuse(response, ShowPattern.Request.SCREEN_FAILED, error)
         return response
+
+    def _check(self) -> None:
+        try:
+            self._screen.check()
+        except ScreenError as error:
+            self.get_logger().error(str(error))
+            self.diagnostics.failure(str(error))
 
     def _refuse(self, response: ShowPattern.Response, code: int, error: Exception) -> None:
         response.error_code, response.error_message = code, str(error)

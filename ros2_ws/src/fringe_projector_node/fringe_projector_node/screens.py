@@ -26,6 +26,16 @@ class Screen(Protocol):
         """
         ...
 
+    def check(self) -> None:
+        """Notice what happened to the screen; called several times a second.
+
+        Raises
+        ------
+        ScreenError
+            It no longer shows patterns.
+        """
+        ...
+
     def close(self) -> None:
         """Give the screen back."""
         ...
@@ -37,6 +47,9 @@ class VirtualScreen:
     def show(self, image: np.ndarray) -> int:
         """Appear at once."""
         return time.time_ns()
+
+    def check(self) -> None:
+        """Nothing can happen to it."""
 
     def close(self) -> None:
         """Nothing to give back."""

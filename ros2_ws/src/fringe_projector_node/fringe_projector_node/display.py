@@ -1,0 +1,130 @@
+"""A window that fills one of this computer's displays, through SDL."""
+
+from __future__ import annotations
+
+import os
+import time
+from typing import Any
+
+import numpy as np
+
+from fringedic.errors import ScreenError
+
+
+class DisplayScreen:
+    """Full screen at the display's own resolution: one pattern pixel is one projector pixel, nothing is scaled.
+
+    Every call belongs into the same thread.
+
+    Parameters
+    ----------
+    display
+        Number of the display, from 0 on, in the order of the system's settings.
+    width, height
+        Size of the patterns, which has to be that of the display [px].
+
+    Raises
+    ------
+    ScreenError
+        There is no such display, or it has another size; the message lists the displays.
+    """
+
+    def __init__(self, display: int, width: int, height: int) -> None:
+        os.environ["PYGAME_HIDE_SUPPORT_PROMPT"] = "1"
+        import pygame
+
+        self._pygame: Any = pygame
+        self._display = display
+        self._size = (width, height)
+        self._window: Any = None
+        self._open()
+
+    def show(self, image: np.ndarray) -> int:
+        """Put an image on the display and wait until it has been handed to it.
+
+        With vertical synchronisation that is the start of a refresh. How much later the projector shows it, only the
+        camera can tell.
+
+        Returns
+        -------
+        int
+            When it was handed over [ns].
+
+        Raises
+        ------
+        ScreenError
+            The window was closed or the display changed; the next call opens it again.
+        """
+        self.check()
+        if self._window is None:
+            self._open()
+        rows, columns = image.shape
+        if (columns, rows) != self._size:
+            raise ScreenError(f"a pattern of {columns}x{rows} px for a display of {self._size[0]}x{self._size[1]} px")
+        grey = np.repeat(image[:, :, np.newaxis], 3, axis=2)
+        try:
+            self._texture.update(self._pygame.image.frombuffer(grey, self._size, "RGB"))
+            self._renderer.clear()
+            self._texture.draw()
+            self._renderer.present()
+        except self._pygame.error as error:
+            self._close_window()
+            raise ScreenError(f"the display does not take the pattern: {error}") from error
+        return time.time_ns()
+
+    def check(self) -> None:
+        """Notice what happened to the window.
+
+        Raises
+        ------
+        ScreenError
+            It was closed, or is no longer as large as the patterns.
+        """
+        for event in self._pygame.event.get():  # a window whose events nobody takes counts as hanging
+            if event.type in (self._pygame.WINDOWCLOSE, self._pygame.QUIT):
+                self._close_window()
+                raise ScreenError("the projector's window was closed; the next pattern opens it again")
+            if event.type == self._pygame.WINDOWSIZECHANGED and (event.x, event.y) != self._size:
+                self._close_window()
+                raise ScreenError(f"the projector's display changed to {event.x}x{event.y} px; restore its resolution")
+
+    def close(self) -> None:
+        """Close the window."""
+        self._close_window()
+        self._pygame.display.quit()
+
+    def _open(self) -> None:
+        pygame = self._pygame
+        try:
+            # opened anew each time, so that displays which were plugged in meanwhile are seen
+            pygame.display.quit()
+            pygame.display.init()
+            sizes = pygame.display.get_desktop_sizes()
+        except pygame.error as error:
+            raise ScreenError(f"there is no display: {error}; is DISPLAY set?") from error
+        if not os.environ.get("DISPLAY") and not os.environ.get("WAYLAND_DISPLAY"):
+            raise ScreenError("there is no display: neither DISPLAY nor WAYLAND_DISPLAY is set")
+        found = ", ".join(f"{number}: {width}x{height} px" for number, (width, height) in enumerate(sizes))
+        if self._display >= len(sizes):
+            raise ScreenError(f"there is no display {self._display}; there are {found}")
+        if sizes[self._display] != self._size:
+            raise ScreenError(
+                f"the patterns have {self._size[0]}x{self._size[1]} px and display {self._display} another size; "
+                f"there are {found}"
+            )
+        self._window = pygame.Window(
+            "fringes", self._size, position=pygame.WINDOWPOS_CENTERED | self._display, borderless=True
+        )
+        self._window.set_fullscreen(True)
+        pygame.mouse.set_visible(False)
+        from pygame._sdl2.video import Renderer, Texture
+
+        self._renderer = Renderer(self._window, vsync=True)
+        self._texture = Texture(self._renderer, self._size)
+        pygame.event.clear()
+
+    def _close_window(self) -> None:
+        window, self._window = self._window, None
+        if window is not None:
+            self._texture = self._renderer = None
+            window.destroy()

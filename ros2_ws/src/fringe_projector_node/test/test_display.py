@@ -1,0 +1,154 @@
+"""A real window on a virtual display: what is in the display's memory is compared pixel by pixel."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pygame
+import pytest
+import rclpy
+
+from fringe_projector_node.display import DisplayScreen
+from fringedic.errors import ScreenError
+from fringedic.patterns import render_pattern
+from fringedic.sequence import Orientation, PatternKind, Projection
+from fringedic_msgs.srv import ShowPattern
+from fringedic_ros.testing import NodeProcess, Peer
+
+pytestmark = pytest.mark.hardware
+
+DOMAIN = 42
+WIDTH, HEIGHT = 640, 480
+
+
+class VirtualDisplay:
+    """An X server without a screen, whose memory can be read as a file in the format of `xwd`."""
+
+    def __init__(self, folder: Path) -> None:
+        self._memory = folder / "Xvfb_screen0"
+        read_end, write_end = os.pipe()
+        self.process = subprocess.Popen(
+            ["Xvfb", "-displayfd", str(write_end), "-screen", "0", f"{WIDTH}x{HEIGHT}x24", "-fbdir", str(folder)],
+            pass_fds=[write_end],
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(write_end)
+        with open(read_end) as answer:
+            self.name = f":{answer.readline().strip()}"
+
+    def screenshot(self) -> np.ndarray:
+        """Red, green and blue of every pixel, uint8 (row, column, 3)."""
+        memory = self._memory.read_bytes()
+        header = np.frombuffer(memory, ">u4", 25)
+        start, columns, rows, line, colours = header[[0, 4, 5, 12, 19]].astype(int)
+        pixels = np.frombuffer(memory, np.uint8, rows * line, start + 12 * colours)
+        return pixels.reshape(rows, line)[:, : 4 * columns].reshape(rows, columns, 4)[:, :, 2::-1]
+
+
+@pytest.fixture
+def display(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualDisplay]:
+    folder = tmp_path / "display"
+    folder.mkdir()
+    display = VirtualDisplay(folder)
+    monkeypatch.setenv("DISPLAY", display.name)
+    yield display
+    pygame.display.quit()
+    display.process.terminate()
+    display.process.wait()
+
+
+@pytest.mark.parametrize(
+    "projection",
+    [
+        Projection(PatternKind.FRINGES, Orientation.VERTICAL, 10.0, 3, 8),
+        Projection(PatternKind.FRINGES, Orientation.HORIZONTAL, 16.0, 1, 4),
+        Projection(PatternKind.WHITE),
+    ],
+)
+def test_every_pixel_is_the_patterns(display: VirtualDisplay, projection: Projection) -> None:
+    pattern = render_pattern(projection, WIDTH, HEIGHT)
+    screen = DisplayScreen(0, WIDTH, HEIGHT)
+    before = time.time_ns()
+    shown = screen.show(pattern)
+    assert before < shown <= time.time_ns()
+    deadline = time.monotonic() + 5
+    while time.monotonic() < deadline and not np.array_equal(display.screenshot()[:, :, 0], pattern):
+        time.sleep(0.01)
+    for colour in range(3):
+        np.testing.assert_array_equal(display.screenshot()[:, :, colour], pattern)
+    screen.close()
+
+
+@pytest.mark.parametrize(
+    ("number", "size", "words"),
+    [
+        (3, (WIDTH, HEIGHT), "no display 3; there are 0: 640x480 px"),
+        (0, (800, 600), "patterns have 800x600 px and display 0 another size; there are 0: 640x480 px"),
+    ],
+)
+def test_wrong_display_is_named(display: VirtualDisplay, number: int, size: tuple[int, int], words: str) -> None:
+    with pytest.raises(ScreenError, match=words):
+        DisplayScreen(number, *size)
+
+
+def test_no_display(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(ScreenError, match="there is no display"):
+        DisplayScreen(0, WIDTH, HEIGHT)
+
+
+@pytest.mark.parametrize(
+    ("event", "words"),
+    [
+        ((pygame.WINDOWCLOSE, {}), "window was closed"),
+        ((pygame.WINDOWSIZECHANGED, {"x": 320, "y": 240}), "changed to 320x240 px"),
+    ],
+)
+def test_window_that_is_lost_opens_again(display: VirtualDisplay, event: tuple, words: str) -> None:
+    screen = DisplayScreen(0, WIDTH, HEIGHT)
+    pattern = render_pattern(Projection(PatternKind.FRINGES, pitch=20.0, shift=1, shifts=4), WIDTH, HEIGHT)
+    pygame.event.post(pygame.event.Event(*event))
+    with pytest.raises(ScreenError, match=words):
+        screen.show(pattern)
+    screen.show(pattern)
+    deadline = time.monotonic() + 5
+    while time.monotonic() < deadline and not np.array_equal(display.screenshot()[:, :, 0], pattern):
+        time.sleep(0.01)
+    np.testing.assert_array_equal(display.screenshot()[:, :, 0], pattern)
+    screen.close()
+
+
+def test_node_shows_on_the_display(display: VirtualDisplay, tmp_path: Path) -> None:
+    """What the service answers for is on the display; a pattern of the set-up, too."""
+    rclpy.init(domain_id=DOMAIN)
+    operator = Peer()
+    show = operator.create_client(ShowPattern, "projector/show")
+    parameters = {"screen": "display", "width_px": WIDTH, "height_px": HEIGHT}
+    try:
+        with NodeProcess("fringe_projector_node.projector_node", DOMAIN, tmp_path, parameters):
+            operator.wait(show.service_is_ready, "the projector's service", 20)
+            for request, name in (
+                (ShowPattern.Request(kind=1, pitch=20.0, shift=2, shifts=4), ""),
+                (ShowPattern.Request(kind=2, name="crosshair"), "crosshair"),
+            ):
+                future = show.call_async(request)
+                operator.wait(future.done, "the answer", 10)
+                assert future.result().error_code == ShowPattern.Request.NONE, future.result().error_message
+                projection = Projection(
+                    PatternKind(request.kind), pitch=request.pitch, shift=request.shift, shifts=request.shifts
+                )
+                expected = render_pattern(projection, WIDTH, HEIGHT, name)
+                operator.wait(
+                    lambda expected=expected: np.array_equal(display.screenshot()[:, :, 1], expected),
+                    f"the pattern {projection} {name} on the display",
+                    10,
+                )
+    finally:
+        operator.destroy_node()
+        rclpy.shutdown()
