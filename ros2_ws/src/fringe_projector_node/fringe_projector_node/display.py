@@ -37,6 +37,8 @@ class DisplayScreen:
         self._display = display
         self._size = (width, height)
         self._window: Any = None
+        self._renderer: Any = None
+        self._texture: Any = None
         self._open()
 
     def show(self, image: np.ndarray) -> int:
