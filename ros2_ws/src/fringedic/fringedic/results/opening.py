@@ -9,7 +9,8 @@ import xarray as xr
 
 from fringedic.errors import DatasetError, MissingTopicError
 from fringedic.results.datasets import dataset_from_derived, dataset_path
-from fringedic.results.stores import ENGINES, MAP_DIMENSIONS
+from fringedic.results.netcdf import open_netcdf
+from fringedic.results.stores import MAP_DIMENSIONS, SUFFIXES
 
 _OF_A_RUN = ("results.nc", "results.zarr")
 
@@ -43,7 +44,7 @@ def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
         There is no such recording.
     """
     path = Path(path)
-    file = path if path.suffix in ENGINES else find_dataset(path)
+    file = path if path.suffix in SUFFIXES else find_dataset(path)
     if file is None:
         try:
             file = dataset_from_derived(path)
@@ -69,7 +70,7 @@ def find_dataset(recording: Path) -> Path | None:
 
 def _open(file: Path) -> xr.Dataset:
     try:
-        dataset = xr.open_dataset(file, engine=ENGINES[file.suffix], cache=False)
+        dataset = open_netcdf(file) if file.suffix == ".nc" else xr.open_dataset(file, engine="zarr", cache=False)
     except (OSError, ValueError, KeyError) as error:
         raise DatasetError(
             f"{file}: cannot be read as {'NetCDF' if file.suffix == '.nc' else 'Zarr'}: {error}"

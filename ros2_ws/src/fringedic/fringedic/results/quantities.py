@@ -47,4 +47,27 @@ SCALARS: dict[str, Quantity] = {
     "valid_fraction": Quantity("1", "part of the points with a result of the last processing step"),
     "rms_displacement": Quantity("m", "root mean square length of (u, v, w)"),
 }
+POSITIONS = {"x", "y", "z", "shape_x", "shape_y", "shape_z"}
 PHASE_TOPICS = {"map": "phase", "sigma": "phase_sigma", "modulation": "modulation", "texture": "texture"}
+
+
+class PeopleUnit(NamedTuple):
+    """A unit for people: how it is written, an identifier of it, and its value in the dataset's unit."""
+
+    text: str
+    identifier: str
+    factor: float
+
+
+_MILLIMETRE = PeopleUnit("mm", "mm", 1e-3)
+_MICROMETRE = PeopleUnit("µm", "um", 1e-6)
+_MICROSTRAIN = PeopleUnit("µm/m", "um_per_m", 1e-6)
+
+
+def people_unit(name: str, units: str) -> PeopleUnit:
+    """Return the unit in which people get a map of a dataset: positions in mm, displacements in µm, strain in µm/m."""
+    if units == "m":
+        return _MILLIMETRE if name in POSITIONS else _MICROMETRE
+    if units == "1":
+        return _MICROSTRAIN
+    return PeopleUnit(units, units.replace(" ", "_"), 1.0)

@@ -18,7 +18,7 @@ import zarr
 
 from fringedic.errors import DatasetError
 
-ENGINES = {".nc": "h5netcdf", ".zarr": "zarr"}
+SUFFIXES = (".nc", ".zarr")
 MAP_DIMENSIONS = ("step", "row", "column")
 TEXT = "text"
 
@@ -69,7 +69,7 @@ def create_store(target: Path) -> Store:
 
 def check_suffix(target: Path) -> None:
     """Raise DatasetError when a name says no format."""
-    if target.suffix not in ENGINES:
+    if target.suffix not in SUFFIXES:
         raise DatasetError(f"{target}: a dataset is named .nc (NetCDF) or .zarr (Zarr)")
 
 
