@@ -30,9 +30,9 @@ from experiment_node.topics import (
     REFERENCE,
     STEP,
 )
-from fringedic.errors import FringedicError, NotAnsweredError
+from fringedic.errors import FringedicError, NotAnsweredError, ParameterError
 from fringedic.recording import BagReader, RawMessage
-from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, StepStatus
+from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, Reference, StepStatus
 from fringedic_ros.parameters import declare
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
 from fringedic_ros.stamps import to_nanoseconds
@@ -52,6 +52,10 @@ PROFILES = {
 ANNOUNCEMENTS = (REFERENCE, CALIBRATION)
 
 
+# What belongs to a step alone.
+OF_ONE_STEP = (IMAGE, "camera/camera_info", EXPOSURE, STEP)
+
+
 class PlayerParameters(BaseModel):
     """Parameters of the player."""
 
@@ -61,6 +65,10 @@ class PlayerParameters(BaseModel):
     recorder: bool = Field(False, description="Wait for a recorder of raw and derived topics before playing.")
     overrides: list[str] = Field(
         [], description="Parameters that keep the nodes' values instead of the recorded ones, such as dic.window."
+    )
+    steps: list[int] = Field([], description="Only these steps and their references; empty plays all.")
+    reference_step: int = Field(
+        -1, ge=-1, description="Step that all others are measured against, played first; -1 is as recorded."
     )
     timeout_s: float = Field(
         300.0, gt=0, le=86400, description="Longest wait for nodes to appear and for the answers to one step [s]."
@@ -118,20 +126,73 @@ class PlayerNode(Node):
         """
         bag = BagReader(Path(self.parameters.value.bag_path))
         bag.find(IMAGE, EXPOSURE, STEP)
+        chosen = self._chosen_steps(bag)
         names = {full: name for name, full in bag.find_optional(*RAW_TOPICS).items()}
         for full, name in names.items():
             kind = message_type(bag.topics[full].type_name)
             self._publishers_by_topic[name] = self.create_publisher(kind, name, PROFILES.get(name, EVENTS))
+        if self._reference is not None and REFERENCE not in self._publishers_by_topic:
+            self._publishers_by_topic[REFERENCE] = self.create_publisher(Reference, REFERENCE, LATCHED)
         self._wait_for_nodes()
+
+        def recorded() -> Iterator[RecordedStep]:
+            return split_steps(message._replace(topic=names[message.topic]) for message in bag.published(names))
+
         steps = frames = 0
-        for step in split_steps(message._replace(topic=names[message.topic]) for message in bag.published(names)):
-            frames += self._play_step(step)
-            steps += step.begin is not None
+        if self._reference is not None:
+            self._publish_reference(bag)
+            for step in recorded():
+                frames += self._play_step(step, step.begin is not None and step.begin.step == self._reference)
+                if step.begin is not None and step.begin.step == self._reference:
+                    steps += 1
+                    break
+        for step in recorded():
+            wanted = step.begin is not None and (chosen is None or step.begin.step in chosen)
+            wanted = wanted and step.begin.step != self._reference
+            frames += self._play_step(step, wanted)
+            steps += wanted
         self._barrier()
         return f"{steps} steps, {frames} frames, {len(self.problems)} problems"
 
-    def _play_step(self, step: RecordedStep) -> int:
-        """Play one step, wait for its answers and return the number of its frames."""
+    @property
+    def _reference(self) -> int | None:
+        number = self.parameters.value.reference_step
+        return None if number < 0 else number
+
+    def _chosen_steps(self, bag: BagReader) -> set[int] | None:
+        """Return which steps are asked for, with those that they are measured against; None for all."""
+        names = bag.find_optional(STEP, REFERENCE)
+        present, references = [], set()
+        for topic, message, _ in bag.messages(names.values()):
+            if topic == names[STEP]:
+                present.append(message.step)
+            else:
+                references.add(message.step)
+        asked = set(self.parameters.value.steps) | ({self._reference} if self._reference is not None else set())
+        absent = sorted(asked - set(present))
+        if absent:
+            there = ", ".join(map(str, sorted(set(present))))
+            raise ParameterError(f"{bag.path} has no step {', '.join(map(str, absent))}; it has {there}")
+        if not self.parameters.value.steps:
+            return None
+        return asked if self._reference is not None else asked | references | {min(present)}
+
+    def _publish_reference(self, bag: BagReader) -> None:
+        """Announce the reference step that replaces the recorded ones."""
+        topic = bag.find(STEP)[STEP]
+        experiment = next(message.experiment for _, message, _ in bag.messages([topic]))
+        self._publishers_by_topic[REFERENCE].publish(Reference(experiment=experiment, step=self._reference))
+        self._ahead[REFERENCE] += 1
+
+    def _play_step(self, step: RecordedStep, wanted: bool) -> int:
+        """Play one step, wait for its answers and return the number of its frames.
+
+        Of a step that is not wanted only what later steps need is played: parameters, calibration, references, load.
+        """
+        if self._reference is not None:
+            step.messages = [message for message in step.messages if message.topic != REFERENCE]
+        if not wanted:
+            step = RecordedStep(None, [message for message in step.messages if message.topic not in OF_ONE_STEP])
         self._answers.clear()
         complete = step.begin is not None and is_complete(step)
         if step.begin is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -92,7 +92,14 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
     return Graph(rig.namespace, tuple(nodes))
 
 
-def replay_graph(bag: Path, output: Path, overrides: Mapping[str, Mapping[str, Any]]) -> Graph:
+def replay_graph(
+    bag: Path,
+    output: Path,
+    overrides: Mapping[str, Mapping[str, Any]],
+    *,
+    steps: Sequence[int] = (),
+    reference: int | None = None,
+) -> Graph:
     """Return the nodes that process a recording again and record what comes of it.
 
     Parameters
@@ -103,6 +110,10 @@ def replay_graph(bag: Path, output: Path, overrides: Mapping[str, Mapping[str, A
         Folder of the new recording.
     overrides
         Parameters that replace the recorded ones, ``{"dic": {"window": 24}}``.
+    steps
+        Only these steps and their references; all when empty.
+    reference
+        A step that all others are measured against; by default as recorded.
 
     Raises
     ------
@@ -114,6 +125,10 @@ def replay_graph(bag: Path, output: Path, overrides: Mapping[str, Mapping[str, A
     replaced = [f"{node}.{name}" for node, values in overrides.items() for name in values]
     if replaced:
         player["overrides"] = replaced
+    if steps:
+        player["steps"] = list(steps)
+    if reference is not None:
+        player["reference_step"] = reference
     return Graph(
         step_topic.removesuffix(STEP_TOPIC).strip("/"),
         (

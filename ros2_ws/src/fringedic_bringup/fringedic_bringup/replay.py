@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,8 @@ def replay(
     progress: Progress,
     *,
     overrides: Mapping[str, Mapping[str, Any]] | None = None,
+    steps: Sequence[int] = (),
+    reference: int | None = None,
     environment: Mapping[str, str] | None = None,
 ) -> Path:
     """Process a recording again by the nodes and return the new recording.
@@ -35,6 +37,10 @@ def replay(
         New folder: ``bag`` with the recording and ``logs`` of the nodes.
     overrides
         Parameters that replace the recorded ones, ``{"dic": {"window": 24}}``.
+    steps
+        Only these steps and their references; all when empty.
+    reference
+        A step that all others are measured against, earlier ones too; by default as recorded.
     environment
         Further environment variables of the nodes, such as NUMBA_NUM_THREADS.
 
@@ -50,7 +56,7 @@ def replay(
     target = output / "bag"
     if target.exists():
         raise RecordingError(f"{target} exists already; choose another --output")
-    graph = replay_graph(bag, target, overrides or {})
+    graph = replay_graph(bag, target, overrides or {}, steps=steps, reference=reference)
     with (
         private_domain() as domain,
         RunningGraph(graph, output / "logs", domain=domain, environment=environment) as running,
