@@ -147,10 +147,10 @@ class PlayerNode(Node):
                     steps += 1
                     break
         for step in recorded():
-            wanted = step.begin is not None and (chosen is None or step.begin.step in chosen)
-            wanted = wanted and step.begin.step != self._reference
+            number = None if step.begin is None else step.begin.step
+            wanted = (chosen is None or number in chosen) and (number is None or number != self._reference)
             frames += self._play_step(step, wanted)
-            steps += wanted
+            steps += wanted and number is not None
         self._barrier()
         return f"{steps} steps, {frames} frames, {len(self.problems)} problems"
 

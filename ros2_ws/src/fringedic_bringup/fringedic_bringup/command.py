@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -14,7 +14,7 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
-from fringedic.errors import FringedicError, ParameterError, RigFileError
+from fringedic.errors import ExportError, FringedicError, ParameterError, RecordingError, RigFileError
 from fringedic_bringup.display import LiveProgress, report_table
 
 if TYPE_CHECKING:
@@ -30,6 +30,12 @@ app = typer.Typer(
 console = Console(width=None if sys.stdout.isatty() else 120)
 
 Bag = Annotated[Path, typer.Argument(help="Folder of a recording.")]
+Bags = Annotated[list[Path], typer.Argument(help="Folders of recordings, one after the other.")]
+Steps = Annotated[list[int] | None, typer.Option("--step", help="Only this step and its reference; may be repeated.")]
+ReferenceStep = Annotated[
+    int | None, typer.Option("--reference", help="Step that all others are measured against, earlier ones too.")
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there already.")]
 Output = Annotated[Path | None, typer.Option(help="Folder for what is written.")]
 Settings = Annotated[
     list[str] | None,
@@ -84,40 +90,66 @@ def demo(
 
 
 @app.command(epilog="Example: fringedic replay recordings/plate-7/bag --set dic.window=24 --output window-24")
-def replay(bag: Bag, settings: Settings = None, output: Output = None) -> None:
-    """Process a recording again by fresh nodes, as fast as they go, and record the results."""
+def replay(
+    bags: Bags,
+    settings: Settings = None,
+    steps: Steps = None,
+    reference: ReferenceStep = None,
+    output: Output = None,
+) -> None:
+    """Process recordings again by fresh nodes, as fast as they go, and record the results."""
     from fringedic_bringup.replay import replay as replay_bag
 
     overrides = _by_node(_values(settings))
-    _existing(bag)
-    folder = output or _unused(bag.with_name(f"{bag.name}_replayed"))
-    with LiveProgress(console) as progress:
-        target = replay_bag(bag, folder, progress, overrides=overrides)
-    console.print(f"recording: {target}", markup=False, highlight=False)
+
+    def work(bag: Path) -> None:
+        _existing(bag)
+        folder = _unused(bag.with_name(f"{bag.name}_replayed"))
+        if output is not None:
+            folder = output if len(bags) == 1 else output / _title(bag)
+        with LiveProgress(console) as progress:
+            target = replay_bag(bag, folder, progress, overrides=overrides, steps=steps or (), reference=reference)
+        console.print(f"recording: {target}", markup=False, highlight=False)
+
+    _for_each(bags, work)
 
 
 @app.command(epilog="Example: fringedic process recordings/plate-7/bag --set coupling.z_filter_px=4 --output new.nc")
 def process(
-    bag: Bag,
+    bags: Bags,
     settings: Settings = None,
-    output: Annotated[Path | None, typer.Option(help="NetCDF file; beside the recording by default.")] = None,
-    steps: Annotated[list[int] | None, typer.Option("--step", help="Only this step; may be repeated.")] = None,
-    overwrite: Annotated[bool, typer.Option(help="Replace an existing file.")] = False,
+    steps: Steps = None,
+    reference: ReferenceStep = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(help="Dataset, .nc or .zarr, beside the recording by default; of several recordings a folder."),
+    ] = None,
+    overwrite: Overwrite = False,
 ) -> None:
-    """Measure a recording again without ROS and write the results as NetCDF."""
+    """Measure recordings again without ROS and write the results as datasets."""
     from fringedic.results import process_bag
 
-    with LiveProgress(console) as progress:
-        progress.stage(f"processing {bag}")
-        target = process_bag(
-            bag,
-            output=output,
-            overrides=_values(settings),
-            steps=steps or None,
-            overwrite=overwrite,
-            progress=lambda step, error: progress.note(f"step {step}: {error or 'measured'}"),
-        )
-    console.print(f"dataset: {target}", markup=False, highlight=False)
+    values = _values(settings)
+
+    def work(bag: Path) -> None:
+        target = output
+        if output is not None and len(bags) > 1:
+            output.mkdir(parents=True, exist_ok=True)
+            target = output / f"{_title(bag)}.nc"
+        with LiveProgress(console) as progress:
+            progress.stage(f"processing {bag}")
+            written = process_bag(
+                bag,
+                output=target,
+                overrides=values,
+                steps=steps or None,
+                reference=reference,
+                overwrite=overwrite,
+                progress=lambda step, error: progress.note(f"step {step}: {error or 'measured'}"),
+            )
+        console.print(f"dataset: {written}", markup=False, highlight=False)
+
+    _for_each(bags, work)
 
 
 @app.command(epilog="Example: fringedic info recordings/plate-7/bag")
@@ -162,18 +194,33 @@ def measure(
     console.print(f"dataset: {dataset}\npictures: {len(pictures)} in {output}", markup=False, highlight=False)
 
 
-@app.command(epilog="Example: fringedic export recordings/plate-7/bag --output plate-7")
-def export(bag: Bag, output: Output = None) -> None:
-    """Write what the nodes published as a labelled dataset (NetCDF) and as pictures (PNG)."""
-    from fringedic.pictures import save_pictures
-    from fringedic.results import dataset_from_derived, open_experiment
+@app.command(epilog="Example: fringedic export recordings/plate-7/bag --to vtk --to csv --output plate-7")
+def export(
+    source: Annotated[Path, typer.Argument(metavar="BAG|DATASET", help="Recording or dataset.")],
+    formats: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--to", metavar="FORMAT", help="netcdf, zarr, vtk, ply, csv, mat, tiff, png or r3xa; may be repeated."
+        ),
+    ] = None,
+    steps: Annotated[list[int] | None, typer.Option("--step", help="Only this step; may be repeated.")] = None,
+    output: Output = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write a dataset for other programs; by default as NetCDF and as pictures (PNG)."""
+    from fringedic.export import export_dataset
+    from fringedic.results import open_experiment
 
-    folder = output or _unused(bag.with_name(f"{bag.name}_exported"))
-    folder.mkdir(parents=True, exist_ok=True)
-    target = dataset_from_derived(bag, output=folder / f"{bag.name}.nc")
-    with open_experiment(target) as dataset:
-        pictures = save_pictures(dataset, folder)
-    console.print(f"dataset: {target}\npictures: {len(pictures)} in {folder}", markup=False, highlight=False)
+    folder = output or source.with_name(f"{source.stem}_exported")
+    problems = 0
+    with open_experiment(source) as dataset:
+        for done in export_dataset(dataset, folder, formats or ["netcdf", "png"], steps=steps, overwrite=overwrite):
+            lines = [f"{done.format}: {done.path}"] if done.path else []
+            lines += [f"{done.format}: {problem}" for problem in done.problems]
+            problems += done.path is None
+            console.print("\n".join(lines), markup=False, highlight=False)
+    if problems:
+        raise ExportError(f"{problems} of {len(formats or ()) or 2} formats were not written, see above")
 
 
 def main() -> None:
@@ -228,6 +275,27 @@ def _existing(bag: Path) -> None:
     from fringedic.recording import BagReader
 
     BagReader(bag).find("camera/image_raw", "camera/exposure", "experiment/step")
+
+
+def _for_each(bags: list[Path], work: Callable[[Path], None]) -> None:
+    """Do something with each recording; one that fails is named, the others go on."""
+    if len(bags) == 1:
+        work(bags[0])
+        return
+    failed = []
+    for bag in bags:
+        try:
+            work(bag)
+        except FringedicError as error:
+            console.print(f"{bag}: {error}", markup=False, highlight=False)
+            failed.append(str(bag))
+    if failed:
+        raise RecordingError(f"not done: {', '.join(failed)}")
+
+
+def _title(bag: Path) -> str:
+    """Return the name of a recording: that of its run, where it is the folder `bag` of one."""
+    return bag.absolute().parent.name if bag.name == "bag" else bag.stem
 
 
 def _unused(folder: Path) -> Path:
