@@ -25,6 +25,10 @@ class StepError(FringedicError):
         self.index = index
 
 
+class AdviceError(FringedicError, ValueError):
+    """Settings are asked for by a wish that has no meaning."""
+
+
 class CalibrationAnglesError(FringedicError, ValueError):
     """The angles or heights of calibration planes have the wrong unit or sign."""
 
@@ -161,6 +165,10 @@ class InvalidDistortionError(FringedicError, ValueError):
     """The distortion of a camera is described by numbers that have no meaning."""
 
 
+class InvalidExposuresError(FringedicError, ValueError):
+    """Exposure times that cannot be merged."""
+
+
 class InvalidPatternError(FringedicError, ValueError):
     """A pattern is asked for that a projector cannot show or that no phase can be measured from."""
 
@@ -187,6 +195,10 @@ class NoCorrelationError(FringedicError, ValueError):
 
 class NoFreeDomainError(FringedicError, RuntimeError):
     """Every ROS domain set aside for replays is in use."""
+
+
+class NoFringesError(FringedicError, ValueError):
+    """An image shows no fringes."""
 
 
 class NodeDiedError(FringedicError, RuntimeError):

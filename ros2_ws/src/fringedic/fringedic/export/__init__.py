@@ -1,0 +1,9 @@
+"""Datasets as files of other programs: VTK for ParaView, PLY, CSV, MATLAB, TIFF, NetCDF, Zarr, PNG, R3XA metadata.
+
+Files for people (VTK, PLY, CSV, TIFF, PNG) have positions in mm, displacements in µm and strain in µm/m, with the unit
+in every name; files for programs (NetCDF, Zarr, MATLAB) keep the SI units of the dataset and name them.
+"""
+
+from fringedic.export.exporting import FORMATS, Exported, export_dataset
+
+__all__ = ["FORMATS", "Exported", "export_dataset"]

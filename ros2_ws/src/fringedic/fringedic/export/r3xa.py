@@ -1,0 +1,121 @@
+"""Metadata of an experiment after the R3XA schema, version 2024.7.1.
+
+Written is only what is known: the schema's required texts are the empty string where nobody entered anything.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from fringedic.export.metadata import experiment_name, metadata, seconds
+
+VERSION = "2024.7.1"
+
+
+def write_r3xa(dataset: xr.Dataset, file: Path) -> list[str]:
+    """Write the metadata as JSON."""
+    file.write_text(json.dumps(r3xa_document(dataset), indent=1, ensure_ascii=False), encoding="utf-8")
+    return []
+
+
+def r3xa_document(dataset: xr.Dataset) -> dict[str, Any]:
+    """Return specimen, camera, analysis and results of an experiment as R3XA lays them out."""
+    known = metadata(dataset)
+    facts = known.get("facts", {})
+    specimen, hardware = facts.get("specimen", {}), facts.get("hardware", {})
+    calibration, rig = known.get("calibration"), known.get("rig", {})
+    name = experiment_name(dataset)
+    stamps = dataset["time"].values if "time" in dataset else None
+    return {
+        "title": name,
+        "description": specimen.get("notes") or f"Experiment {name}, measured by {known.get('software', 'fringedic')}",
+        "version": VERSION,
+        "authors": specimen.get("operator", ""),
+        "date": "1970-01-01" if stamps is None else str(np.datetime_as_string(stamps.min(), unit="D")),
+        "settings": [_specimen(name, specimen)],
+        "data_sources": [_camera(calibration, hardware, rig), _analysis(known)],
+        "data_sets": [_results(dataset, stamps)],
+    }
+
+
+def _quantity(value: float, unit: str, title: str = "") -> dict[str, Any]:
+    entry: dict[str, Any] = {"kind": "unit", "unit": unit, "value": float(value)}
+    return entry | ({"title": title} if title else {})
+
+
+def _specimen(experiment: str, facts: dict[str, Any]) -> dict[str, Any]:
+    section = facts.get("section_mm2")
+    setting: dict[str, Any] = {
+        "id": "specimen",
+        "kind": "settings/specimen",
+        "title": facts.get("name") or experiment,
+        "description": facts.get("material", ""),
+        "sizes": [] if section is None else [_quantity(section, "mm2", "section")],
+    }
+    return setting | ({"patterning_technique": facts["pattern"]} if facts.get("pattern") else {})
+
+
+def _camera(calibration: dict[str, Any] | None, hardware: dict[str, Any], rig: dict[str, Any]) -> dict[str, Any]:
+    source: dict[str, Any] = {
+        "id": "camera",
+        "kind": "data_sources/camera",
+        "title": "camera",
+        "description": "frames of fringes and white light",
+        "output_components": 1,
+        "output_dimension": "surface",
+        "output_units": [{"kind": "unit", "unit": "grey level"}],
+        "manufacturer": "",
+        "model": hardware.get("camera", ""),
+        "image_size": [],
+    }
+    if calibration is not None:
+        width, height, scale = (calibration[key] for key in ("camera_width", "camera_height", "pixel_size"))
+        across = scale / calibration["pixel_aspect"]
+        source["image_size"] = [_quantity(width, "px", "width"), _quantity(height, "px", "height")]
+        source["field_of_view"] = [
+            _quantity(1e3 * width * across, "mm", "width"),
+            _quantity(1e3 * height * scale, "mm", "height"),
+        ]
+        source["image_scale"] = _quantity(1e-3 / scale, "px/mm")
+        source["standoff_distance"] = _quantity(1e3 * calibration["camera_distance"], "mm")
+    exposure = rig.get("camera", {}).get("exposure_time_s")
+    if exposure is not None:
+        source["exposure"] = _quantity(1e3 * exposure, "ms")
+    if hardware.get("focal_length_mm") is not None:
+        source["focal_length"] = _quantity(hardware["focal_length_mm"], "mm")
+    entered = {"lens": "lens", "aperture": "aperture", "filters": "filter"}
+    return source | {theirs: hardware[ours] for ours, theirs in entered.items() if hardware.get(ours)}
+
+
+def _analysis(known: dict[str, Any]) -> dict[str, Any]:
+    return {
+        "id": "analysis",
+        "kind": "data_sources/generic",
+        "title": "shape and 3D displacement",
+        "description": json.dumps(known.get("parameters", [])),
+        "output_components": 3,
+        "output_dimension": "surface",
+        "output_units": [{"kind": "unit", "unit": "m"}],
+        "manufacturer": "",
+        "model": f"{known.get('software', '')}, commit {known.get('commit', '')}",
+    }
+
+
+def _results(dataset: xr.Dataset, stamps: np.ndarray | None) -> dict[str, Any]:
+    begin = 0.0 if stamps is None else float(stamps.min().astype("datetime64[ns]").astype(np.int64)) * 1e-9
+    return {
+        "id": "results",
+        "kind": "data_sets/list",
+        "title": "maps of every step",
+        "description": "one labelled dataset; each step is one index of its dimension 'step'",
+        "file_type": "application/x-netcdf",
+        "data_sources": ["camera", "analysis"],
+        "time_reference": begin,
+        "timestamps": seconds(dataset).tolist(),
+        "data": [f"step {int(number)}" for number in dataset["step"].values],
+    }

@@ -1,0 +1,160 @@
+"""Measured surfaces as meshes: a VTK series for ParaView, and PLY."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import pyvista
+import xarray as xr
+
+from fringedic.errors import ExportError
+from fringedic.export.metadata import experiment_name, map_names, metadata_text, seconds
+from fringedic.results.quantities import people_unit
+
+MILLI = 1e-3
+_NEEDED = ("x", "y", "z", "u", "v", "w")
+_VECTORS = {"displacement_mm": ("u", "v", "w"), "displacement_sigma_mm": ("sigma_u", "sigma_v", "sigma_w")}
+
+
+def measured_surface(step: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+    """Return where a step has a displaced surface, and the quadrilaterals between its points.
+
+    Parameters
+    ----------
+    step
+        One step of an experiment.
+
+    Returns
+    -------
+    tuple
+        A mask (row, column), and for each quadrilateral whose four corners are measured the numbers of its points,
+        counted through the mask row by row; counterclockwise seen from the camera, shape (number, 4).
+
+    Raises
+    ------
+    ExportError
+        The step has no displaced surface.
+    """
+    absent = [name for name in _NEEDED if name not in step]
+    valid = np.ones((step.sizes["row"], step.sizes["column"]), bool)
+    for name in () if absent else _NEEDED:
+        valid &= np.isfinite(step[name].values)
+    if absent or not valid.any():
+        raise ExportError(f"step {int(step.step)} has no surface")
+    number = np.cumsum(valid).reshape(valid.shape) - 1
+    whole = valid[:-1, :-1] & valid[1:, :-1] & valid[1:, 1:] & valid[:-1, 1:]
+    # rows run downwards: down, right, up is counterclockwise for somebody who looks against z
+    corners = (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:])
+    return valid, np.stack([corner[whole] for corner in corners], axis=-1)
+
+
+def write_vtk(dataset: xr.Dataset, folder: Path) -> list[str]:
+    """Write one ``.vtp`` per step and a ``.pvd`` that gives them their times.
+
+    The points are those of the reference surface [mm]; ``displacement_mm`` moves them (Warp By Vector, factor 1).
+
+    Returns
+    -------
+    list of str
+        What could not be written: steps without a surface.
+
+    Raises
+    ------
+    ExportError
+        No step has a surface.
+    """
+    folder.mkdir(parents=True)
+    entries, skipped = [], []
+    text = metadata_text(dataset)
+    for index, time in enumerate(seconds(dataset)):
+        step = dataset.isel(step=index)
+        try:
+            valid, quads = measured_surface(step)
+        except ExportError as error:
+            skipped.append(str(error))
+            continue
+        points = np.stack([step[name].values[valid] for name in "xyz"], axis=-1) / MILLI
+        faces = np.hstack([np.full((len(quads), 1), 4, quads.dtype), quads])
+        mesh = pyvista.PolyData(points.astype(np.float32), faces=faces.ravel() if len(quads) else None)
+        for name, components in _VECTORS.items():
+            if all(component in step for component in components):
+                vectors = np.stack([step[component].values[valid] for component in components], axis=-1) / MILLI
+                mesh.point_data[name] = vectors.astype(np.float32)
+        for name in map_names(dataset):
+            unit = people_unit(name, step[name].attrs.get("units", ""))
+            if name not in _NEEDED and not name.startswith("shape_"):
+                mesh.point_data[f"{name}_{unit.identifier}"] = _float32(step[name].values[valid], unit.factor)
+        mesh.field_data["metadata"] = [text]
+        mesh.field_data["TimeValue"] = np.array([time])
+        name = f"step_{int(step.step):03d}.vtp"
+        mesh.save(folder / name)
+        entries.append(f'    <DataSet timestep="{time:.9g}" part="0" file={quoteattr(name)}/>')
+    if not entries:
+        raise ExportError("no step has a surface that VTK could show")
+    lines = [
+        '<?xml version="1.0"?>',
+        '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">',
+        "  <Collection>",
+        *entries,
+        "  </Collection>",
+        "</VTKFile>",
+    ]
+    (folder / f"{experiment_name(dataset)}.pvd").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return skipped
+
+
+def write_ply(dataset: xr.Dataset, folder: Path) -> list[str]:
+    """Write the surface of each step where it has moved to [mm], with its displacement and strain at every point.
+
+    Returns
+    -------
+    list of str
+        What could not be written: steps without a surface.
+
+    Raises
+    ------
+    ExportError
+        No step has a surface.
+    """
+    folder.mkdir(parents=True)
+    skipped = []
+    text = metadata_text(dataset)
+    names = [name for name in map_names(dataset) if not name.startswith("shape_") and name not in "xyz"]
+    for number in dataset["step"].values:
+        step = dataset.sel(step=number)
+        try:
+            valid, quads = measured_surface(step)
+        except ExportError as error:
+            skipped.append(str(error))
+            continue
+        columns = {
+            axis: _float32(step[axis].values[valid] + step[moved].values[valid], MILLI)
+            for axis, moved in zip("xyz", "uvw", strict=True)
+        }
+        for name in names:
+            unit = people_unit(name, step[name].attrs.get("units", ""))
+            columns[f"{name}_{unit.identifier}"] = _float32(step[name].values[valid], unit.factor)
+        _save_ply(folder / f"step_{int(number):03d}.ply", columns, quads, ["units mm", f"metadata {text}"])
+    if len(skipped) == dataset.sizes["step"]:
+        raise ExportError("no step has a surface that PLY could hold")
+    return skipped
+
+
+def _save_ply(file: Path, columns: dict[str, np.ndarray], quads: np.ndarray, comments: Iterable[str]) -> None:
+    header = ["ply", "format binary_little_endian 1.0", *(f"comment {comment}" for comment in comments)]
+    header += [f"element vertex {len(columns['x'])}", *(f"property float {name}" for name in columns)]
+    header += [f"element face {len(quads)}", "property list uchar int vertex_indices", "end_header"]
+    vertices = np.stack(list(columns.values()), axis=-1).astype("<f4")
+    faces = np.empty(len(quads), np.dtype([("count", "u1"), ("corners", "<i4", 4)]))
+    faces["count"], faces["corners"] = 4, quads
+    with open(file, "wb") as stream:
+        stream.write(("\n".join(header) + "\n").encode("ascii"))
+        stream.write(vertices.tobytes())
+        stream.write(faces.tobytes())
+
+
+def _float32(values: np.ndarray, unit: float) -> np.ndarray:
+    return (values / unit).astype(np.float32)

@@ -1,0 +1,152 @@
+"""Maps as numbers: CSV, MATLAB, TIFF, NetCDF and Zarr."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.io
+import tifffile
+import xarray as xr
+
+from fringedic.errors import ExportError
+from fringedic.export.metadata import MAP_DIMENSIONS, map_names, metadata, metadata_text, seconds
+from fringedic.results.quantities import people_unit
+
+MATLAB_LIMIT = 2**31 - 1  # bytes of one variable in a MATLAB 5 file
+_LIGHT = ("modulation", "texture")  # known of every pixel, measured or not
+_SCALARS = ("force", "position", "valid_fraction", "rms_displacement")
+_SCALAR_UNITS = {"force": ("N", 1.0), "position": ("mm", 1e-3), "rms_displacement": ("µm", 1e-6)}
+
+
+def write_csv(dataset: xr.Dataset, folder: Path) -> list[str]:
+    """Write a table of points per step, one of the steps, and the metadata as JSON; the units are in the headings."""
+    folder.mkdir(parents=True)
+    skipped = []
+    names = map_names(dataset)
+    units = {name: people_unit(name, dataset[name].attrs.get("units", "")) for name in names}
+    heading = ",".join(["row [px]", "column [px]", *(f"{name} [{units[name].text}]" for name in names)])
+    rows, columns = np.meshgrid(dataset["row"].values, dataset["column"].values, indexing="ij")
+    for number in dataset["step"].values:
+        step = dataset.sel(step=number)
+        maps = [step[name].values.astype(np.float64) / units[name].factor for name in names]
+        measured = np.isfinite([values for name, values in zip(names, maps, strict=True) if name not in _LIGHT]).any(
+            axis=0
+        )
+        if not measured.any():
+            skipped.append(f"step {int(number)} has no measured point")
+            continue
+        table = np.stack([rows[measured], columns[measured], *(values[measured] for values in maps)], axis=-1)
+        file = folder / f"step_{int(number):03d}.csv"
+        np.savetxt(file, table, fmt="%.7g", delimiter=",", header=heading, comments="", encoding="utf-8")
+    with open(folder / "steps.csv", "w", newline="", encoding="utf-8") as stream:
+        csv.writer(stream).writerows(_steps_table(dataset))
+    (folder / "metadata.json").write_text(json.dumps(metadata(dataset), indent=1), encoding="utf-8")
+    return skipped
+
+
+def _steps_table(dataset: xr.Dataset) -> list[list[Any]]:
+    """Return heading and one line per step, in the units of people."""
+    scalars = [name for name in _SCALARS if name in dataset]
+    heading = ["step", "time [s]"]
+    columns: list[list[Any]] = [dataset["step"].values.tolist(), seconds(dataset).tolist()]
+    for name in scalars:
+        unit, factor = _SCALAR_UNITS.get(name, ("1", 1.0))
+        heading.append(f"{name} [{unit}]")
+        columns.append([float(f"{value / factor:.9g}") for value in dataset[name].values])
+    for name in ("reference_step", "error"):
+        if name in dataset:
+            heading.append(name)
+            columns.append(dataset[name].values.tolist())
+    return [heading, *(list(line) for line in zip(*columns, strict=True))]
+
+
+def write_matlab(dataset: xr.Dataset, file: Path) -> list[str]:
+    """Write one ``.mat`` file in SI units: maps over (row, column, step), a structure of units, and the metadata.
+
+    Raises
+    ------
+    ExportError
+        A map over all steps is larger than the format allows.
+    """
+    names = map_names(dataset)
+    content: dict[str, Any] = {}
+    for name in names:
+        size = dataset[name].size * dataset[name].dtype.itemsize
+        if size > MATLAB_LIMIT:
+            raise ExportError(
+                f"a .mat file cannot hold '{name}' of {size / 1e9:.1f} GB, its limit is {MATLAB_LIMIT / 1e9:.1f} GB "
+                "per variable; choose fewer steps, or NetCDF, which MATLAB reads too (ncread)"
+            )
+    for name in names:
+        content[name] = dataset[name].transpose("row", "column", "step").values
+    for name in _SCALARS:
+        if name in dataset:
+            content[name] = dataset[name].values
+    content |= {name: dataset[name].values.astype(float) for name in MAP_DIMENSIONS}
+    content["time"] = seconds(dataset)
+    units = {name: dataset[name].attrs.get("units", "1") for name in content if name in dataset}
+    content["units"] = units | {"time": "s"}
+    content["metadata"] = metadata_text(dataset)
+    scipy.io.savemat(file, content, do_compression=True, oned_as="column")
+    return []
+
+
+def write_tiff(dataset: xr.Dataset, folder: Path) -> list[str]:
+    """Write each map of each step as a plain 32-bit TIFF in the unit of its name; NaN is not measured."""
+    folder.mkdir(parents=True)
+    skipped = []
+    origin = metadata(dataset)
+    for number in dataset["step"].values:
+        step = dataset.sel(step=number)
+        written = False
+        for name in map_names(dataset):
+            values = step[name].values
+            if not np.isfinite(values).any():
+                continue
+            unit = people_unit(name, step[name].attrs.get("units", ""))
+            description = {
+                "map": name,
+                "unit": unit.text,
+                "meaning": step[name].attrs.get("long_name", ""),
+                "step": int(number),
+                "first_row_px": int(dataset["row"][0]),
+                "first_column_px": int(dataset["column"][0]),
+                "spacing_px": int(dataset["column"][1] - dataset["column"][0]) if dataset.sizes["column"] > 1 else 1,
+                **origin,
+            }
+            tifffile.imwrite(
+                folder / f"step_{int(number):03d}_{name}_{unit.identifier.replace('/', '_per_')}.tif",
+                (values / unit.factor).astype(np.float32),
+                description=json.dumps(description),
+                metadata=None,
+            )
+            written = True
+        if not written:
+            skipped.append(f"step {int(number)} has no measured point")
+    return skipped
+
+
+def write_netcdf(dataset: xr.Dataset, file: Path) -> list[str]:
+    """Write a dataset as it is, as NetCDF."""
+    sizes = (1, dataset.sizes["row"], dataset.sizes["column"])
+    dataset.drop_encoding().to_netcdf(file, engine="h5netcdf", encoding=_encoding(dataset, "chunksizes", sizes))
+    return []
+
+
+def write_zarr(dataset: xr.Dataset, folder: Path) -> list[str]:
+    """Write a dataset as it is, as Zarr."""
+    sizes = (1, dataset.sizes["row"], dataset.sizes["column"])
+    dataset.drop_encoding().to_zarr(folder, mode="w", zarr_format=2, encoding=_encoding(dataset, "chunks", sizes))
+    return []
+
+
+def _encoding(dataset: xr.Dataset, chunks: str, sizes: tuple[int, int, int]) -> dict[str, dict[str, Any]]:
+    """One map per chunk, times to the nanosecond."""
+    encoding: dict[str, dict[str, Any]] = {name: {chunks: sizes} for name in map_names(dataset)}
+    if "time" in dataset:
+        encoding["time"] = {"units": "nanoseconds since 1970-01-01", "dtype": "int64"}
+    return encoding
