@@ -16,6 +16,7 @@ from fringedic.results.rows import Row, Settings, in_order_of_steps
 from fringedic.results.stores import check_suffix
 from fringedic.results.timeline import Timeline
 from fringedic.results.writer import DatasetWriter
+from fringedic.rig import RigModel
 
 
 def process_bag(
@@ -25,6 +26,7 @@ def process_bag(
     overrides: Mapping[str, Any] | None = None,
     steps: Iterable[int] | None = None,
     reference: int | None = None,
+    calibration: RigModel | None = None,
     experiment: str | None = None,
     overwrite: bool = False,
     progress: Callable[[int, str], None] | None = None,
@@ -49,6 +51,8 @@ def process_bag(
         a step starts from that of its predecessors, so that results without them agree within the noise, not exactly.
     reference
         A step that all others are measured against, earlier ones too; by default as recorded.
+    calibration
+        Of the rig, instead of the recorded one.
     experiment
         Which experiment, where the recording holds several.
     overwrite
@@ -79,7 +83,7 @@ def process_bag(
         "experiment/step", "experiment/reference", "calibration", "node_parameters", "load_frame/state"
     )
     timeline = Timeline(reader, names, experiment)
-    chain = Chain(overrides or {}, timeline.experiment, reference)
+    chain = Chain(overrides or {}, timeline.experiment, reference, calibration)
     references = timeline.references if reference is None else {reference}
     asked = references if reference is not None else set()
     wanted = None if steps is None else set(steps) | references

@@ -39,14 +39,19 @@ class Chain:
         The experiment whose messages come.
     reference
         A step that is the reference of all others, whatever the recording says; give its messages first.
+    calibration
+        Of the rig, whatever the recording says.
     """
 
-    def __init__(self, overrides: Mapping[str, Any], experiment: str, reference: int | None) -> None:
+    def __init__(
+        self, overrides: Mapping[str, Any], experiment: str, reference: int | None, calibration: RigModel | None = None
+    ) -> None:
         self._reference = reference
         self._parameters = RecordedParameters(overrides)
         self._collector = FrameCollector()
         self._displacement = DisplacementTracker(self._parameters.dic)
         self._shape = ShapeTracker(self._parameters.coupling)
+        self._calibration_given = calibration is not None
         self._calibration: RigModel | None = None
         self._images: OrderedDict[int, Any] = OrderedDict()
         self._records: OrderedDict[int, FrameRecord] = OrderedDict()
@@ -54,6 +59,8 @@ class Chain:
         if reference is not None:
             self._displacement.set_reference(experiment, reference)
             self._shape.set_reference(experiment, reference)
+        if calibration is not None:
+            self._set_calibration(calibration)
 
     def settings(self) -> Settings:
         return self._parameters.settings(self._calibration)
@@ -63,8 +70,8 @@ class Chain:
         if topic == "node_parameters":
             self._parameters.take(message)
         elif topic == "calibration":
-            self._calibration = RigModel.from_message(message)
-            self._shape.set_calibration(self._calibration)
+            if not self._calibration_given:
+                self._set_calibration(RigModel.from_message(message))
         elif topic == "experiment/reference":
             if self._reference is not None:
                 return []
@@ -81,6 +88,10 @@ class Chain:
     def finish(self) -> list[Row]:
         """Return the steps that the recording leaves incomplete."""
         return [self._abandoned(*key) for key in self._collector.open_steps]
+
+    def _set_calibration(self, calibration: RigModel) -> None:
+        self._calibration = calibration
+        self._shape.set_calibration(calibration)
 
     def _end(self, message: Any) -> list[Row]:
         key = (message.experiment, message.step)
