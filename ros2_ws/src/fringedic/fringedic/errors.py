@@ -185,6 +185,14 @@ class InvalidWindowError(FringedicError, ValueError):
     """A window or filter is too narrow to hold a measurement, or no width at all."""
 
 
+class MachineError(FringedicError, RuntimeError):
+    """The testing machine does not answer, answers with nonsense, or does not take a request."""
+
+
+class MachineFileError(FringedicError, ValueError):
+    """The description of a testing machine cannot be used."""
+
+
 class MissingTopicError(FringedicError, LookupError):
     """A recording lacks topics that are needed."""
 
