@@ -16,13 +16,15 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from fringedic.advice import Advice, advise_settings
     from fringedic.correlation import Reference, measure_displacement
     from fringedic.errors import FringedicError
+    from fringedic.increments import accumulate
     from fringedic.patterns import fringe_sequence, gray_code_sequence, one_image_sequence
     from fringedic.phase import absolute_phase, demodulate, unwrap_hierarchical, unwrap_spatial
     from fringedic.pictures import save_pictures
-    from fringedic.results import compare_with_truth, open_experiment, process_bag
     from fringedic.response import ResponseCurve, measure_response
+    from fringedic.results import compare_with_truth, open_experiment, process_bag
     from fringedic.rig import RigModel
     from fringedic.rig_file import load_programme, load_rig_file
     from fringedic.surface import (
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
     )
 
 _HOMES = {
+    "Advice": "advice",
     "CylinderFrame": "surface",
     "FringedicError": "errors",
     "PreparedShape": "surface",
@@ -43,6 +46,8 @@ _HOMES = {
     "RigModel": "rig",
     "SpecimenFrame": "surface",
     "absolute_phase": "phase",
+    "advise_settings": "advice",
+    "accumulate": "increments",
     "compare_with_truth": "results",
     "couple": "surface",
     "demodulate": "phase",
@@ -63,6 +68,7 @@ _HOMES = {
 }
 
 __all__ = [
+    "Advice",
     "CylinderFrame",
     "FringedicError",
     "PreparedShape",
@@ -71,6 +77,8 @@ __all__ = [
     "RigModel",
     "SpecimenFrame",
     "absolute_phase",
+    "advise_settings",
+    "accumulate",
     "compare_with_truth",
     "couple",
     "demodulate",

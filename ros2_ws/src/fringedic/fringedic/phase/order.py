@@ -78,11 +78,10 @@ def unwrap_spatial(wrapped: np.ndarray | xr.DataArray) -> xr.DataArray:
         rows, columns = (np.flatnonzero(region.any(axis=axis)) for axis in (1, 0))
         window = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         inside = region[window]
-        masked = np.ma.array(np.where(inside, image[window], 0.0), mask=~inside)
-        unwrapped = np.asarray(np.ma.getdata(unwrap_phase(masked)))
-        orders = np.round((unwrapped - image[window]) / (2 * np.pi))  # whole turns: the phase itself stays bit by bit
-        orders -= np.round(np.median(orders[inside] + image[window][inside] / (2 * np.pi)))
-        phase[window][inside] = (image[window] + 2 * np.pi * orders)[inside]
+        part = np.where(inside, image[window], np.nan)
+        orders = _orders_over_image(part) if _jumps(part) else np.zeros(part.shape)
+        orders -= np.round(np.median((orders + part / (2 * np.pi))[inside]))
+        phase[window] = part + 2 * np.pi * orders
     return _named(phase, relative=True)
 
 
@@ -105,6 +104,19 @@ def assign_orders(phase: np.ndarray | xr.DataArray, coarse: np.ndarray | xr.Data
     if image.shape != known.shape:
         raise ShapeMismatchError(f"a phase of shape {image.shape} cannot take its orders from one of {known.shape}")
     return _named(image + 2 * np.pi * np.round((known - image) / (2 * np.pi)), relative=False)
+
+
+def _jumps(wrapped: np.ndarray) -> bool:
+    """Whether any two neighbours differ by more than half a turn."""
+    return any(bool((np.abs(np.diff(wrapped, axis=axis)) > np.pi).any()) for axis in (0, 1))
+
+
+def _orders_over_image(wrapped: np.ndarray) -> np.ndarray:
+    """Return the whole turns to add to each pixel, so that the phase itself stays bit by bit."""
+    known = np.isfinite(wrapped)
+    masked = np.ma.array(np.where(known, wrapped, 0.0), mask=~known)
+    unwrapped = np.asarray(np.ma.getdata(unwrap_phase(masked)))
+    return np.asarray(np.where(known, np.round((unwrapped - wrapped) / (2 * np.pi)), 0.0))
 
 
 def _named(phase: np.ndarray, *, relative: bool) -> xr.DataArray:
