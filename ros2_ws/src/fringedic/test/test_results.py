@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from mcap.reader import make_reader
+from pydantic import BaseModel
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fringedic.chain import (
@@ -24,7 +25,8 @@ from fringedic.chain import (
     phase_step,
     white_texture,
 )
-from fringedic.errors import DatasetError, FrameMismatchError, MissingTopicError, ParameterError
+from fringedic.errors import DatasetError, FactsError, FrameMismatchError, MissingTopicError, ParameterError
+from fringedic.facts import Facts
 from fringedic.patterns import render_pattern
 from fringedic.recording import BagWriter, Topic
 from fringedic.results import (
@@ -59,6 +61,13 @@ DERIVED = {
 POSITIONS = (0.0, 0.3e-3, 0.6e-3, 0.9e-3)  # [m]
 SPACING = 2
 START = 1_700_000_000_000_000_000  # [ns]
+
+
+class ExperimentParameters(BaseModel):
+    """What the experiment node records of itself, in part."""
+
+    shifts: int = 4
+    facts: str = ""
 
 
 class Bench:
@@ -452,6 +461,80 @@ def test_a_recording_that_is_cut_off_is_measured_as_far_as_it_goes(bench, proces
         assert identical(cut.w.values[:2], processed.w.values[:2])
         assert "step 2: frames 4, 5, 6, 7 of 8 never arrived" in str(cut.error.values[2]) and np.isnan(cut.w[2]).all()
     assert "damage" not in processed.attrs
+
+
+def test_zarr_holds_the_same(bench, processed, tmp_path):
+    path = process_bag(bench.bag, output=tmp_path / "plate.zarr", steps=[0, 5, 4])
+    with open_experiment(path) as folder:
+        assert folder.step.values.tolist() == [0, 4, 5]
+        chosen = processed.sel(step=folder.step)
+        for name in ("phase", "error", "time", "force", "valid_fraction"):
+            assert identical(folder[name].values, chosen[name].values), name
+        assert folder.calibration == processed.calibration and folder.commit == processed.commit
+        assert folder.w.encoding["chunks"] == (1, 60, 80)
+    with pytest.raises(DatasetError, match=r"plate\.zarr exists already"):
+        process_bag(bench.bag, output=path)
+    process_bag(bench.bag, output=path, steps=[0], overwrite=True)
+    with open_experiment(path) as folder:
+        assert folder.step.values.tolist() == [0]
+    assert [each.name for each in tmp_path.iterdir()] == ["plate.zarr"]
+    with pytest.raises(DatasetError, match=r"is named \.nc \(NetCDF\) or \.zarr"):
+        process_bag(bench.bag, output=tmp_path / "plate.txt")
+
+
+def test_another_reference_step_turns_the_displacement_round(bench, processed, tmp_path):
+    path = process_bag(bench.bag, output=tmp_path / "other.nc", reference=3)
+    with open_experiment(path) as other:
+        assert other.step.values.tolist() == [0, 1, 2, 3, 4, 5, 6]
+        assert set(other.reference_step.values.tolist()) == {3, -1}
+        assert set(np.unique(other.v.sel(step=3).values[np.isfinite(other.v.sel(step=3))])) == {0.0}
+        back, forth = other.v.sel(step=0), processed.v.sel(step=3)
+        assert float(forth.median()) > 100e-6, "the plate moves up against step 0"
+        assert float(back.median()) == pytest.approx(-float(forth.median()), rel=0.05)
+        # two displacements add up: 0 -> 1 is 3 -> 1 minus 3 -> 0
+        between = float((other.v.sel(step=1) - back).median())
+        assert between == pytest.approx(float(processed.v.sel(step=1).median()), rel=0.05)
+    with pytest.raises(DatasetError, match=r"experiment 'plate' has no step 9; it has 0, 1, 2, 3, 4, 5, 6"):
+        process_bag(bench.bag, output=tmp_path / "x.nc", reference=9)
+
+
+def test_facts_are_found_again_and_the_force_gets_its_tare_and_sign(tmp_path):
+    bench = Bench(tmp_path / "plate")
+    bench.begin()
+    facts = Facts.from_text("{specimen: {name: sheet 4, section_mm2: 12.5, force_tare_newton: first_step, force_sign: -1}}")
+    bench.parameters("experiment", ExperimentParameters(facts=facts.to_text()))
+    for number in range(3):
+        bench.step(number, POSITIONS[number], derived=False)
+    bench.writer.close()
+    with open_experiment(process_bag(tmp_path / "plate")) as dataset:
+        read = 1e6 * np.array(POSITIONS[:3]) + np.mean(range(len(bench.projections)))
+        np.testing.assert_allclose(dataset.force, -(read - read[0]))
+        specimen = json.loads(dataset.facts)["specimen"]
+        assert (specimen["name"], specimen["section_mm2"]) == ("sheet 4", 12.5)
+        assert json.loads(dataset.rig)["experiment"] == {"shifts": 4, "unknown_to_this_version": 1}
+    with pytest.raises(FactsError, match="specimen.section_mm2: Input should be greater than 0"):
+        Facts.from_text("{specimen: {section_mm2: 0.0}}")
+    with pytest.raises(FactsError, match="specimen.nam: Extra inputs"):
+        Facts.from_text("{specimen: {nam: x}}")
+    assert Facts().to_text() == "" and Facts.from_text("") == Facts()
+
+
+def test_the_dataset_of_a_run_is_found_from_its_recording(bench, tmp_path):
+    shutil.copytree(bench.bag, tmp_path / "bag")
+    process_bag(tmp_path / "bag", output=tmp_path / "results.nc", steps=[1])
+    with open_experiment(tmp_path / "bag") as dataset:
+        assert dataset.step.values.tolist() == [0, 1]
+    (tmp_path / "bag").rename(tmp_path / "other")
+    with open_experiment(tmp_path / "other") as dataset:
+        assert dataset.step.values.tolist() == [0, 1, 2, 3, 4, 6], "results.nc belongs to another recording"
+
+
+def test_maps_are_read_when_they_are_used(processed):
+    assert not processed.w.variable._in_memory and not processed.phase.variable._in_memory
+    processed.w.sel(step=3).values  # noqa: B018
+    assert not processed.w.variable._in_memory
+    picked = processed.w.isel(step=[3, 1], row=slice(10, None, 7), column=[5, 2, 2])
+    np.testing.assert_array_equal(picked.values, processed.w.values[[3, 1]][:, 10::7][:, :, [5, 2, 2]])
 
 
 @pytest.mark.parametrize(
