@@ -194,6 +194,35 @@ def measure(
     console.print(f"dataset: {dataset}\npictures: {len(pictures)} in {output}", markup=False, highlight=False)
 
 
+@app.command(epilog="Example: fringedic advise reference.tif static-1.tif static-2.tif --wanted-noise-px 0.005")
+def advise(
+    reference: Annotated[Path, typer.Argument(help="Image of the mounted specimen before the test.")],
+    static_1: Annotated[Path, typer.Argument(help="A second image of it, nothing moved.")],
+    static_2: Annotated[Path, typer.Argument(help="A third one.")],
+    wanted_noise_px: Annotated[
+        float | None, typer.Option(help="Noise of the displacement to be reached, in pixels.")
+    ] = None,
+    wanted_period_px: Annotated[
+        float | None, typer.Option(help="Shortest displacement wave that must keep 90 % of its amplitude, in pixels.")
+    ] = None,
+    pixel_size_mm: Annotated[
+        float | None, typer.Option(help="Size of a pixel on the specimen in mm, for lengths.")
+    ] = None,
+    strain_window_points: Annotated[int, typer.Option(help="Width of the strain window in points, odd.")] = 5,
+) -> None:
+    """Recommend window and spacing from three images at rest, and tell noise floors and what to put right."""
+    from fringedic_bringup.images import advise_on_images
+
+    advice = advise_on_images(
+        (reference, static_1, static_2),
+        wanted_noise=wanted_noise_px,
+        wanted_period=wanted_period_px,
+        pixel_size=None if pixel_size_mm is None else 1e-3 * pixel_size_mm,
+        strain_window=strain_window_points,
+    )
+    typer.echo(advice.report())
+
+
 @app.command(epilog="Example: fringedic export recordings/plate-7/bag --to vtk --to csv --output plate-7")
 def export(
     source: Annotated[Path, typer.Argument(metavar="BAG|DATASET", help="Recording or dataset.")],

@@ -7,7 +7,7 @@ from pathlib import Path
 import xarray as xr
 
 from camera_node.drivers.files import read_grey
-from fringedic import Reference, measure_displacement
+from fringedic import Advice, Reference, advise_settings, measure_displacement
 from fringedic.errors import CameraError, FringedicError
 from fringedic.pictures import IN_PLANE, maps_figure
 from fringedic_bringup.report import Progress
@@ -62,3 +62,32 @@ def measure_images(
     names = xr.DataArray([path.name for path in images[1:]], dims="step", name="image")
     xr.concat(fields, dim=names).to_netcdf(target, engine="h5netcdf")
     return target, pictures
+
+
+def advise_on_images(
+    images: tuple[Path, Path, Path],
+    *,
+    wanted_noise: float | None,
+    wanted_period: float | None,
+    pixel_size: float | None,
+    strain_window: int,
+) -> Advice:
+    """Recommend settings from the files of a reference and two static images, see `fringedic.advise_settings`.
+
+    Raises
+    ------
+    CameraError
+        An image cannot be read.
+    FringedicError
+        A wish has no meaning, or the images do not show the same surface.
+    """
+    reference, first, second = (read_grey(path) for path in images)
+    return advise_settings(
+        reference,
+        first,
+        second,
+        wanted_noise=wanted_noise,
+        wanted_period=wanted_period,
+        pixel_size=pixel_size,
+        strain_window=strain_window,
+    )

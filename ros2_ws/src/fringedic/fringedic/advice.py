@@ -1,0 +1,497 @@
+"""Choosing the settings of the in-plane displacement before a test, from a reference and two static images.
+
+Reports, in the words of good practice for image correlation, what the images are (noise, feature size, gradient, use of
+the grey levels), which subset and step reach a wanted resolution, and the noise floors that then hold.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.fft import irfft2, next_fast_len, rfft2
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import correlate1d
+
+from fringedic.correlation import Reference, measure_displacement
+from fringedic.correlation.images import SMALLEST_WINDOW, checked_image, checked_mask
+from fringedic.errors import AdviceError, ShapeMismatchError
+
+# Period with 10 % amplitude loss over the window (docs/validation/correlation.md): the filter keeps its form.
+CUT_OFF = 1.18
+FIRST_WINDOW = 32  # [px], what the noise is measured with before a window is recommended
+WIDEST_WINDOW = 256
+FEWEST_FEATURES, USUAL_FEATURES = 3, 5  # per subset
+STEPS_PER_SUBSET = 4
+TABLE_WINDOWS = (16, 24, 32, 48, 64, 96, 128)
+
+Image = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What the images are, the settings recommended for them, and the noise floors at these settings.
+
+    Pairs are (along columns, along rows). Displacements are in pixels, strains dimensionless, grey levels as stored.
+
+    Attributes
+    ----------
+    shape
+        Rows and columns of the images.
+    full_scale, quantisation
+        Largest grey level that the camera can deliver and the step between grey levels; NaN where not known.
+    saturated, dark
+        Share of the pixels at the full scale (NaN where it is not known) and at zero.
+    grey_range
+        Grey levels under which 1 % and 99 % of the pixels lie.
+    coverage
+        Share of the pixels darker than the middle between dark and bright.
+    image_noise
+        Standard deviation of a pixel's noise between two exposures.
+    contrast
+        Standard deviation of the texture, without noise.
+    feature_size
+        Full width at half height of the texture's autocorrelation [px].
+    mean_gradient
+        Mean magnitude of the intensity gradient [grey level / px].
+    window, spacing, strain_window
+        Recommended subset [px] and step [px], and the width of the strain window in points.
+    period
+        Shortest period of a displacement wave that keeps 90 % of its amplitude [px].
+    noise, noise_predicted, noise_temporal, bias
+        Displacement noise floor at these settings: spatial standard deviation (averaged over both static images), the
+        one that the stated uncertainty predicts, standard deviation over time (averaged over the points), and mean.
+    strain_noise
+        Spatial standard deviation of e_xx, e_yy and the tensor shear e_xy of the in-plane displacement.
+    pixel_size
+        Size of a pixel on the surface [m], or None.
+    table
+        Expected noise [px] and period [px] of other windows [px]: (window, noise, period).
+    warnings
+        What should be put right before the test.
+    """
+
+    shape: tuple[int, int]
+    full_scale: float
+    quantisation: float
+    saturated: float
+    dark: float
+    grey_range: tuple[float, float]
+    coverage: float
+    image_noise: float
+    contrast: float
+    feature_size: tuple[float, float]
+    mean_gradient: float
+    window: int
+    spacing: int
+    strain_window: int
+    period: float
+    noise: tuple[float, float]
+    noise_predicted: tuple[float, float]
+    noise_temporal: tuple[float, float]
+    bias: tuple[float, float]
+    strain_noise: tuple[float, float, float]
+    pixel_size: float | None
+    table: tuple[tuple[int, float, float], ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def gauge_length(self) -> float:
+        """Virtual strain gauge L_VSG = (L_window - 1) L_step + L_subset [px]."""
+        return (self.strain_window - 1) * self.spacing + self.window
+
+    def report(self) -> str:
+        """The advice as text for people."""
+        return _report(self)
+
+
+def advise_settings(
+    reference: ArrayLike,
+    static_1: ArrayLike,
+    static_2: ArrayLike,
+    *,
+    wanted_noise: float | None = None,
+    wanted_period: float | None = None,
+    strain_window: int = 5,
+    pixel_size: float | None = None,
+    full_scale: float | None = None,
+    mask: ArrayLike | None = None,
+) -> Advice:
+    """Recommend subset and step, and tell the noise floors, from three images of the specimen at rest.
+
+    The noise of the displacement falls as 1 / (window - 1), the shortest period that passes grows with the window:
+    what is wanted of one decides about the other.
+
+    Parameters
+    ----------
+    reference, static_1, static_2
+        Grey images (row, column) of the mounted specimen, one after the other and without any load; NaN where not
+        measured.
+    wanted_noise
+        Standard deviation of the displacement that is wanted [px]. The narrowest window that reaches it is recommended.
+    wanted_period
+        Period of the shortest displacement wave that must keep 90 % of its amplitude [px]. Without a wanted noise the
+        widest window that keeps it is recommended. Without either, one of about five features.
+    strain_window
+        Width of the strain window in points.
+    pixel_size
+        Size of a pixel on the surface [m], for lengths in millimetres.
+    full_scale
+        Largest grey level of the camera; by default that of 8, 10, 12, 14 or 16 bits that holds all pixels, not known
+        for real numbers.
+    mask
+        Booleans (row, column), True where the surface is to be measured; all of it by default.
+
+    Returns
+    -------
+    Advice
+
+    Raises
+    ------
+    AdviceError
+        A wish has no meaning.
+    ShapeMismatchError, ColourImageError, ImageTypeError, ImageSizeError, TexturelessImageError, EmptyMaskError
+        The images cannot be measured, see `measure_displacement`.
+    NoCorrelationError
+        The images do not show the same surface.
+
+    References
+    ----------
+    The terms follow what is known of the Good Practices Guide for Digital Image Correlation of the International
+    Digital Image Correlation Society, edition 2, doi 10.58720/idics/gpg.ed2; conformity is not claimed.
+    """
+    for name, value in (("wanted_noise", wanted_noise), ("wanted_period", wanted_period), ("pixel_size", pixel_size)):
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise AdviceError(f"{name} = {value}: it must be a positive number")
+    if int(strain_window) != strain_window or strain_window < 3 or strain_window % 2 == 0:
+        raise AdviceError(f"strain_window = {strain_window} points: it must be an odd number of at least 3")
+    stored = [
+        checked_image(image, name)
+        for image, name in ((reference, "reference"), (static_1, "first static"), (static_2, "second static"))
+    ]
+    shape = (stored[0].shape[0], stored[0].shape[1])
+    for image, name in zip(stored[1:], ("first", "second"), strict=True):
+        if image.shape != shape:
+            raise ShapeMismatchError(
+                f"the {name} static image has the shape {image.shape}, the reference {shape}: they must be equal"
+            )
+    allowed = checked_mask(mask, shape)
+    seen = np.isfinite(stored[0]) & np.isfinite(stored[1]) & np.isfinite(stored[2])
+    if allowed is not None:
+        seen &= allowed
+
+    largest = _full_scale(stored) if full_scale is None else float(full_scale)
+    step = _quantisation(stored[0][seen])
+    grey = stored[0][seen]
+    low, high = (float(value) for value in np.percentile(grey, (1, 99)))
+    images = [np.where(seen, image, 0).astype(np.float64) for image in stored]
+    noise = _image_noise(images[1], images[2], seen)
+    feature_size, contrast = _texture(images[1], images[2], seen)
+
+    limit = min(shape) // 2
+    first = min(FIRST_WINDOW, limit)
+    known = _noise_floor(stored, first, max(first // STEPS_PER_SUBSET, 1), strain_window, allowed)
+    scale = (first - 1) * max(known.predicted)  # the noise times (window - 1)
+    window, warnings = _window(scale, max(feature_size), limit, wanted_noise, wanted_period)
+    spacing = max(window // STEPS_PER_SUBSET, 1)
+    floor = _noise_floor(stored, window, spacing, strain_window, allowed)
+
+    advice = Advice(
+        shape=shape,
+        full_scale=largest,
+        quantisation=step,
+        saturated=math.nan if math.isnan(largest) else float(np.mean(grey > largest - (step if step > 0 else 0.5))),
+        dark=float(np.mean(grey <= 0)),
+        grey_range=(low, high),
+        coverage=float(np.mean(grey < 0.5 * (low + high))),
+        image_noise=noise,
+        contrast=contrast,
+        feature_size=feature_size,
+        mean_gradient=_mean_gradient(np.mean(images, axis=0), seen),
+        window=window,
+        spacing=spacing,
+        strain_window=int(strain_window),
+        period=CUT_OFF * window,
+        noise=floor.spatial,
+        noise_predicted=floor.predicted,
+        noise_temporal=floor.temporal,
+        bias=floor.bias,
+        strain_noise=floor.strain,
+        pixel_size=pixel_size,
+        table=tuple((w, scale / (w - 1), CUT_OFF * w) for w in TABLE_WINDOWS if w <= limit),
+        warnings=(),
+    )
+    return Advice(**{**vars(advice), "warnings": (*warnings, *_warnings(advice))})
+
+
+def _full_scale(images: list[np.ndarray]) -> float:
+    """Full scale of the fewest usual bits that hold every pixel; NaN for real numbers."""
+    if not all(np.issubdtype(image.dtype, np.integer) for image in images):
+        return math.nan
+    if all(image.dtype == np.uint8 for image in images):
+        return 255.0
+    brightest = max(int(image.max()) for image in images)
+    return float(next(2**bits - 1 for bits in (8, 10, 12, 14, 16) if brightest < 2**bits))
+
+
+def _quantisation(grey: np.ndarray) -> float:
+    """Step between grey levels of integers, as 16 for 12 bits in the upper part of 16; NaN for real numbers."""
+    if not np.issubdtype(grey.dtype, np.integer):
+        return math.nan
+    levels = np.unique(grey)
+    return float(np.gcd.reduce(np.diff(levels))) if levels.size > 1 else math.nan
+
+
+def _image_noise(first: Image, second: Image, seen: NDArray[np.bool_]) -> float:
+    """Noise of a pixel from the difference of two exposures, without what a small drift and flicker put into it.
+
+    The difference is regressed on brightness, the image and its gradient: a brightness change of the form a + b f and a
+    motion d (as -d.grad f, to first order) do not count as noise.
+    """
+    mean = np.asarray(0.5 * (first + second))
+    along_x, along_y = _gradient(mean)
+    inner = _eroded(seen)
+    basis = np.stack([np.ones(int(inner.sum())), mean[inner], along_x[inner], along_y[inner]], axis=1)
+    difference = second[inner] - first[inner]
+    explained = basis @ np.linalg.lstsq(basis, difference, rcond=None)[0]
+    return float(np.std(difference - explained) / math.sqrt(2))
+
+
+def _gradient(image: Image) -> tuple[Image, Image]:
+    """Central differences along columns and rows."""
+    return np.asarray(np.gradient(image, axis=1)), np.asarray(np.gradient(image, axis=0))
+
+
+def _eroded(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels whose four neighbours are seen, where central differences hold."""
+    inner = np.zeros_like(seen)
+    inner[1:-1, 1:-1] = seen[1:-1, 1:-1] & seen[:-2, 1:-1] & seen[2:, 1:-1] & seen[1:-1, :-2] & seen[1:-1, 2:]
+    return inner
+
+
+def _mean_gradient(image: Image, seen: NDArray[np.bool_]) -> float:
+    """Mean intensity gradient: mean magnitude of central differences [grey level / px]."""
+    along_x, along_y = _gradient(image)
+    return float(np.mean(np.hypot(along_x, along_y)[_eroded(seen)]))
+
+
+def _texture(first: Image, second: Image, seen: NDArray[np.bool_]) -> tuple[tuple[float, float], float]:
+    """Feature size along columns and rows [px] and standard deviation of the texture [grey level].
+
+    From the correlation of two exposures, in which their noise has no part, after shading of second order is removed.
+    """
+    rows, columns = first.shape
+    y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, columns), indexing="ij")
+    basis = np.stack([part[seen] for part in (np.ones_like(x), x, y, x * x, x * y, y * y)], axis=1)
+
+    def flat(image: Image) -> Image:
+        out = np.zeros_like(image)
+        out[seen] = image[seen] - basis @ np.linalg.lstsq(basis, image[seen], rcond=None)[0]
+        return out
+
+    size = (next_fast_len(2 * rows, real=True), next_fast_len(2 * columns, real=True))
+
+    def correlated(a: Image, b: Image) -> Image:
+        return np.asarray(irfft2(np.conj(rfft2(a, size)) * rfft2(b, size), size))
+
+    overlap = correlated(seen.astype(np.float64), seen.astype(np.float64))
+    covariance = correlated(flat(first), flat(second)) / np.maximum(overlap, 0.5)
+    height = float(covariance[0, 0])
+    if height <= 0:
+        return (math.nan, math.nan), 0.0
+    along_x, along_y = covariance[0, : columns // 2] / height, covariance[: rows // 2, 0] / height
+    return (_half_height_width(along_x), _half_height_width(along_y)), math.sqrt(height)
+
+
+def _half_height_width(correlation: Image) -> float:
+    """Full width [px] of a symmetric peak, given from its centre on, at half its height; NaN where it does not fall."""
+    below = np.flatnonzero(correlation < 0.5)
+    if below.size == 0:
+        return math.nan
+    last = min(int(below[0]) + 3, correlation.size - 1)
+    lags = np.arange(-last, last + 1)
+    crossings = np.asarray(CubicSpline(lags, correlation[np.abs(lags)]).solve(0.5, extrapolate=False))
+    return float(2 * crossings[crossings > 0].min())
+
+
+@dataclass(frozen=True)
+class _Floor:
+    """Noise floors of the displacement [px] (along columns, along rows) and of the strain at one setting."""
+
+    spatial: tuple[float, float]
+    predicted: tuple[float, float]
+    temporal: tuple[float, float]
+    bias: tuple[float, float]
+    strain: tuple[float, float, float]
+
+
+def _noise_floor(
+    images: list[np.ndarray], window: int, spacing: int, strain_window: int, mask: np.ndarray | None
+) -> _Floor:
+    """Measure both static images against the reference, which all of them share.
+
+    The standard deviation over time is that of the two fields, without the reference's own noise.
+    """
+    prepared = Reference(images[0], window=window, spacing=spacing, mask=mask)
+    results = [measure_displacement(prepared, image) for image in images[1:]]
+    fields = np.stack([np.stack([one.displacement_x, one.displacement_y]) for one in results]).astype(np.float64)
+    sigmas = np.stack([np.stack([one.sigma_x, one.sigma_y]) for one in results]).astype(np.float64)
+    axes = (2, 3)
+    change = fields[1] - fields[0]
+    slopes = _strains(fields, spacing, strain_window)
+    return _Floor(
+        spatial=_pair(np.sqrt(np.mean(np.nanvar(fields, axis=axes), axis=0))),
+        predicted=_pair(np.sqrt(np.mean(np.nanmean(sigmas**2, axis=axes), axis=0))),
+        temporal=_pair(np.sqrt(np.nanmean(change**2, axis=(1, 2)) / 2)),
+        bias=_pair(np.mean(np.nanmean(fields, axis=axes), axis=0)),
+        strain=slopes,
+    )
+
+
+def _pair(values: Image) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
+
+
+def _strains(fields: Image, spacing: int, points: int) -> tuple[float, float, float]:
+    """Spatial standard deviations of e_xx, e_yy, e_xy of fields (image, component, row, column).
+
+    The slopes are those of least-squares planes over `points` x `points` points that are all measured.
+    """
+    position = np.arange(points) - points // 2
+    slope = position / (np.sum(position**2) * spacing)
+    mean = np.full(points, 1 / points)
+    if min(fields.shape[2:]) < points:
+        return math.nan, math.nan, math.nan
+
+    def derivative(component: int, along: int) -> Image:
+        part = correlate1d(fields[:, component], slope, axis=along, mode="constant", cval=np.nan)
+        return correlate1d(part, mean, axis=3 - along, mode="constant", cval=np.nan)
+
+    shear = 0.5 * (derivative(0, 1) + derivative(1, 2))
+    strains = (derivative(0, 2), derivative(1, 1), shear)
+    if not all(np.isfinite(strain).any() for strain in strains):
+        return math.nan, math.nan, math.nan
+    xx, yy, xy = (float(np.sqrt(np.mean(np.nanvar(strain, axis=(1, 2))))) for strain in strains)
+    return xx, yy, xy
+
+
+def _window(
+    scale: float, feature: float, limit: int, wanted_noise: float | None, wanted_period: float | None
+) -> tuple[int, list[str]]:
+    """Recommended window [px] and what of the wishes it does not fulfil; the noise is scale / (window - 1)."""
+    warnings = []
+    fewest = max(SMALLEST_WINDOW, math.ceil(FEWEST_FEATURES * feature) if math.isfinite(feature) else SMALLEST_WINDOW)
+    usual = max(fewest, 2 * SMALLEST_WINDOW, math.ceil(USUAL_FEATURES * feature) if math.isfinite(feature) else 0)
+    widest = min(limit, WIDEST_WINDOW)
+    if wanted_noise is not None:
+        wanted = 1 + math.ceil(scale / wanted_noise)
+    elif wanted_period is not None:
+        wanted = math.floor(wanted_period / CUT_OFF)
+    else:
+        wanted = usual
+    window = min(max(wanted, fewest), widest)
+    if wanted > widest and wanted_noise is not None:
+        warnings.append(
+            f"a noise of {wanted_noise:g} px needs a subset of {wanted} px, more than these images allow: "
+            f"{scale / (window - 1):.2g} px are to be expected; average several images or light the surface better"
+        )
+    if wanted_period is not None and CUT_OFF * window > wanted_period * (1 + 1e-9):
+        reached = scale / max(wanted_period / CUT_OFF - 1, 1)
+        reason = f"fewer than {FEWEST_FEATURES} features would be left in the subset"
+        if wanted_noise is not None and wanted > fewest:
+            reason = f"it would have a noise of {reached:.2g} px, and {wanted_noise:g} px are wanted"
+        warnings.append(
+            f"waves of {wanted_period:g} px lose more than 10 %: the subset for them is too narrow, as {reason}"
+        )
+    return window, warnings
+
+
+def _warnings(advice: Advice) -> list[str]:
+    """What good practice finds wrong with the images."""
+    found = []
+    feature = math.sqrt(advice.feature_size[0] * advice.feature_size[1])
+    if feature < 3:
+        found.append(f"features of {feature:.1f} px are small: with less than 3 px they alias; defocus or go closer")
+    elif feature > 7:
+        found.append(f"features of {feature:.1f} px are large: 3 to 5 px give less noise in the same subset")
+    if advice.saturated > 0.005:
+        found.append(f"{100 * advice.saturated:.1f} % of the pixels are saturated: expose less, or dim the reflections")
+    if advice.dark > 0.01:
+        found.append(f"{100 * advice.dark:.1f} % of the pixels are black: raise the camera's black level or the light")
+    if math.isfinite(advice.full_scale) and advice.grey_range[1] < 0.5 * advice.full_scale:
+        share = 100 * advice.grey_range[1] / advice.full_scale
+        found.append(f"the brightest pixels reach {share:.0f} % of the range: more light lowers the noise")
+    measured, predicted = max(advice.noise), max(advice.noise_predicted)
+    if advice.image_noise < 0.5 * advice.quantisation:
+        found.append(
+            f"the noise of {advice.image_noise:.2g} grey levels is under half a grey level: static images repeat what "
+            "quantisation does, and the errors of a test are larger than the noise floor"
+        )
+    elif measured > 1.25 * predicted:
+        found.append(
+            f"the displacement scatters by {measured:.2g} px where image noise explains {predicted:.2g} px: look for "
+            "vibration, warm air, a moving lens or flicker"
+        )
+    moved = math.hypot(*advice.bias)
+    if moved > 5 * max(measured, 0.002):
+        found.append(f"the specimen or the camera has moved by {moved:.2g} px: the images are not static")
+    return found
+
+
+def _report(advice: Advice) -> str:
+    size = advice.pixel_size
+
+    def length(pixels: float, digits: int = 1) -> str:
+        return f"{pixels:.{digits}f} px" + ("" if size is None else f" ({1e3 * size * pixels:.3g} mm)")
+
+    def displacement(values: tuple[float, float]) -> str:
+        text = " / ".join(f"{value:z.4f}" for value in values) + " px"
+        return text + ("" if size is None else " (" + " / ".join(f"{1e6 * size * v:.3g}" for v in values) + " µm)")
+
+    known = math.isfinite(advice.full_scale)
+
+    def percent(value: float) -> str:
+        return f" ({100 * value / advice.full_scale:.1f} %)" if known else ""
+
+    low, high = advice.grey_range
+    features = advice.window / math.sqrt(advice.feature_size[0] * advice.feature_size[1])
+    lines = [
+        ("", "Images (x / y: along columns / rows)"),
+        ("image resolution", f"{advice.shape[1]} x {advice.shape[0]} px"),
+        ("full scale", f"{advice.full_scale:g} in steps of {advice.quantisation:g}" if known else "not known"),
+        ("grey levels, 1 % to 99 %", f"{low:.0f}{percent(low)} to {high:.0f}{percent(high)}"),
+        ("saturated, black", f"{100 * advice.saturated:.2f} %, {100 * advice.dark:.2f} % of the pixels"),
+        ("dark coverage", f"{100 * advice.coverage:.0f} % (about 50 % is best)"),
+        ("image noise", f"{advice.image_noise:.2f} grey levels{percent(advice.image_noise)}"),
+        ("contrast", f"{advice.contrast:.1f} grey levels{percent(advice.contrast)}"),
+        ("feature size", f"{advice.feature_size[0]:.2f} / {advice.feature_size[1]:.2f} px (3 to 5 px are best)"),
+        ("mean intensity gradient", f"{advice.mean_gradient:.1f} grey levels/px"),
+        ("", "Settings"),
+        ("subset size", f"{length(advice.window, 0)}, {features:.1f} features"),
+        ("step size", length(advice.spacing, 0)),
+        ("spatial resolution", f"{length(advice.period, 0)}: shortest period that keeps 90 % of its amplitude"),
+        ("strain window", f"{advice.strain_window} points ({(advice.strain_window - 1) * advice.spacing + 1} px)"),
+        ("virtual strain gauge", f"{length(advice.gauge_length, 0)}: (window - 1) step + subset"),
+        ("", "Noise floors of these settings (x / y)"),
+        ("displacement, spatial", displacement(advice.noise)),
+        ("  predicted from the images", displacement(advice.noise_predicted)),
+        ("displacement, temporal", displacement(advice.noise_temporal)),
+        ("displacement, bias", displacement(advice.bias)),
+        ("strain e_xx / e_yy / e_xy", " / ".join(f"{1e6 * value:.0f}" for value in advice.strain_noise) + " µstrain"),
+        ("  which is", "that of the in-plane displacement alone: planes over the strain window"),
+        ("method", "two static images against the reference; spatial: over the points, averaged over both images;"),
+        ("  ", "temporal: between both images, averaged over the points"),
+    ]
+    return _laid_out(lines, advice)
+
+
+def _laid_out(lines: list[tuple[str, str]], advice: Advice) -> str:
+    """Lines of (name, text), where an empty name begins a section, then the table and the warnings."""
+    out = [f"  {name:28s} {text}" if name else f"\n{text}" for name, text in lines]
+    out.append("\nOther subsets: noise and spatial resolution to be expected")
+    out += [f"  {w:4d} px   {noise:.4f} px   {period:4.0f} px" for w, noise, period in advice.table]
+    if advice.warnings:
+        out += ["\nBefore the test", *(f"  - {warning}" for warning in advice.warnings)]
+    return "\n".join(out).lstrip("\n")

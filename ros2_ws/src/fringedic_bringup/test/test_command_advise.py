@@ -1,0 +1,51 @@
+"""`fringedic advise` on image files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+from typer.testing import CliRunner
+
+from fringedic.errors import AdviceError, CameraError
+from fringedic_bringup.command import app
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> list[str]:
+    """Three images of 8 bits of the same surface, with independent noise of 2 grey levels."""
+    rng = np.random.default_rng(3)
+    texture = gaussian_filter(rng.normal(size=(240, 320)), 1.4)
+    grey = 128 + 38 * texture / texture.std()
+    names = []
+    for k in range(3):
+        names.append(str(tmp_path / f"static-{k}.png"))
+        cv2.imwrite(names[-1], np.clip(np.rint(grey + rng.normal(0, 2, grey.shape)), 0, 255).astype(np.uint8))
+    return names
+
+
+def test_the_report_is_printed(files: list[str]) -> None:
+    wishes = ["--wanted-noise-px", "0.006", "--pixel-size-mm", "0.05", "--strain-window-points", "7"]
+    result = CliRunner().invoke(app, ["advise", *files, *wishes])
+    print(result.output)
+    assert result.exit_code == 0
+    report = {line[:30].strip(): line[30:].strip() for line in result.output.splitlines() if line.startswith("  ")}
+    assert report["image resolution"] == "320 x 240 px"
+    assert report["full scale"] == "255 in steps of 1"
+    assert report["image noise"].startswith(("1.9", "2.0"))
+    # 8 bits add 1/12 to the variance of the noise.
+    assert float(report["displacement, spatial"].split()[0]) == pytest.approx(0.006, rel=0.2)
+    window, spacing = (int(report[name].split()[0]) for name in ("subset size", "step size"))
+    assert report["virtual strain gauge"].startswith(
+        f"{6 * spacing + window} px ({0.05 * (6 * spacing + window):.3g} mm)"
+    )
+
+
+def test_what_cannot_be_answered_is_one_sentence(files: list[str], tmp_path: Path) -> None:
+    wish = CliRunner().invoke(app, ["advise", *files, "--wanted-noise-px", "-1"])
+    assert isinstance(wish.exception, AdviceError) and "positive" in str(wish.exception)
+    missing = CliRunner().invoke(app, ["advise", *files[:2], str(tmp_path / "none.png")])
+    assert isinstance(missing.exception, CameraError) and "none.png" in str(missing.exception)
