@@ -5,18 +5,19 @@ from __future__ import annotations
 from functools import partial
 from typing import Any
 
+from rclpy.parameter import parameter_value_to_python
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from coupling_node.camera_transform import CameraTransform
-from fringedic.chain import CouplingParameters, ShapeTracker
+from fringedic.chain import CouplingParameters, DicParameters, ShapeTracker
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation, PatternKind
-from fringedic_msgs.msg import Exposure, NodeStatus, Reference, RigCalibration
+from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, Reference, RigCalibration
 from fringedic_ros.clouds import cloud_message
 from fringedic_ros.images import image_array
 from fringedic_ros.main import run
 from fringedic_ros.processing import Outcome, ProcessingNode, StampJoin
-from fringedic_ros.qos import DERIVED, EVENTS, IMAGES, LATCHED, OVERRIDABLE
+from fringedic_ros.qos import DERIVED, EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, OVERRIDABLE
 from fringedic_ros.stamps import to_nanoseconds
 
 FRAME = "reference_plane"
@@ -33,6 +34,8 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         self._transform = CameraTransform(self)
         self._tracker = ShapeTracker(self.parameters.value)
         self._parts = StampJoin((*MAPS, "dic/camera_info", "camera/exposure", "phase/status", "dic/status"))
+        self._window: tuple[int | None, str] = (None, DicParameters().method)
+        self.create_subscription(NodeParameters, "node_parameters", self._take_parameters, LATCHED_BY_MANY)
         self.create_subscription(RigCalibration, "calibration", self._take_calibration, LATCHED)
         self.create_subscription(Reference, "experiment/reference", self._take_reference, LATCHED)
         self.subscribe_to_steps()
@@ -44,6 +47,14 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
                 Image, topic, partial(self._join, topic), DERIVED, qos_overriding_options=OVERRIDABLE
             )
         self.create_subscription(CameraInfo, "dic/camera_info", partial(self._join, "dic/camera_info"), DERIVED)
+
+    def _take_parameters(self, message: NodeParameters) -> None:
+        if message.node == "dic":
+            values = {each.name: parameter_value_to_python(each.value) for each in message.parameters}
+            self.worker.submit(self._set_window, values.get("window"), values.get("method", DicParameters().method))
+
+    def _set_window(self, window: int | None, method: str) -> None:
+        self._window = (window, method)
 
     def _take_calibration(self, message: RigCalibration) -> None:
         try:
@@ -105,6 +116,8 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
             orientation=Orientation(exposure.orientation),
             spacing=grid.binning_x,
             origin=(grid.roi.y_offset, grid.roi.x_offset),
+            window=self._window[0],
+            method=self._window[1],
         )
         for publisher, fields in ((self._shape, result.shape), (self._displacement, result.displacement)):
             publisher.publish(cloud_message(fields, stamp_ns=stamp, frame_id=FRAME))

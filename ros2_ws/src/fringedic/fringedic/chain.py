@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from typing import Literal, TypeVar
 
 import cv2
@@ -17,11 +18,18 @@ import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field
 
 from fringedic.correlation import Reference, measure_displacement
-from fringedic.errors import CalibrationMissingError, FrameMismatchError, ReferenceMissingError, TooFewValidError
+from fringedic.errors import (
+    CalibrationMissingError,
+    FrameMismatchError,
+    NoCorrelationError,
+    ReferenceMissingError,
+    TooFewValidError,
+)
+from fringedic.increments import PixelGrid, Total, compose, interpolation_noise
 from fringedic.phase import CameraNoise, absolute_phase
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation, PatternKind, Stack
-from fringedic.surface import couple, surface_strain, to_local_frame
+from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
 
 Kept = TypeVar("Kept")
 LIT_NEIGHBOURHOOD = 9  # [px], larger than a speckle
@@ -79,6 +87,13 @@ class DicParameters(Parameters):
     )
     minimum_valid_fraction: float = Field(
         0.05, ge=0, le=1, description="The step fails when a smaller part of the points has a displacement [0 to 1]."
+    )
+    rereference_fraction: float = Field(
+        0.8,
+        ge=0,
+        le=1,
+        description="When fewer points than this part of the usual ones still agree with the reference, the step is "
+        "measured against the last good one instead, and the displacements are composed [0 to 1]; 0 never does so.",
     )
     kept_steps: int = Field(
         16, ge=1, le=1000, description="Latest steps whose texture is kept, so that each can become the reference."
@@ -155,7 +170,10 @@ class DicResult:
     Attributes
     ----------
     reference_step
-        The step this displacement is measured against.
+        The step from whose configuration the displacement counts.
+    correlated_step
+        The step whose texture this one's was compared with: the reference step, or a later one whose own displacement
+        was composed with what was found, because the texture had changed too much.
     displacement, sigma
         (d_x, d_y) at the points of the grid and its standard deviation [px], float32 (row, column, 2), d_y > 0
         downwards, NaN where not measured.
@@ -173,6 +191,7 @@ class DicResult:
     step: int
     stamp: int
     reference_step: int
+    correlated_step: int
     displacement: np.ndarray
     sigma: np.ndarray
     origin: tuple[int, int]
@@ -193,7 +212,8 @@ class CouplingResult:
         x, y, z, sigma_z of this step's surface at every camera pixel [m], float32 (row, column).
     displacement
         At the points of the displacement grid, float32 (row, column): x, y, z of the reference surface, u, v, w with
-        sigma_u, sigma_v, sigma_w [m], and when asked for u_t, v_t, w_n [m] and e_11, e_22, e_12 [-].
+        sigma_u, sigma_v, sigma_w [m], and when asked for u_t, v_t, w_n [m] and e_11, e_22, e_12 [-] with sigma_e_11,
+        sigma_e_22, sigma_e_12 [-].
     valid_fraction
         Measured points over all points of the displacement.
     rms
@@ -293,12 +313,33 @@ class _LatestSteps(OrderedDict[tuple[str, int], Kept]):
                 del self[oldest]
 
 
+@dataclass(frozen=True)
+class _Link:
+    """A step that later ones can be compared with, and the displacement that leads to it.
+
+    Attributes
+    ----------
+    displacement, sigma
+        Against the reference step [px], (row, column, 2); None for the reference step itself.
+    prepared
+        The texture, once it has been prepared.
+    """
+
+    step: int
+    texture: np.ndarray
+    displacement: np.ndarray | None = None
+    sigma: np.ndarray | None = None
+    prepared: Reference | None = None
+
+
 class DisplacementTracker:
     """Measures the in-plane displacement of each step against the reference step's texture.
 
     The displacement of the previous two steps, extrapolated, is the start of the next one; the measurement itself is
-    always against the reference image, so that errors do not add up. Kept in memory: the reference texture, the
-    textures of the latest ``kept_steps`` steps (any of them can become the reference), two displacement fields.
+    against the reference image, so that errors do not add up. When the texture changes so much that too little agrees
+    with the reference image, the last good step takes its place and its displacement is composed with what is measured
+    against it, until that one changes too much as well. Kept in memory: the reference texture, the textures of the
+    latest ``kept_steps`` steps (any of them can become the reference), four displacement fields.
 
     Parameters
     ----------
@@ -313,6 +354,9 @@ class DisplacementTracker:
         self._prepared: tuple[tuple[str, int], Reference] | None = None
         self._measured_against: tuple[str, int] | None = None
         self._history: list[tuple[int, np.ndarray]] = []
+        self._link: _Link | None = None
+        self._last: _Link | None = None
+        self._agreed = 0.0
 
     @property
     def parameters(self) -> DicParameters:
@@ -322,10 +366,12 @@ class DisplacementTracker:
     @parameters.setter
     def parameters(self, parameters: DicParameters) -> None:
         if parameters.spacing != self._parameters.spacing:
-            self._history = []
+            self._begin()
         if parameters != self._parameters:
             self._parameters = parameters
             self._prepared = None
+            if self._link is not None:
+                self._link = replace(self._link, prepared=None)
 
     def set_reference(self, experiment: str, step: int) -> None:
         """Make a step the reference of the following ones; it may be one that is still to come."""
@@ -352,35 +398,41 @@ class DisplacementTracker:
         key = (experiment, step)
         reference_key = (experiment, self._references.of(experiment, step))
         reference = self._reference(reference_key, key, texture)
-        if reference_key != self._measured_against:
-            self._history = []
+        if reference_key != self._measured_against or key == reference_key:
+            self._begin()
             self._measured_against = reference_key
-        measured = measure_displacement(
-            reference,
-            texture,
-            window=parameters.window,
-            spacing=parameters.spacing,
-            initial=None if key == reference_key else self._predicted(step),
-            method=parameters.method,
-        )
-        displacement = np.stack([measured.displacement_x.values, measured.displacement_y.values], axis=-1)
-        sigma = np.stack([measured.sigma_x.values, measured.sigma_y.values], axis=-1)
-        valid = measured.valid.values
+        link = self._link or _Link(reference_key[1], texture, prepared=reference)
         if key == reference_key:
-            displacement = np.where(valid[..., np.newaxis], np.float32(0), np.float32(np.nan))
-            displacement = np.repeat(displacement, 2, axis=-1)
-        fraction = float(valid.mean())
+            measured = self._measure(link, texture, None)
+        else:
+            link, measured = self._follow(link, texture, step)
+        found = np.stack([measured.displacement_x.values, measured.displacement_y.values], axis=-1)
+        sigma = np.stack([measured.sigma_x.values, measured.sigma_y.values], axis=-1)
+        agreed = _agreement(measured, texture.shape)
+        if key == reference_key:
+            found = np.where(measured.valid.values[..., np.newaxis], np.float32(0), np.float32(np.nan))
+            found = np.repeat(found, 2, axis=-1)
+        displacement = found
+        if link.displacement is not None:
+            displacement, sigma = self._composed(link, measured)
+        fraction = float(np.isfinite(displacement).all(axis=-1).mean())
         _check_fraction("a displacement", fraction, parameters.minimum_valid_fraction, experiment, step)
 
         self._references.succeeded(experiment, step)
         self._prepared = (reference_key, reference)
         self._textures.keep(key, texture, parameters.kept_steps, reference_key)
-        self._history = [*self._history[-1:], (step, displacement)]
+        self._agreed = max(self._agreed, agreed)
+        if link.displacement is not None and link.step != (self._link.step if self._link else None):
+            self._history = []
+        self._link = link if link.displacement is not None else None
+        self._history = [*self._history[-1:], (step, found)]
+        self._last = _Link(step, texture, displacement, sigma)
         return DicResult(
             experiment=experiment,
             step=step,
             stamp=stamp,
             reference_step=reference_key[1],
+            correlated_step=link.step,
             displacement=displacement,
             sigma=sigma,
             origin=(int(measured.row[0]), int(measured.column[0])),
@@ -388,6 +440,63 @@ class DisplacementTracker:
             valid_fraction=fraction,
             rms=_rms(displacement, axis=-1),
         )
+
+    def _begin(self) -> None:
+        """Forget what led to the present step: from here on steps are compared with the reference step."""
+        self._history = []
+        self._link = self._last = None
+        self._agreed = 0.0
+
+    def _measure(self, link: _Link, texture: np.ndarray, initial: tuple[np.ndarray, np.ndarray] | None) -> xr.Dataset:
+        assert link.prepared is not None
+        return measure_displacement(link.prepared, texture, initial=initial, method=self._parameters.method)
+
+    def _follow(self, link: _Link, texture: np.ndarray, step: int) -> tuple[_Link, xr.Dataset]:
+        """Measure against the present link, or against the last good step where that agrees better.
+
+        Returns the link that was used and what was measured against it.
+        """
+        measured, failure, last = None, None, self._last
+        try:
+            measured = self._measure(self._ready(link), texture, self._predicted(step))
+        except NoCorrelationError as error:
+            failure = error
+        least = self._parameters.rereference_fraction
+        if measured is not None and _agreement(measured, texture.shape) >= least * self._agreed:
+            return self._ready(link), measured
+        if least > 0 and last is not None and last.step != link.step:
+            fresh = self._ready(last)
+            with suppress(NoCorrelationError):
+                other = self._measure(fresh, texture, None)
+                if measured is None or _agreement(other, texture.shape) > _agreement(measured, texture.shape):
+                    return fresh, other
+        if measured is None:
+            assert failure is not None
+            raise failure
+        return link, measured
+
+    def _ready(self, link: _Link) -> _Link:
+        """The link with its texture prepared for comparison."""
+        if link.prepared is not None:
+            return link
+        parameters = self._parameters
+        return replace(link, prepared=Reference(link.texture, window=parameters.window, spacing=parameters.spacing))
+
+    def _composed(self, link: _Link, measured: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
+        """The displacement since the reference step and its sigma, (row, column, 2) each."""
+        assert link.displacement is not None and link.sigma is not None
+        grid = PixelGrid.of(measured)
+        total = compose(
+            Total(np.moveaxis(link.displacement, -1, 0), np.moveaxis(link.sigma, -1, 0) ** 2),
+            grid,
+            np.stack([measured.displacement_x.values, measured.displacement_y.values]),
+            np.stack([measured.sigma_x.values, measured.sigma_y.values]),
+            grid,
+            noise_gain=interpolation_noise(grid.spacing, None, self._parameters.window, self._parameters.method),
+        )
+        fields = (total.displacement, np.sqrt(total.variance))
+        displacement, sigma = (np.ascontiguousarray(np.moveaxis(each, 0, -1), np.float32) for each in fields)
+        return displacement, sigma
 
     def _reference(self, reference_key: tuple[str, int], key: tuple[str, int], texture: np.ndarray) -> Reference:
         if self._prepared is not None and self._prepared[0] == reference_key and key != reference_key:
@@ -448,6 +557,7 @@ class ShapeTracker:
         self._calibration: RigModel | None = None
         self._references = _References()
         self._phases: _LatestSteps[_KeptPhase] = _LatestSteps()
+        self._prepared: tuple[_KeptPhase, RigModel, PreparedShape] | None = None
 
     def set_calibration(self, calibration: RigModel) -> None:
         """Give the rig's model; steps that follow, and their reference, are reconstructed with it."""
@@ -471,6 +581,8 @@ class ShapeTracker:
         orientation: Orientation = Orientation.VERTICAL,
         spacing: int = 1,
         origin: tuple[int, int] = (0, 0),
+        window: int | None = None,
+        method: str = "dense",
     ) -> CouplingResult:
         """Couple the phase and the in-plane displacement of one step.
 
@@ -484,6 +596,9 @@ class ShapeTracker:
             Of the step's last frame: the finest pitch [projector pixel], and the direction of the fringes.
         spacing, origin
             Distance of the displacement's points [px], and (row, column) of the first one.
+        window, method
+            With which the displacement was measured: they tell how far its errors agree, which the sigma of the strain
+            needs. None when unknown, the strain then comes without it.
 
         Raises
         ------
@@ -517,10 +632,12 @@ class ShapeTracker:
                 step=step,
             )
         shape = current.surface(calibration)
+        prepared = PreparedShape(shape, z_filter=parameters.z_filter_px, calibration=calibration)
+        reference = prepared if first is current else self._prepared_reference(first, calibration)
         cloud = couple(
-            shape if first is current else first.surface(calibration),
-            shape,
-            displacement_dataset(displacement, displacement_sigma, spacing, origin),
+            reference,
+            prepared,
+            displacement_dataset(displacement, displacement_sigma, spacing, origin, window, method),
             calibration=calibration,
             z_filter=parameters.z_filter_px,
         )
@@ -531,7 +648,8 @@ class ShapeTracker:
             fields |= {name: local[name] for name in ("u_t", "v_t", "w_n")}
         if parameters.strain_window_px:
             strain = surface_strain(cloud, window=parameters.strain_window_px)
-            fields |= {name: strain[name] for name in ("e_11", "e_22", "e_12")}
+            names = ["e_11", "e_22", "e_12", "sigma_e_11", "sigma_e_22", "sigma_e_12"]
+            fields |= {name: strain[name] for name in names if name in strain}
         arrays = _float32(fields)
         moved = np.stack([arrays["u"], arrays["v"], arrays["w"]], axis=-1)
         fraction = float(np.isfinite(moved).all(axis=-1).mean())
@@ -539,6 +657,7 @@ class ShapeTracker:
 
         self._references.succeeded(experiment, step)
         self._phases.keep(key, current, parameters.kept_steps, reference_key)
+        self._prepared = (first, calibration, reference)
         return CouplingResult(
             experiment=experiment,
             step=step,
@@ -550,11 +669,25 @@ class ShapeTracker:
             rms=_rms(moved, axis=-1),
         )
 
+    def _prepared_reference(self, first: _KeptPhase, calibration: RigModel) -> PreparedShape:
+        """The reference's shape, made and prepared once for the steps that share it."""
+        z_filter = self.parameters.z_filter_px
+        if self._prepared is not None:
+            phase, rig, shape = self._prepared
+            if phase is first and rig is calibration and shape.z_filter == z_filter:
+                return shape
+        return PreparedShape(first.surface(calibration), z_filter=z_filter, calibration=calibration)
+
 
 def displacement_dataset(
-    displacement: np.ndarray, sigma: np.ndarray, spacing: int, origin: tuple[int, int]
+    displacement: np.ndarray,
+    sigma: np.ndarray,
+    spacing: int,
+    origin: tuple[int, int],
+    window: int | None = None,
+    method: str = "dense",
 ) -> xr.Dataset:
-    """Label the arrays of a `DicResult` with the pixel positions of their points."""
+    """Label the arrays of a `DicResult` with the pixel positions of their points, and the window if it is known."""
     rows, columns = displacement.shape[:2]
     values = {
         "displacement_x": displacement[..., 0],
@@ -566,11 +699,21 @@ def displacement_dataset(
     return xr.Dataset(
         {name: (("row", "column"), value) for name, value in values.items()},
         coords={"row": origin[0] + spacing * np.arange(rows), "column": origin[1] + spacing * np.arange(columns)},
+        attrs={} if window is None else {"window_px": window, "method": method},
     )
 
 
 def _float32(fields: Mapping[str, xr.DataArray]) -> dict[str, np.ndarray]:
     return {name: np.ascontiguousarray(array.values, dtype=np.float32) for name, array in fields.items()}
+
+
+def _agreement(measured: xr.Dataset, shape: tuple[int, ...]) -> float:
+    """Measured points over those that should still be in view, had all moved like the median."""
+    staying = 1
+    for axis, name, length in (("row", "displacement_y", shape[0]), ("column", "displacement_x", shape[1])):
+        there = measured[axis].values + float(measured[name].median())
+        staying *= int(np.count_nonzero((there >= 0) & (there <= length - 1)))
+    return float(measured.valid.sum()) / max(1, staying)
 
 
 def _rms(vectors: np.ndarray, axis: int) -> float:

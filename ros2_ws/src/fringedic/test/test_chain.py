@@ -217,6 +217,62 @@ def test_a_long_way_is_followed_in_small_steps(surface):
     assert there[:, : (128 - 70) // 4 - 4].mean() > 0.7
 
 
+def ageing(surface, steps=11, motion=3):
+    """Images of a surface that moves while its texture turns into another one, a tenth of a right angle per step."""
+    other = np.roll(surface[::-1, ::-1], 37, axis=1)
+    for step in range(steps):
+        angle = step * np.pi / 20
+        texture = 100 + np.cos(angle) * (surface - 100) + np.sin(angle) * (other - 100)
+        yield step, seen(texture.astype(np.float32), motion * step, -step)
+
+
+def test_a_texture_that_changes_is_followed_from_step_to_step(surface):
+    """Nothing of the last image agrees with the first; the displacement still counts from there."""
+    tracker, alone = (
+        DisplacementTracker(DicParameters(window=24, spacing=4, rereference_fraction=fraction)) for fraction in (0.8, 0)
+    )
+    results = [tracker.step("e", step, step, image) for step, image in ageing(surface)]
+    print("compared with steps", [each.correlated_step for each in results])
+    print("measured", *(f"{each.valid_fraction:.2f}" for each in results))
+    with pytest.raises(FringedicError):
+        for step, image in ageing(surface):
+            alone.step("e", step, step, image)
+    assert all(each.reference_step == 0 for each in results)
+    steps = [each.correlated_step for each in results]
+    assert steps[1] == 0 and steps == sorted(steps) and steps[-1] >= 3 and len(set(steps)) < len(steps)
+    errors = [np.abs(median(each) - [3 * step, -step]).max() for step, each in enumerate(results)]
+    print("error of the median", *(f"{each:.4f}" for each in errors), "px")
+    sigmas = [np.nanmedian(each.sigma) for each in results]
+    print("sigma", *(f"{each:.4f}" for each in sigmas), "px")
+    assert all(wrong < 3 * sigma for wrong, sigma in zip(errors[1:], sigmas[1:], strict=True))
+    assert sigmas[-1] > 1.3 * sigmas[1]
+    repeated = DisplacementTracker(DicParameters(window=24, spacing=4))
+    for (step, image), first in zip(ageing(surface), results, strict=True):
+        again = repeated.step("e", step, step, image)
+        assert again.displacement.tobytes() == first.displacement.tobytes()
+        assert again.sigma.tobytes() == first.sigma.tobytes()
+
+
+def test_leaving_the_image_is_no_change_of_texture(surface):
+    tracker = DisplacementTracker(DicParameters(window=24, spacing=4))
+    steps = [tracker.step("e", step, step, seen(surface, 9 * step, 0)) for step in range(8)]
+    assert steps[-1].valid_fraction < 0.6 * steps[0].valid_fraction
+    assert [each.correlated_step for each in steps] == [0] * 8
+
+
+def test_a_changed_window_prepares_a_later_reference_again(surface):
+    tracker = DisplacementTracker(DicParameters(window=24, spacing=4))
+    images = dict(ageing(surface))
+    for step in range(8):
+        result = tracker.step("e", step, step, images[step])
+    assert result.correlated_step > 0
+    tracker.parameters = DicParameters(window=32, spacing=4)
+    wider = tracker.step("e", 8, 8, images[8])
+    assert wider.reference_step == 0 and median(wider) == pytest.approx(
+        [24, -8], abs=float(3 * np.nanmedian(wider.sigma))
+    )
+
+
 def test_parameters_change_between_steps(surface):
     tracker = DisplacementTracker(DicParameters(window=24, spacing=4))
     tracker.step("e", 0, 0, seen(surface, 0, 0))

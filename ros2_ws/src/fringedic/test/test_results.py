@@ -255,6 +255,7 @@ class Bench:
             dic.sigma,
             pitch=phase.pitch,
             spacing=dic.spacing,
+            window=24,
         )
         # a status may be recorded before the clouds it belongs to
         self.write(

@@ -166,6 +166,8 @@ class Chain:
             orientation=phase.orientation,
             spacing=displacement.spacing,
             origin=displacement.origin,
+            window=self._parameters.dic.window,
+            method=self._parameters.dic.method,
         )
 
 

@@ -40,6 +40,9 @@ MAPS: dict[str, Quantity] = {
     "e_11": Quantity("1", "surface strain along the first tangent"),
     "e_22": Quantity("1", "surface strain along the second tangent"),
     "e_12": Quantity("1", "surface shear strain (tensor)"),
+    "sigma_e_11": Quantity("1", "standard deviation of e_11"),
+    "sigma_e_22": Quantity("1", "standard deviation of e_22"),
+    "sigma_e_12": Quantity("1", "standard deviation of e_12"),
 }
 SCALARS: dict[str, Quantity] = {
     "force": Quantity("N", "mean force over the exposures"),

@@ -64,7 +64,7 @@ def to_local_frame(displacement_3d: xr.Dataset, *, window: int = 21) -> xr.Datas
     local = np.empty_like(moved)
     _project(z_x, z_y, moved, local)
     fields = dict(zip((*_LOCAL, *_SLOPES), (*local, z_x, z_y), strict=True))
-    units, attributes = {**_LOCAL, **_SLOPES}, {"window_px": window}
+    units, attributes = {**_LOCAL, **_SLOPES}, dict[str, float]({"window_px": window})
     if known_errors:
         spacing = (round(planes.spacing[0]), round(planes.spacing[1]))
         z_filter = float(displacement_3d.attrs["z_filter_px"])

@@ -136,7 +136,7 @@ def _small(
     noise = outer + np.float32(9) * inner
     # a noise that is not known, NaN, is not larger either
     noise = noise if noise > floor else floor
-    return third * third <= np.float32(JUMP * JUMP) * noise
+    return bool(third * third <= np.float32(JUMP * JUMP) * noise)
 
 
 @njit(cache=True, nogil=True, parallel=True)
