@@ -189,6 +189,10 @@ class MachineError(FringedicError, RuntimeError):
     """The testing machine does not answer, answers with nonsense, or does not take a request."""
 
 
+class MachineGoneError(MachineError, ConnectionError):
+    """The connection to the testing machine is lost, or no longer to be trusted."""
+
+
 class MachineFileError(FringedicError, ValueError):
     """The description of a testing machine cannot be used."""
 
@@ -291,3 +295,27 @@ class WaitTimeoutError(FringedicError, TimeoutError):
 
 class WindowError(FringedicError, ValueError):
     """A correlation window or spacing does not fit the image."""
+
+
+class SaturatedStackError(TooFewValidError):
+    """Hardly a pixel is measured because the image is too bright."""
+
+
+class DarkStackError(TooFewValidError):
+    """Hardly a pixel is measured because the image is too dark."""
+
+
+class WrongPatternError(FrameMismatchError):
+    """The frames show other patterns than their records say."""
+
+
+class FramesOutOfOrderError(FrameMismatchError):
+    """The frames are not in the order that their records say."""
+
+
+class FlickerError(FrameMismatchError):
+    """The light changed between the frames of a step."""
+
+
+class MovedSurfaceError(FrameMismatchError):
+    """The surface moved between the frames of a step."""
