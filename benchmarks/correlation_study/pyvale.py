@@ -55,7 +55,7 @@ def measure(jobs: list[Job], step: int = RIVAL_STEP) -> dict[tuple[str, Subset],
                 }
             )
         (folder / "jobs.json").write_text(json.dumps(described))
-        if not run_in(python, "measure_with_pyvale.py", str(folder)):
+        if not run_in(python, "measure_with_pyvale.py", folder):
             return None
         found = {}
         for k, (task, subset) in enumerate(jobs):

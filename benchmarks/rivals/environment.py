@@ -44,9 +44,9 @@ def _plain() -> dict[str, str]:
     return {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "PYTHONHOME")}
 
 
-def run_in(python: Path, script: str, *arguments: str) -> bool:
-    """Run a script of this folder in a rival's environment; False and a word on the error stream if it fails."""
-    done = subprocess.run([str(python), str(FOLDER / script), *arguments], check=False, env=_plain())
+def run_in(python: Path, script: str, folder: Path) -> bool:
+    """Run a script in a rival's environment on the jobs of a folder; False and a word on the error stream if it fails."""
+    done = subprocess.run([str(python), str(FOLDER / script), str(folder)], check=False, env=_plain(), cwd=folder)
     if done.returncode:
         print(f"{script} ended with exit code {done.returncode}", file=sys.stderr)
     return done.returncode == 0
