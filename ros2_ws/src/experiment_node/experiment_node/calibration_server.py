@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Coroutine, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +22,7 @@ from sensor_msgs.msg import Image
 from experiment_node.running_step import Experiment, RunningStep
 from experiment_node.step_runner import CONNECTING_TIME
 from experiment_node.turn import StepFailure, Turn
-from fringedic.calibration_session import CalibrationSession, Plane, place_in_words
+from fringedic.calibration_session import CalibrationSession, Plane, Setting, grid_in_words, place_in_words
 from fringedic.errors import FringedicError, WaitTimeoutError
 from fringedic.sequence import PatternKind, Projection
 from fringedic_msgs.action import CalibrateDistortion, CalibrateRig
@@ -130,6 +131,7 @@ class CalibrationServer:
         def feed_back(words: str, step: RunningStep | None = None) -> None:
             feedback = CalibrateDistortion.Feedback(words=words)
             if step is not None:
+                feedback.words = "measuring"
                 feedback.frame, feedback.frames = step.taken, len(step.projections)
             turn.goal.publish_feedback(feedback)
 
@@ -142,14 +144,10 @@ class CalibrationServer:
             await self._arrived(turn, result, images, step.stamps, "camera/image_raw")
             frames = np.stack([image_array(images[stamp]) for stamp in step.stamps])
         feed_back("measuring the distortion")
-        grid = await self._compute(
-            turn, result.GRID_REJECTED, self._session.measure_grid, frames, request.grid_pitch, experiment.name
-        )
-        result.residual, result.go, result.verdict = grid.residual, grid.go, grid.verdict
-        result.folder = str(folder)
+        grid = await self._compute(turn, result.GRID_REJECTED, self._session.measure_grid, frames, request.grid_pitch)
         await self._compute(turn, result.FILES_FAILED, self._session.save_grid, folder)
-        if not grid.go:
-            raise StepFailure(result.NO_GO, grid.verdict)
+        result.residual, result.go, result.verdict = grid.residual, True, grid_in_words(grid)
+        result.folder = str(folder)
 
     # the planes
 
@@ -157,24 +155,21 @@ class CalibrationServer:
         request, parameters = turn.goal.request, self._node.parameters.value
         if not parameters.projector:
             raise StepFailure(result.INVALID_GOAL, "a rig without projector has nothing to calibrate but its camera")
-        if self._session.grid is None:
-            raise StepFailure(
-                result.INVALID_GOAL, "the scale is not known: measure the grid first with calibrate_distortion"
-            )
         planes = _planes(request, result)
         experiment = self._node.begin_experiment()
         result.experiment = result.identifier = experiment.name
         folder = self._folder(request.folder, experiment)
-        self._session.begin(
-            experiment.name,
-            projector_size=(parameters.projector_width_px, parameters.projector_height_px),
-            finest=parameters.projections()[-1],
-        )
+        size = (parameters.projector_width_px, parameters.projector_height_px)
+        finest = parameters.projections()[-1]
+        setting = Setting(experiment.name, size, finest, request.sigma_angle, request.sigma_height)
+        await self._compute(turn, result.INVALID_GOAL, self._session.begin, setting)
         feedback = CalibrateRig.Feedback(planes=len(planes))
 
         def feed_back(words: str, step: RunningStep | None = None) -> None:
-            feedback.words = words
-            feedback.frame, feedback.frames = (step.taken, len(step.projections)) if step is not None else (0, 0)
+            feedback.words, feedback.frame, feedback.frames = words, 0, 0
+            if step is not None:
+                feedback.words = "measuring"
+                feedback.frame, feedback.frames = step.taken, len(step.projections)
             turn.goal.publish_feedback(feedback)
 
         with self._listening(PHASE_MAPS) as heard:
@@ -191,13 +186,15 @@ class CalibrationServer:
                 measured = Plane(plane.angle, plane.height, plane.held_out, phase, sigma)
                 feed_back(await self._compute(turn, result.PLANE_REJECTED, self._session.add_plane, measured))
         feed_back("fitting the model of the rig")
-        calibrated = await self._compute(turn, result.FIT_FAILED, self._session.calibrate)
-        result.go, result.verdict, result.folder = calibrated.go, calibrated.verdict, str(folder)
-        result.residual, result.held_out_residual = calibrated.residual, calibrated.held_out_residual
-        result.drift = calibrated.drift
+        measured_at = datetime.fromtimestamp(1e-9 * step.stamp, UTC)
+        calibrated = await self._compute(turn, result.FIT_FAILED, self._session.calibrate, measured_at)
         await self._compute(turn, result.FILES_FAILED, self._session.save, folder)
+        result.verdict, result.folder = " ".join([calibrated.verdict, *calibrated.warnings]), str(folder)
+        result.residual, result.held_out_residual = calibrated.residual, calibrated.held_out
+        result.drift = self._session.drift
         if not calibrated.go:
             raise StepFailure(result.NO_GO, calibrated.verdict)
+        result.go = True
         self._node.publish_calibration(calibrated.model, str(folder))
 
     # what both consist of
@@ -305,9 +302,19 @@ def _planes(request: CalibrateRig.Goal, result: CalibrateRig.Result) -> list[Ref
         raise StepFailure(
             result.INVALID_GOAL, f"held_out names planes {sorted(held_out)} of {len(angles)}; they count from 0"
         )
-    planes = [
-        ReferencePlane(kind=ReferencePlane.PLANE, angle=angle, height=height, held_out=index in held_out)
-        for index, (angle, height) in enumerate(zip(angles, heights, strict=True))
+    if not (0 <= request.sigma_angle < 1 and 0 <= request.sigma_height < 1):
+        raise StepFailure(
+            result.INVALID_GOAL,
+            f"sigma_angle {request.sigma_angle:g} rad, sigma_height {request.sigma_height:g} m: 0 to 1 make sense",
+        )
+    return [
+        ReferencePlane(
+            kind=ReferencePlane.PLANE,
+            angle=angle,
+            height=height,
+            held_out=index in held_out or index == len(angles),
+            sigma_angle=request.sigma_angle,
+            sigma_height=request.sigma_height,
+        )
+        for index, (angle, height) in enumerate(zip([*angles, angles[0]], [*heights, heights[0]], strict=True))
     ]
-    repeated = ReferencePlane(kind=ReferencePlane.PLANE, angle=angles[0], height=heights[0], held_out=True)
-    return [*planes, repeated]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -15,7 +15,7 @@ from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.serialization import deserialize_message
+from rclpy.serialization import deserialize_message, serialize_message
 from rclpy.task import Future
 
 from experiment_node.messages import header_stamp, message_type
@@ -32,9 +32,12 @@ from experiment_node.topics import (
 )
 from fringedic.errors import FringedicError, NotAnsweredError, ParameterError
 from fringedic.recording import BagReader, RawMessage
-from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, Reference, StepStatus
+from fringedic.rig import RigModel
+from fringedic.sequence import stamp_of
+from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, Reference, RigCalibration, StepStatus
 from fringedic_ros.parameters import declare
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
+from fringedic_ros.records import calibration_message
 from fringedic_ros.stamps import to_nanoseconds
 
 PROFILES = {
@@ -69,6 +72,9 @@ class PlayerParameters(BaseModel):
     steps: list[int] = Field([], description="Only these steps and their references; empty plays all.")
     reference_step: int = Field(
         -1, ge=-1, description="Step that all others are measured against, played first; -1 is as recorded."
+    )
+    calibration_file: str = Field(
+        "", description="YAML file of a rig's pin-hole model that replaces the recorded one; empty: the recorded one."
     )
     timeout_s: float = Field(
         300.0, gt=0, le=86400, description="Longest wait for nodes to appear and for the answers to one step [s]."
@@ -128,15 +134,22 @@ class PlayerNode(Node):
         bag.find(IMAGE, EXPOSURE, STEP)
         chosen = self._chosen_steps(bag)
         names = {full: name for name, full in bag.find_optional(*RAW_TOPICS).items()}
+        calibration = self._calibration()
+        if calibration is not None:
+            names = {full: name for full, name in names.items() if name != CALIBRATION}
+            self._publishers_by_topic[CALIBRATION] = self.create_publisher(RigCalibration, CALIBRATION, LATCHED)
         for full, name in names.items():
             kind = message_type(bag.topics[full].type_name)
             self._publishers_by_topic[name] = self.create_publisher(kind, name, PROFILES.get(name, EVENTS))
         if self._reference is not None and REFERENCE not in self._publishers_by_topic:
             self._publishers_by_topic[REFERENCE] = self.create_publisher(Reference, REFERENCE, LATCHED)
         self._wait_for_nodes()
+        if calibration is not None:
+            self._publishers_by_topic[CALIBRATION].publish(calibration)
+            self._ahead[CALIBRATION] += 1
 
         def recorded() -> Iterator[RecordedStep]:
-            return split_steps(message._replace(topic=names[message.topic]) for message in bag.published(names))
+            return split_steps(_played(bag, names))
 
         steps = frames = 0
         if self._reference is not None:
@@ -153,6 +166,13 @@ class PlayerNode(Node):
             steps += wanted and number is not None
         self._barrier()
         return f"{steps} steps, {frames} frames, {len(self.problems)} problems"
+
+    def _calibration(self) -> RigCalibration | None:
+        """Return the calibration that replaces the recorded one."""
+        file = self.parameters.value.calibration_file
+        if not file:
+            return None
+        return calibration_message(RigModel.from_yaml(file), stamp_ns=self.get_clock().now().nanoseconds)
 
     @property
     def _reference(self) -> int | None:
@@ -335,6 +355,17 @@ class PlayerNode(Node):
             self._spinner.spin_once(timeout_sec=0.05)
             if self.get_clock().now().nanoseconds > end:
                 raise NotAnsweredError(f"{words()} after {timeout:g} s")
+
+
+def _played(bag: BagReader, names: Mapping[str, str]) -> Iterator[RawMessage]:
+    """Yield the messages under their relative names; calibrations become those of today's definition."""
+    for message in bag.published(names):
+        name, data = names[message.topic], message.data
+        if name == CALIBRATION:
+            recorded = bag.decode(message.topic, data)
+            model, frame = RigModel.from_message(recorded), recorded.header.frame_id
+            data = serialize_message(calibration_message(model, stamp_ns=stamp_of(recorded), frame_id=frame))
+        yield message._replace(topic=name, data=data)
 
 
 def split_steps(messages: Iterable[RawMessage]) -> Iterator[RecordedStep]:

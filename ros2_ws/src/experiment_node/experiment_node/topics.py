@@ -4,6 +4,7 @@ from __future__ import annotations
 
 STEP = "experiment/step"
 REFERENCE = "experiment/reference"
+PLANE = "experiment/plane"
 CALIBRATION = "calibration"
 NODE_PARAMETERS = "node_parameters"
 IMAGE = "camera/image_raw"
@@ -16,6 +17,7 @@ RAW_TOPICS = (
     EXPOSURE,
     STEP,
     REFERENCE,
+    PLANE,
     CALIBRATION,
     NODE_PARAMETERS,
     "load_frame/state",

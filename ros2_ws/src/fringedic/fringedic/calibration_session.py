@@ -6,19 +6,23 @@ from a recording. The arithmetic is in `fringedic.camera` and `fringedic.calibra
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from dataclasses import dataclass
+from datetime import datetime
 from enum import IntEnum
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from fringedic.calibration.calibrate import calibrate_rig
 from fringedic.calibration.planes import PlaneBlocks, check_different, plane_name, reduce_plane
+from fringedic.calibration.result import RigCalibration
+from fringedic.camera.grid import GridMeasurement, measure_distortion
 from fringedic.errors import CalibrationStateError
-from fringedic.rig import RigModel
 from fringedic.sequence import Projection
 
+DISTORTION_FILE = "distortion.yaml"
+REPORT_FILE = "report.html"
 _MM, _UM = 1e3, 1e6
 
 
@@ -42,7 +46,17 @@ def place_in_words(kind: int, angle: float, height: float) -> str:
     return f"turn the plain reference plane to {degrees + 0.0:+.2f} degree{side}{lifted}"
 
 
-@dataclass(frozen=True)
+def grid_in_words(grid: GridMeasurement) -> str:
+    """Return what the grid told about the camera."""
+    plane = grid.plane
+    words = (
+        f"The lens distorts the image by {grid.magnitude:.3f} px RMS; {grid.residual:.4f} px are left at the points of "
+        f"the grid, known to {grid.sigma:.4f} px. A pixel sees {_UM * plane.pixel_size:.4f} µm of the plane."
+    )
+    return " ".join([words, *grid.warnings])
+
+
+@dataclasses.dataclass(frozen=True)
 class Plane:
     """The measured phase of the reference plane at a known angle and height.
 
@@ -63,52 +77,27 @@ class Plane:
     sigma: np.ndarray
 
 
-@dataclass(frozen=True)
-class Calibrated:
-    """What came of a calibration.
+@dataclasses.dataclass(frozen=True)
+class Setting:
+    """What a calibration needs to know beside the planes.
 
     Attributes
     ----------
-    calibration
-        The result of the fit.
-    drift
-        How far the first plane seemed to have moved when it was measured once more at the end, RMS without the noise
-        [m]; NaN when it was not.
-    noise
-        Median standard deviation of z of one pixel on the first plane [m].
+    identifier
+        Names the calibration in results.
+    projector_size
+        Width and height of the projector [px].
+    finest
+        The fringes that the phases belong to.
+    sigma_angle, sigma_height
+        Standard deviations of the stage [rad, m].
     """
 
-    calibration: Any
-    drift: float
-    noise: float
-
-    @property
-    def model(self) -> RigModel:
-        """The pin-hole model."""
-        return self.calibration.model
-
-    @property
-    def go(self) -> bool:
-        """Whether the calibration may be used."""
-        return bool(self.calibration.go)
-
-    @property
-    def drifted(self) -> bool:
-        """Whether the rig moved by more than the noise of a pixel while it was calibrated."""
-        return self.drift > self.noise
-
-    @property
-    def verdict(self) -> str:
-        """In words, the drift included."""
-        if math.isnan(self.drift):
-            return str(self.calibration.verdict)
-        words = f"The rig drifted by {_UM * self.drift:.2f} µm RMS meanwhile"
-        if self.drifted:
-            words += (
-                f", more than the noise of a pixel ({_UM * self.noise:.1f} µm): let projector and camera warm up, see "
-                "that nothing can move, and calibrate again"
-            )
-        return f"{self.calibration.verdict} {words}."
+    identifier: str
+    projector_size: tuple[int, int]
+    finest: Projection
+    sigma_angle: float = 0.0
+    sigma_height: float = 0.0
 
 
 class CalibrationSession:
@@ -117,19 +106,23 @@ class CalibrationSession:
     Attributes
     ----------
     grid
-        The camera as the printed grid told it; None as long as it was not measured, or not well enough.
+        The camera as the printed grid told it; None as long as it was not measured.
+    result
+        What came of the planes; None as long as nothing did.
+    drift
+        How far the first plane seemed to have moved when it was measured once more at the end, RMS without the noise
+        [m]; NaN when it was not.
     """
 
     def __init__(self) -> None:
-        self.grid: Any = None
-        self._measured_grid: Any = None
+        self.grid: GridMeasurement | None = None
+        self.result: RigCalibration | None = None
+        self.drift = math.nan
+        self._setting: Setting | None = None
         self._planes: list[Plane] = []
         self._blocks: list[PlaneBlocks] = []
-        self._calibrated: Calibrated | None = None
 
-    # the grid
-
-    def measure_grid(self, frames: np.ndarray, grid_pitch: float, identifier: str) -> Any:
+    def measure_grid(self, frames: np.ndarray, grid_pitch: float) -> GridMeasurement:
         """Measure the distortion of the camera from white frames of the printed grid.
 
         Parameters
@@ -138,44 +131,29 @@ class CalibrationSession:
             Grey levels; their mean is used.
         grid_pitch
             Distance of the printed lines [m].
-        identifier
-            Names the result.
 
         Raises
         ------
         FringedicError
             The frames do not show a grid that can be measured; the message says why.
         """
-        from fringedic.camera import measure_distortion
+        self.grid = None
+        self.grid = measure_distortion(frames.mean(axis=0, dtype=np.float64), pitch=grid_pitch)
+        return self.grid
 
-        image = frames.mean(axis=0, dtype=np.float64).astype(np.float32)
-        self._measured_grid = measure_distortion(image, pitch=grid_pitch)
-        self.grid = self._measured_grid
-        return self._measured_grid
+    def begin(self, setting: Setting) -> None:
+        """Begin to collect planes; those of an earlier calibration are forgotten.
 
-    def save_grid(self, folder: Path) -> None:
-        """Write ``distortion.yaml``."""
-        folder.mkdir(parents=True, exist_ok=True)
-        self._measured_grid.map.save(folder / "distortion.yaml")
-
-    # the planes
-
-    def begin(self, identifier: str, *, projector_size: tuple[int, int], finest: Projection) -> None:
-        """Begin to collect planes.
-
-        Parameters
-        ----------
-        identifier
-            Names the calibration in results.
-        projector_size
-            Width and height of the projector [px].
-        finest
-            The fringes that the phases belong to.
+        Raises
+        ------
+        CalibrationStateError
+            The grid was not measured.
         """
-        self._identifier = identifier
-        self._projector_size = projector_size
-        self._finest = finest
-        self._planes, self._blocks, self._calibrated = [], [], None
+        if self.grid is None:
+            raise CalibrationStateError("the scale is not known: measure the printed grid first (calibrate_distortion)")
+        self._setting = setting
+        self._planes, self._blocks = [], []
+        self.result, self.drift = None, math.nan
 
     def add_plane(self, plane: Plane) -> str:
         """Take one plane and return in words how well it was measured.
@@ -194,53 +172,72 @@ class CalibrationSession:
         self._planes, self._blocks = planes, [*self._blocks, blocks]
         return f"{100 * blocks.valid:.0f} % of the image measured, noise {blocks.noise / (2 * math.pi):.4f} fringe"
 
-    def calibrate(self) -> Calibrated:
-        """Fit the model of the rig to all planes.
+    def calibrate(self, created: datetime) -> RigCalibration:
+        """Fit the model of the rig to all planes; the verdict speaks of the drift as well.
+
+        Parameters
+        ----------
+        created
+            When the planes were measured.
 
         Raises
         ------
-        CalibrationStateError
-            The grid was not measured.
         CalibrationPlanesError, CalibrationAnglesError, CalibrationPhaseError
             The planes do not make a calibration; the message says what is wrong with them.
         """
-        from fringedic.calibration import calibrate_rig
-
-        if self.grid is None:
-            raise CalibrationStateError("the grid was not measured: the scale is not known")
-        calibration = calibrate_rig(
-            [plane.phase for plane in self._planes],
-            [plane.angle for plane in self._planes],
-            self.grid.plane.pixel_size,
-            pitch=self._finest.pitch,
-            sigma=[plane.sigma for plane in self._planes],
-            held_out=[index for index, plane in enumerate(self._planes) if plane.held_out],
-            orientation=self._finest.orientation,
-            heights=[plane.height for plane in self._planes],
-            distortion=self.grid.map,
-            plane=self.grid.plane,
-            projector_size=self._projector_size,
-            identifier=self._identifier,
+        grid, setting, planes = self.grid, self._setting, self._planes
+        if grid is None or setting is None:
+            raise CalibrationStateError("there are no planes: begin comes first")
+        fitted = calibrate_rig(
+            [plane.phase for plane in planes],
+            [plane.angle for plane in planes],
+            grid.plane.pixel_size,
+            pitch=setting.finest.pitch,
+            projector_size=setting.projector_size,
+            sigma=[plane.sigma for plane in planes],
+            heights=[plane.height for plane in planes],
+            held_out=[index for index, plane in enumerate(planes) if plane.held_out],
+            orientation=setting.finest.orientation,
+            distortion=grid.distortion,
+            plane=grid.plane,
+            sigma_angle=setting.sigma_angle,
+            sigma_height=setting.sigma_height,
+            identifier=setting.identifier,
+            created=created,
         )
-        self._calibrated = Calibrated(calibration, *self._drift(calibration.model))
-        return self._calibrated
+        self.drift, noise = _drift(fitted, planes[0], planes[-1])
+        warnings = [*grid.warnings, *fitted.warnings]
+        if self.drift > noise:
+            warnings.append(
+                f"The rig moved by {_UM * self.drift:.2f} µm RMS while it was calibrated, more than the noise of a "
+                f"pixel ({_UM * noise:.2f} µm): let projector and camera warm up, see that nothing can shift, and "
+                "calibrate again."
+            )
+        self.result = dataclasses.replace(fitted, warnings=tuple(warnings))
+        return self.result
 
-    def _drift(self, model: RigModel) -> tuple[float, float]:
-        """Return what the first plane changed by until it was measured last, and the noise of one pixel [m]."""
-        first, last = self._planes[0], self._planes[-1]
-        surface = model.reconstruct(first.phase, self._finest.pitch, first.sigma, self._finest.orientation)
-        slope = surface.dz_dphi.values.astype(float)
-        noise = float(np.nanmedian(np.abs(slope) * first.sigma))
-        if first is last or (first.angle, first.height) != (last.angle, last.height):
-            return math.nan, noise
-        change = slope * (last.phase - first.phase)
-        variance = slope**2 * (first.sigma.astype(float) ** 2 + last.sigma.astype(float) ** 2)
-        return math.sqrt(max(float(np.nanmean(change**2 - variance)), 0.0)), noise
+    def save_grid(self, folder: Path) -> None:
+        """Write ``distortion.yaml``."""
+        assert self.grid is not None, "measure_grid comes first"
+        folder.mkdir(parents=True, exist_ok=True)
+        self.grid.distortion.save(folder / DISTORTION_FILE)
 
     def save(self, folder: Path) -> None:
-        """Write the report, and the calibration when it may be used."""
-        assert self._calibrated is not None, "calibrate comes first"
+        """Write ``report.html``, and the files of the calibration when it may be used."""
+        assert self.result is not None, "calibrate comes first"
         folder.mkdir(parents=True, exist_ok=True)
-        if self._calibrated.go:
-            self._calibrated.calibration.save(folder)
-        self._calibrated.calibration.write_report(folder / "report.html")
+        self.result.write_report(folder / REPORT_FILE)
+        if self.result.go:
+            self.result.save(folder)
+
+
+def _drift(fitted: RigCalibration, first: Plane, last: Plane) -> tuple[float, float]:
+    """Return what the first plane changed by until it was measured last, and the noise of one pixel [m]."""
+    surface = fitted.reconstruct(first.phase, first.sigma)
+    slope = np.abs(surface.dz_dphi.values.astype(float))
+    noise = float(np.nanmedian(slope * first.sigma))
+    if first is last or (first.angle, first.height) != (last.angle, last.height):
+        return math.nan, noise
+    change = slope * (last.phase.astype(float) - first.phase)
+    variance = slope**2 * (first.sigma.astype(float) ** 2 + last.sigma.astype(float) ** 2)
+    return math.sqrt(max(float(np.nanmean(change**2 - variance)), 0.0)), noise

@@ -12,19 +12,25 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
+import numpy as np
 import yaml
+from numpy.polynomial import chebyshev
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
+from fringedic.camera import DistortionMap
 from fringedic.chain import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.errors import FringedicError, RigFileError
 from fringedic.facts import Facts, HardwareFacts, SpecimenFacts
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation, PatternKind, Projection
-from fringedic.virtual_rig import VirtualRigConfiguration
+from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
+from fringedic.virtual_rig.configuration import LensConfiguration, ReferencePlaneSpecimen
 from fringedic.virtual_rig.optics import camera_optics, projector_optics
 
 MILLI = 1e-3
 FINEST_DEFAULT_PITCH_PX = 8.0
+LENS_ORDER = 20  # of the polynomials that stand for the lens of a virtual rig; 2e-6 px are left of an odd one
+LENS_POINTS = 60
 VIRTUAL_RIG = "virtual_rig"
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -168,6 +174,56 @@ class CalibrationSection(Section):
         )
 
 
+class ReferencePlaneSection(Section):
+    """The plane that calibrates the rig, and where it is put."""
+
+    grid_pitch_mm: float | None = Field(
+        None, gt=0, description="Distance of the printed grid's lines; known from a virtual rig."
+    )
+    grid_frames: int = Field(8, ge=1, le=1000, description="Frames of the grid, averaged against noise.")
+    angles_degree: list[Annotated[float, Field(gt=-80, lt=80)]] = Field(
+        [0.0, -18.0, -12.0, -6.0, 6.0, 12.0, 18.0],
+        min_length=1,
+        description="Angles of the plain plane; above 0 the +x side is nearer to the camera. The first is measured "
+        "again at the end.",
+    )
+    heights_mm: list[float] | None = Field(None, description="Heights of the same planes; by default all 0.")
+    held_out: list[Annotated[int, Field(ge=1)]] = Field(
+        [5], description="Planes, counted from 1, that test the calibration and are not used by it."
+    )
+    sigma_angle_degree: float = Field(0.0, ge=0, le=10, description="Standard deviation of a single angle.")
+    sigma_height_mm: float = Field(0.0, ge=0, le=10, description="Standard deviation of a single height.")
+
+    @model_validator(mode="after")
+    def _lists_belong_together(self) -> ReferencePlaneSection:
+        count = len(self.angles_degree)
+        if self.heights_mm is not None and len(self.heights_mm) != count:
+            raise ValueError(f"{count} angles_degree and {len(self.heights_mm)} heights_mm: give one of each per plane")
+        if any(number > count for number in self.held_out):
+            raise ValueError(f"held_out names planes {self.held_out}, there are {count}")
+        return self
+
+    @property
+    def angles(self) -> list[float]:
+        """Angles of the planes [rad]."""
+        return [math.radians(angle) for angle in self.angles_degree]
+
+    @property
+    def heights(self) -> list[float]:
+        """Heights of the planes [m]."""
+        return [height * MILLI for height in self.heights_mm or [0.0] * len(self.angles_degree)]
+
+    @property
+    def sigma_angle(self) -> float:
+        """Standard deviation of a single angle [rad]."""
+        return math.radians(self.sigma_angle_degree)
+
+    @property
+    def sigma_height(self) -> float:
+        """Standard deviation of a single height [m]."""
+        return self.sigma_height_mm * MILLI
+
+
 class LoadFrameSection(Section):
     """The testing machine."""
 
@@ -273,6 +329,7 @@ class RigFile(Section):
     projector: ProjectorSection | None = None
     sequence: SequenceSection = SequenceSection()
     calibration: Calibration | None = None
+    reference_plane: ReferencePlaneSection = ReferencePlaneSection()
     load_frame: LoadFrameSection | None = None
     nodes: NodesSection = NodesSection()
     virtual_rig: dict[str, Any] | None = None
@@ -308,6 +365,14 @@ class RigFile(Section):
     def projector_size(self) -> tuple[int, int] | None:
         """(width, height) of the projector's image [px], None without a projector."""
         return None if self.projector is None else self._size(self.projector, "projector")
+
+    def grid_pitch(self) -> float | None:
+        """Distance of the printed grid's lines [m], None when nobody says."""
+        if self.reference_plane.grid_pitch_mm is not None:
+            return self.reference_plane.grid_pitch_mm * MILLI
+        if self.virtual_rig is not None:
+            return self.virtual_configuration().stage.grid_pitch_mm * MILLI
+        return None
 
     def pitches(self) -> list[float]:
         """Fringe pitches, coarse to fine [projector pixel]; empty without a projector."""
@@ -407,7 +472,26 @@ def load_calibration(rig: RigFile, path: str | os.PathLike[str]) -> RigModel | N
 def calibration_of(virtual_rig: VirtualRigConfiguration) -> RigModel:
     """Return the exact parameters of a virtual rig as a calibration."""
     optics: dict[str, Any] = {**camera_optics(virtual_rig.camera), **projector_optics(virtual_rig.projector)}
-    return RigModel(**optics, identifier="virtual rig", source=VIRTUAL_RIG)
+    return RigModel(
+        **optics, camera_distortion=_distortion_of(virtual_rig), identifier="virtual rig", source=VIRTUAL_RIG
+    )
+
+
+def _distortion_of(virtual_rig: VirtualRigConfiguration) -> DistortionMap | None:
+    """Return what the lens of a virtual rig does, fitted so closely that nothing measurable is left; None without."""
+    camera = virtual_rig.camera
+    if camera.lens == LensConfiguration():
+        return None
+    # in front of the plane it needs no texture
+    bare = VirtualRig(virtual_rig.model_copy(update={"specimen": ReferencePlaneSpecimen()}))
+    rows, columns = (np.unique(np.linspace(0, n - 1, LENS_POINTS).astype(int)) for n in (camera.rows, camera.columns))
+    fits = [
+        np.linalg.pinv(chebyshev.chebvander(2 * places / (n - 1) - 1, LENS_ORDER))
+        for places, n in ((rows, camera.rows), (columns, camera.columns))
+    ]
+    straight_column, straight_row = (each[np.ix_(rows, columns)] for each in bare.straight_pixels())
+    shifts = straight_column - columns, straight_row - rows[:, np.newaxis]
+    return DistortionMap(camera.columns, camera.rows, *(fits[0] @ shift @ fits[1].T for shift in shifts))
 
 
 def _load(path: Path, model: type[Model]) -> Model:

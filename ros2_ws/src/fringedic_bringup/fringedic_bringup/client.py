@@ -11,25 +11,29 @@ with RigClient("rig") as rig:
 from __future__ import annotations
 
 import os
+import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal
 
 import rclpy
 from rcl_interfaces.srv import GetParameters
 from rclpy.action import ActionClient
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 
 from experiment_node.topics import DERIVED_TOPICS, RAW_TOPICS
+from fringedic.calibration_session import place_in_words
 from fringedic.errors import NotAnsweredError, StepFailedError
 from fringedic_bringup.processes import node_environment
-from fringedic_msgs.action import MeasureStep, MoveCrosshead
+from fringedic_msgs.action import CalibrateDistortion, CalibrateRig, MeasureStep, MoveCrosshead
 from fringedic_msgs.msg import RecorderStatus
-from fringedic_msgs.srv import SetReference, StartExperiment
+from fringedic_msgs.srv import PlaceReferencePlane, SetReference, StartExperiment
 from fringedic_ros.qos import LATCHED
 
 MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
@@ -66,6 +70,9 @@ class RigClient:
         self._executor.add_node(self._node)
         self._measure = ActionClient(self._node, MeasureStep, "measure_step")
         self._move = ActionClient(self._node, MoveCrosshead, "move_crosshead")
+        self._calibrate_distortion = ActionClient(self._node, CalibrateDistortion, "calibrate_distortion")
+        self._calibrate_rig = ActionClient(self._node, CalibrateRig, "calibrate_rig")
+        self._place = self._node.create_client(PlaceReferencePlane, "reference_plane/place")
         self._start = self._node.create_client(StartExperiment, "experiment/start")
         self._set_reference = self._node.create_client(SetReference, "experiment/set_reference")
         self._recorder_parameters = self._node.create_client(GetParameters, "recorder/get_parameters")
@@ -101,10 +108,12 @@ class RigClient:
 
         def missing() -> list[str]:
             absent = sorted(expected - {name for name, _ in self._node.get_node_names_and_namespaces()})
-            if "experiment" in expected and not self._measure.server_is_ready():
-                absent.append("action measure_step")
-            if "load_frame" in expected and not self._move.server_is_ready():
-                absent.append("action move_crosshead")
+            actions = {"experiment": [self._measure, self._calibrate_distortion, self._calibrate_rig]}
+            for node, clients in (actions | {"load_frame": [self._move]}).items():
+                missed = [client for client in clients if node in expected and not client.server_is_ready()]
+                absent += [f"action {client._action_name}" for client in missed]
+            if "stage" in expected and not self._place.service_is_ready():
+                absent.append("service reference_plane/place")
             if "recorder" in expected:
                 absent += [f"recorder on {topic}" for topic in self._unrecorded()]
             return absent
@@ -172,6 +181,114 @@ class RigClient:
         goal = MeasureStep.Goal(mode=MODES[mode], set_reference=set_reference)
         return self._act(self._measure, goal, "measure_step", feedback)
 
+    def calibrate_distortion(
+        self,
+        grid_pitch: float,
+        *,
+        frames: int = 0,
+        folder: Path | None = None,
+        feedback: Callable[[CalibrateDistortion.Feedback], None] = lambda _: None,
+    ) -> CalibrateDistortion.Result:
+        """Have the printed grid placed and the camera's distortion and scale measured.
+
+        Parameters
+        ----------
+        grid_pitch
+            Distance of the printed lines [m].
+        frames
+            Averaged; 0: 8.
+        folder
+            Gets the files.
+        feedback
+            Called with what happens, or what an operator shall do.
+
+        Returns
+        -------
+        CalibrateDistortion.Result
+            Also of a measurement that failed: ``error_code`` and ``error_message`` say how, ``go`` is False.
+        """
+        goal = CalibrateDistortion.Goal(grid_pitch=grid_pitch, frames=frames, folder=_absolute(folder))
+        return self._goal(self._calibrate_distortion, goal, "calibrate_distortion", feedback)
+
+    def calibrate_rig(
+        self,
+        angles: Sequence[float],
+        heights: Sequence[float] = (),
+        *,
+        held_out: Sequence[int] = (),
+        sigma_angle: float = 0.0,
+        sigma_height: float = 0.0,
+        folder: Path | None = None,
+        feedback: Callable[[CalibrateRig.Feedback], None] = lambda _: None,
+    ) -> CalibrateRig.Result:
+        """Have the plane placed at every angle [rad] and height [m], and the rig calibrated; after the grid.
+
+        Parameters
+        ----------
+        angles, heights
+            Of the planes, above 0 with the +x side nearer to the camera; without heights all at 0.
+        held_out
+            Indices of planes, from 0 on, that test the calibration and are not used by it.
+        sigma_angle, sigma_height
+            Standard deviations of the stage.
+        folder
+            Gets the calibration and its report.
+        feedback
+            Called with what happens, or what an operator shall do.
+
+        Returns
+        -------
+        CalibrateRig.Result
+            Also of a calibration that failed: ``error_code`` and ``error_message`` say how, ``go`` is False.
+        """
+        goal = CalibrateRig.Goal(
+            angles=list(angles),
+            heights=list(heights),
+            held_out=list(held_out),
+            sigma_angle=sigma_angle,
+            sigma_height=sigma_height,
+            folder=_absolute(folder),
+        )
+        return self._goal(self._calibrate_rig, goal, "calibrate_rig", feedback)
+
+    def place(self, kind: int, angle: float = 0.0, height: float = 0.0) -> None:
+        """Have the grid, the plane or the specimen (`PlaceReferencePlane.Request` kinds) put in front of the camera.
+
+        Raises
+        ------
+        StepFailedError
+            It is refused.
+        """
+        request = PlaceReferencePlane.Request(kind=kind, angle=angle, height=height)
+        response = self._await(self._place.call_async(request), STEP_TIMEOUT_S, self._place.srv_name)
+        if not response.success:
+            raise StepFailedError(f"{place_in_words(kind, angle, height)}: {response.message}")
+
+    def serve_placing(self, place: Callable[[int, float, float], str]) -> None:
+        """Answer whoever wants something placed, as a stage would.
+
+        Parameters
+        ----------
+        place
+            Called in a thread of its own with kind, angle [rad] and height [m]; returns when it stands there, or why it
+            does not.
+        """
+
+        async def serve(
+            request: PlaceReferencePlane.Request, response: PlaceReferencePlane.Response
+        ) -> PlaceReferencePlane.Response:
+            answer = Future()
+            arguments = (request.kind, request.angle, request.height)
+            threading.Thread(target=lambda: answer.set_result(place(*arguments)), daemon=True).start()
+            response.message = await answer
+            response.success = not response.message
+            response.angle, response.height = request.angle, request.height
+            return response
+
+        self._node.create_service(
+            PlaceReferencePlane, "reference_plane/place", serve, callback_group=MutuallyExclusiveCallbackGroup()
+        )
+
     def wait_until_recorded(self) -> None:
         """Wait until the recorder has taken what was published before the last result came.
 
@@ -192,14 +309,17 @@ class RigClient:
         self._wait(lambda: time.monotonic() >= end, seconds + 1.0, lambda: "the clock stands still")
 
     def _act(self, client: ActionClient, goal: Any, what: str, feedback: Callable[[Any], None]) -> Any:
+        result = self._goal(client, goal, what, feedback)
+        if result.error_code:
+            raise StepFailedError(f"{result.error_message} (error {result.error_code})")
+        return result
+
+    def _goal(self, client: ActionClient, goal: Any, what: str, feedback: Callable[[Any], None]) -> Any:
         sent = client.send_goal_async(goal, feedback_callback=lambda message: feedback(message.feedback))
         handle = self._await(sent, START_TIMEOUT_S, what)
         if not handle.accepted:
             raise StepFailedError(f"{what}: refused")
-        result = self._await(handle.get_result_async(), STEP_TIMEOUT_S, what).result
-        if result.error_code:
-            raise StepFailedError(f"{result.error_message} (error {result.error_code})")
-        return result
+        return self._await(handle.get_result_async(), STEP_TIMEOUT_S, what).result
 
     def _call(self, client: Any, request: Any) -> Any:
         return self._await(client.call_async(request), START_TIMEOUT_S, client.srv_name)
@@ -234,3 +354,8 @@ class RigClient:
 
     def _take_recorder(self, message: RecorderStatus) -> None:
         self._recorder = message
+
+
+def _absolute(folder: Path | None) -> str:
+    """The folder as nodes that run elsewhere find it; empty when they choose one."""
+    return "" if folder is None else str(folder.absolute())

@@ -35,6 +35,9 @@ Steps = Annotated[list[int] | None, typer.Option("--step", help="Only this step 
 ReferenceStep = Annotated[
     int | None, typer.Option("--reference", help="Step that all others are measured against, earlier ones too.")
 ]
+Calibration = Annotated[
+    Path | None, typer.Option(help="Calibration of the rig instead of the recorded one: its file or folder.")
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there already.")]
 Output = Annotated[Path | None, typer.Option(help="Folder for what is written.")]
 Settings = Annotated[
@@ -70,22 +73,60 @@ def run(
     _finish([report])
 
 
+@app.command(epilog="Example: fringedic calibrate plate.yaml --angles-deg 0,-15,-10,-5,5,10,15 --output calibration")
+def calibrate(
+    rig: Annotated[Path | None, typer.Argument(help="Rig file; its section reference_plane tells the planes.")] = None,
+    angles_deg: Annotated[
+        str | None,
+        typer.Option(help="Other angles of the plane, with commas; the last but one tests the result."),
+    ] = None,
+    recording: Annotated[
+        Path | None, typer.Option("--from", help="Calibrate once more from the recording of a calibration.")
+    ] = None,
+    output: Annotated[Path, typer.Option(help="Folder for calibration, report and recording.")] = Path("calibration"),
+) -> None:
+    """Calibrate camera and rig with a printed grid and a plane at known angles; exit code 1 when it cannot be used."""
+    if (rig is None) == (recording is None):
+        raise ParameterError("name a rig file, or with --from the recording of a calibration")
+    folder = _unused(output)
+    with LiveProgress(console) as progress:
+        if recording is not None:
+            from fringedic_bringup.calibrate_again import calibrate_again
+
+            report = calibrate_again(recording, folder, progress)
+        elif rig is not None:
+            from fringedic.rig_file import load_rig_file
+            from fringedic_bringup.calibrate import calibrate as calibrate_rig
+            from fringedic_bringup.calibrate import with_angles
+
+            path = _rig_path(rig)
+            rig_file = load_rig_file(path)
+            if angles_deg is not None:
+                rig_file = with_angles(rig_file, angles_deg)
+            report = calibrate_rig(rig_file, path, folder, progress, ask=progress.ask)
+    for words in report.words:
+        console.print(words, markup=False, highlight=False)
+    console.print("go" if report.go else "no go", style="green" if report.go else "red")
+    if report.report is not None:
+        console.print(f"report: {report.report}", markup=False, highlight=False)
+    if report.go:
+        console.print(f"calibration: {report.file}; name it in the rig file", markup=False, highlight=False)
+    else:
+        raise typer.Exit(1)
+
+
 @app.command(epilog="Example: fringedic demo --output demo plate leather")
 def demo(
     specimens: Annotated[list[Specimen] | None, typer.Argument(help="Which experiments; all by default.")] = None,
     output: Annotated[Path, typer.Option(help="Folder for recordings, datasets and pictures.")] = Path("demo"),
 ) -> None:
-    """Measure the three virtual specimens through the real nodes and compare them with the truth."""
+    """Calibrate the virtual rigs, measure three specimens through the real nodes and compare them with the truth."""
+    from fringedic_bringup.demo import run_demo
     from fringedic_bringup.processes import private_domain
-    from fringedic_bringup.run import load_rig, run_experiment
 
-    folder = _unused(output)
-    reports = []
+    rigs = {specimen.value: _rig_path(Path(specimen)) for specimen in specimens or list(Specimen)}
     with LiveProgress(console) as progress, private_domain() as domain:
-        for specimen in specimens or list(Specimen):
-            path = _rig_path(Path(specimen))
-            rig, programme = load_rig(path, None, None)
-            reports.append(run_experiment(rig, path, programme, folder / specimen, progress, domain=domain))
+        reports = run_demo(rigs, _unused(output), progress, domain=domain)
     _finish(reports)
 
 
@@ -95,6 +136,7 @@ def replay(
     settings: Settings = None,
     steps: Steps = None,
     reference: ReferenceStep = None,
+    calibration: Calibration = None,
     output: Output = None,
 ) -> None:
     """Process recordings again by fresh nodes, as fast as they go, and record the results."""
@@ -108,7 +150,15 @@ def replay(
         if output is not None:
             folder = output if len(bags) == 1 else output / _title(bag)
         with LiveProgress(console) as progress:
-            target = replay_bag(bag, folder, progress, overrides=overrides, steps=steps or (), reference=reference)
+            target = replay_bag(
+                bag,
+                folder,
+                progress,
+                overrides=overrides,
+                steps=steps or (),
+                reference=reference,
+                calibration=None if calibration is None else _calibration_file(calibration),
+            )
         console.print(f"recording: {target}", markup=False, highlight=False)
 
     _for_each(bags, work)
@@ -120,6 +170,7 @@ def process(
     settings: Settings = None,
     steps: Steps = None,
     reference: ReferenceStep = None,
+    calibration: Calibration = None,
     output: Annotated[
         Path | None,
         typer.Option(help="Dataset, .nc or .zarr, beside the recording by default; of several recordings a folder."),
@@ -128,8 +179,10 @@ def process(
 ) -> None:
     """Measure recordings again without ROS and write the results as datasets."""
     from fringedic.results import process_bag
+    from fringedic.rig import RigModel
 
     values = _values(settings)
+    model = None if calibration is None else RigModel.from_yaml(_calibration_file(calibration))
 
     def work(bag: Path) -> None:
         target = output
@@ -144,6 +197,7 @@ def process(
                 overrides=values,
                 steps=steps or None,
                 reference=reference,
+                calibration=model,
                 overwrite=overwrite,
                 progress=lambda step, error: progress.note(f"step {step}: {error or 'measured'}"),
             )
@@ -275,6 +329,14 @@ def _rig_path(rig: Path) -> Path:
         return shipped
     names = ", ".join(sorted(path.stem for path in shipped.parent.glob("*.yaml")))
     raise RigFileError(f"{rig}: no such rig file; {names} come with fringedic")
+
+
+def _calibration_file(path: Path) -> Path:
+    """Return the file of a calibration that is named by itself or by its folder."""
+    file = path / "calibration.yaml" if path.is_dir() else path
+    if not file.is_file():
+        raise RigFileError(f"{file}: there is no calibration")
+    return file
 
 
 def _values(settings: list[str] | None) -> dict[str, Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import TracebackType
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 from rich.table import Table
@@ -60,6 +61,17 @@ class LiveProgress:
     def note(self, text: str) -> None:
         """Say something that stays on the screen."""
         self._console.print(text, markup=False, highlight=False)
+
+    def ask(self, words: str) -> bool:
+        """Tell a person what to do and wait for Enter; False when there is nobody, or the answer is not empty."""
+        self._bars.stop()
+        try:
+            answer = self._console.input(f"{escape(words)}, then press Enter (or write anything to stop): ")
+        except EOFError:
+            return False
+        finally:
+            self._bars.start()
+        return not answer.strip()
 
     def _plain(self, text: str) -> None:
         if not self._console.is_terminal and text != self._last:

@@ -81,15 +81,37 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
     if rig.load_frame is not None and rig.load_frame.source == "simulated":
         parameters = {"rate_hz": rig.load_frame.rate_hz, "virtual_rig": _virtual_rig(rig)}
         nodes.append(NodeEntry("load_frame", "load_frame_node", "load_frame", parameters))
-    size = rig.projector_size()
-    if size is not None:
-        parameters = {"width_px": size[0], "height_px": size[1]}
-        nodes.append(NodeEntry("projector", "fringe_projector_node", "projector", parameters))
-    nodes.append(NodeEntry("camera", "camera_node", "camera", _camera(rig, rig_path, folder)))
-    nodes.append(
-        NodeEntry("experiment", "experiment_node", "experiment", _experiment(rig, experiment, calibration_file))
-    )
+    settings = _experiment(rig, experiment) | {
+        "calibration_file": calibration_file,
+        "calibration_folder": str((folder / "calibrations").absolute()),
+    }
+    nodes += [
+        *_hardware(rig, _camera(rig, rig_path) | _truth(rig, folder)),
+        NodeEntry("experiment", "experiment_node", "experiment", settings),
+    ]
     return Graph(rig.namespace, tuple(nodes))
+
+
+def calibration_graph(rig: RigFile, rig_path: Path, folder: Path) -> Graph:
+    """Return the nodes that calibrate a rig: those that show, expose, record and measure phases.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file and where it was read, from where its relative paths start.
+    folder
+        Gets the recording ``bag``.
+    """
+    settings = _experiment(rig, "") | {"nodes": ["phase"], "calibration_folder": str(folder.absolute())}
+    return Graph(
+        rig.namespace,
+        (
+            NodeEntry("recorder", "experiment_node", "recorder", _recorder(rig, folder)),
+            NodeEntry("phase", PROCESSING_NODES["phase"], "phase", rig.nodes.phase.model_dump()),
+            *_hardware(rig, _camera(rig, rig_path)),
+            NodeEntry("experiment", "experiment_node", "experiment", settings),
+        ),
+    )
 
 
 def replay_graph(
@@ -99,6 +121,7 @@ def replay_graph(
     *,
     steps: Sequence[int] = (),
     reference: int | None = None,
+    calibration: Path | None = None,
 ) -> Graph:
     """Return the nodes that process a recording again and record what comes of it.
 
@@ -114,6 +137,8 @@ def replay_graph(
         Only these steps and their references; all when empty.
     reference
         A step that all others are measured against; by default as recorded.
+    calibration
+        File that replaces the recorded calibration of the rig.
 
     Raises
     ------
@@ -125,6 +150,8 @@ def replay_graph(
     replaced = [f"{node}.{name}" for node, values in overrides.items() for name in values]
     if replaced:
         player["overrides"] = replaced
+    if calibration is not None:
+        player["calibration_file"] = str(calibration.absolute())
     if steps:
         player["steps"] = list(steps)
     if reference is not None:
@@ -151,7 +178,19 @@ def _recorder(rig: RigFile, folder: Path) -> dict[str, Any]:
     }
 
 
-def _camera(rig: RigFile, rig_path: Path, folder: Path) -> dict[str, Any]:
+def _hardware(rig: RigFile, camera: Mapping[str, Any]) -> list[NodeEntry]:
+    """Return what stands in front of the specimen, and beside it the stage of a virtual rig."""
+    nodes = []
+    size = rig.projector_size()
+    if size is not None:
+        parameters = {"width_px": size[0], "height_px": size[1]}
+        nodes.append(NodeEntry("projector", "fringe_projector_node", "projector", parameters))
+    if rig.camera.source == "virtual":
+        nodes.append(NodeEntry("stage", "load_frame_node", "stage"))
+    return [*nodes, NodeEntry("camera", "camera_node", "camera", camera)]
+
+
+def _camera(rig: RigFile, rig_path: Path) -> dict[str, Any]:
     camera = rig.camera
     parameters: dict[str, Any] = {
         "source": camera.source,
@@ -161,18 +200,17 @@ def _camera(rig: RigFile, rig_path: Path, folder: Path) -> dict[str, Any]:
     if camera.files is not None:
         parameters["files"] = str((rig_path.parent / camera.files).absolute())
     if rig.virtual_rig is not None:
-        parameters |= {
-            "virtual_rig": _virtual_rig(rig),
-            "truth_folder": str(folder.absolute()),
-            "timeout_s": RENDERING_TIMEOUT_S,
-        }
+        parameters |= {"virtual_rig": _virtual_rig(rig), "timeout_s": RENDERING_TIMEOUT_S}
     return parameters
 
 
-def _experiment(rig: RigFile, experiment: str, calibration_file: str) -> dict[str, Any]:
+def _truth(rig: RigFile, folder: Path) -> dict[str, Any]:
+    return {} if rig.virtual_rig is None else {"truth_folder": str(folder.absolute())}
+
+
+def _experiment(rig: RigFile, experiment: str) -> dict[str, Any]:
     parameters: dict[str, Any] = {
         "experiment": experiment,
-        "calibration_file": calibration_file,
         "projector": rig.projector is not None,
         "recording_required": True,
         "facts": rig.facts().to_text(),

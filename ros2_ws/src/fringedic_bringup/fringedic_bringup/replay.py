@@ -23,6 +23,7 @@ def replay(
     overrides: Mapping[str, Mapping[str, Any]] | None = None,
     steps: Sequence[int] = (),
     reference: int | None = None,
+    calibration: Path | None = None,
     environment: Mapping[str, str] | None = None,
 ) -> Path:
     """Process a recording again by the nodes and return the new recording.
@@ -41,6 +42,8 @@ def replay(
         Only these steps and their references; all when empty.
     reference
         A step that all others are measured against, earlier ones too; by default as recorded.
+    calibration
+        File that replaces the recorded calibration of the rig.
     environment
         Further environment variables of the nodes, such as NUMBA_NUM_THREADS.
 
@@ -56,7 +59,7 @@ def replay(
     target = output / "bag"
     if target.exists():
         raise RecordingError(f"{target} exists already; choose another --output")
-    graph = replay_graph(bag, target, overrides or {}, steps=steps, reference=reference)
+    graph = replay_graph(bag, target, overrides or {}, steps=steps, reference=reference, calibration=calibration)
     with (
         private_domain() as domain,
         RunningGraph(graph, output / "logs", domain=domain, environment=environment) as running,

@@ -6,6 +6,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from fringedic.calibration_session import REPORT_FILE
+
+CALIBRATION_FILE = "calibration.yaml"
+
 
 class Progress(Protocol):
     """What a run tells while it goes on."""
@@ -70,3 +74,34 @@ class RunReport:
     def failed(self) -> bool:
         """Whether a step failed or a frame was lost."""
         return any(step.error or step.missing for step in self.steps)
+
+
+@dataclass(frozen=True)
+class CalibrationReport:
+    """How a calibration ended.
+
+    Attributes
+    ----------
+    folder
+        Holds ``calibration.yaml`` and its companions when the calibration may be used, ``report.html``,
+        ``distortion.yaml``, the recording ``bag`` and ``logs``.
+    go
+        Whether the calibration may be used.
+    words
+        About the camera and about the rig, or why there is no result.
+    """
+
+    folder: Path
+    go: bool
+    words: tuple[str, ...]
+
+    @property
+    def file(self) -> Path:
+        """The calibration, as a rig file names it."""
+        return self.folder / CALIBRATION_FILE
+
+    @property
+    def report(self) -> Path | None:
+        """The report for people; None when the calibration did not get that far."""
+        path = self.folder / REPORT_FILE
+        return path if path.exists() else None

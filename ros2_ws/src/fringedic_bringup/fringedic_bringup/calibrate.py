@@ -1,0 +1,127 @@
+"""Calibrates a rig: starts its nodes, has grid and planes placed by stage or operator, leaves files and report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from fringedic.calibration_session import PlaneKind, place_in_words
+from fringedic.errors import RigFileError
+from fringedic.rig_file import ReferencePlaneSection, RigFile
+from fringedic_bringup.client import RigClient
+from fringedic_bringup.graph import calibration_graph
+from fringedic_bringup.processes import RunningGraph
+from fringedic_bringup.report import CalibrationReport, Progress
+
+
+def calibrate(
+    rig: RigFile,
+    rig_path: Path,
+    folder: Path,
+    progress: Progress,
+    *,
+    ask: Callable[[str], bool],
+    domain: int | None = None,
+) -> CalibrationReport:
+    """Calibrate a rig and leave recording, calibration and report in a folder.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file, whose section ``reference_plane`` tells the planes, and where it was read.
+    folder
+        Gets the files.
+    progress
+        Told what goes on.
+    ask
+        Asks an operator to do something, where no stage does it; False when he does not want to.
+    domain
+        ROS_DOMAIN_ID; None takes the one of the environment.
+
+    Raises
+    ------
+    RigFileError
+        The folder holds a recording already, the rig has no projector, or the pitch of the grid is not known.
+    NodeDiedError, NotAnsweredError, StepFailedError
+        The nodes did not start, or one of them ended.
+    """
+    if (folder / "bag").exists():
+        raise RigFileError(f"{folder} holds a recording already; choose another --output")
+    grid_pitch = rig.grid_pitch()
+    if grid_pitch is None:
+        raise RigFileError(f"{rig_path}: reference_plane.grid_pitch_mm is missing: the distance of the printed lines")
+    if rig.projector is None:
+        raise RigFileError(f"{rig_path}: has no projector; there is nothing to calibrate but the camera")
+    folder.mkdir(parents=True, exist_ok=True)
+    plane = rig.reference_plane
+    graph = calibration_graph(rig, rig_path, folder)
+    progress.stage(f"starting {len(graph.nodes)} nodes")
+    with (
+        RunningGraph(graph, folder / "logs", domain=domain) as running,
+        RigClient(graph.namespace, domain=domain, watch=running.check) as client,
+    ):
+        if "stage" not in graph.names:
+            client.serve_placing(lambda *place: _asked(ask, *place))
+        client.wait_until_ready(graph.names)
+        camera = client.calibrate_distortion(
+            grid_pitch, frames=plane.grid_frames, folder=folder, feedback=_Shown(progress)
+        )
+        if camera.error_code:
+            words = [_failure(camera)]
+        else:
+            progress.note(camera.verdict)
+            result = client.calibrate_rig(
+                plane.angles,
+                plane.heights,
+                held_out=[number - 1 for number in plane.held_out],
+                sigma_angle=plane.sigma_angle,
+                sigma_height=plane.sigma_height,
+                folder=folder,
+                feedback=_Shown(progress),
+            )
+            words = [camera.verdict, _failure(result) if result.error_code else result.verdict]
+        client.wait_until_recorded()
+    return CalibrationReport(folder, bool(not camera.error_code and result.go), tuple(words))
+
+
+def with_angles(rig: RigFile, angles_degree: str) -> RigFile:
+    """Return a rig that is calibrated at other angles, given as "0,-10,10", all at height 0; the last but one tests it.
+
+    Raises
+    ------
+    RigFileError
+        An angle is no number, or none that a plane can have.
+    """
+    try:
+        angles = [float(angle) for angle in angles_degree.split(",")]
+        held_out = [len(angles) - 1] if len(angles) > 3 else []
+        changes = {"angles_degree": angles, "heights_mm": None, "held_out": held_out}
+        section = ReferencePlaneSection.model_validate(rig.reference_plane.model_dump() | changes)
+    except ValueError as error:
+        raise RigFileError(f"--angles-deg {angles_degree}: {error}") from error
+    return rig.model_copy(update={"reference_plane": section})
+
+
+class _Shown:
+    """Shows what an action feeds back."""
+
+    def __init__(self, progress: Progress) -> None:
+        self._progress = progress
+
+    def __call__(self, feedback: Any) -> None:
+        if hasattr(feedback, "planes"):
+            self._progress.step(feedback.plane, feedback.planes, feedback.words, feedback.frame, feedback.frames)
+        else:
+            self._progress.stage(f"camera: {feedback.words}")
+
+
+def _failure(result: Any) -> str:
+    return f"{result.error_message} (error {result.error_code})"
+
+
+def _asked(ask: Callable[[str], bool], kind: int, angle: float, height: float) -> str:
+    if kind == PlaneKind.SPECIMEN:
+        return ""  # the rig is free again; nothing waits for the specimen
+    words = place_in_words(kind, angle, height)
+    return "" if ask(words[:1].upper() + words[1:]) else "the operator stopped the calibration"
