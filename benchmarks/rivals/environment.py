@@ -45,7 +45,7 @@ def _plain() -> dict[str, str]:
 
 
 def run_in(python: Path, script: str, folder: Path) -> bool:
-    """Run a script in a rival's environment on the jobs of a folder; False and a word on the error stream if it fails."""
+    """Run a script in a rival's environment on the jobs of a folder; False and a word on stderr if it fails."""
     done = subprocess.run([str(python), str(FOLDER / script), str(folder)], check=False, env=_plain(), cwd=folder)
     if done.returncode:
         print(f"{script} ended with exit code {done.returncode}", file=sys.stderr)

@@ -7,7 +7,7 @@ the grey levels), which subset and step reach a wanted resolution, and the noise
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -223,7 +223,7 @@ def advise_settings(
         table=tuple((w, scale / (w - 1), CUT_OFF * w) for w in TABLE_WINDOWS if w <= limit),
         warnings=(),
     )
-    return Advice(**{**vars(advice), "warnings": (*warnings, *_warnings(advice))})
+    return replace(advice, warnings=(*warnings, *_warnings(advice)))
 
 
 def _full_scale(images: list[np.ndarray]) -> float:

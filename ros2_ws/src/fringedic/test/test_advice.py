@@ -160,6 +160,25 @@ def test_drift_and_flicker_do_not_count_as_image_noise(speckle, expose):
     assert noise == pytest.approx(10, rel=0.06)
 
 
+def test_only_what_is_measured_counts(grey, expose):
+    """Bare background under a mask, and a patch of NaN: neither changes what is said of the surface."""
+    surface = np.zeros(grey.shape, bool)
+    surface[40:-40, 60:-60] = True
+    images = []
+    for k in range(3):
+        image = np.where(surface, expose(grey, 31, k), 4095.0)
+        image[100:110, 100:110] = np.nan
+        images.append(image)
+    masked = fringedic.advise_settings(*images, mask=surface, full_scale=4095, wanted_noise=0.0095)
+    inside = fringedic.advise_settings(*(expose(grey, 31, k)[40:-40, 60:-60] for k in range(3)), wanted_noise=0.0095)
+    print(f"size {masked.feature_size}, {inside.feature_size}; noise {masked.noise}, {inside.noise}")
+    assert masked.saturated < 0.002
+    assert masked.image_noise == pytest.approx(inside.image_noise, rel=0.02)
+    assert masked.feature_size == pytest.approx(inside.feature_size, rel=0.02)
+    assert abs(masked.window - inside.window) <= 1
+    assert masked.noise == pytest.approx(inside.noise, rel=0.15)
+
+
 def test_the_report_speaks_of_lengths(advice):
     text = advice.report()
     print(text)
