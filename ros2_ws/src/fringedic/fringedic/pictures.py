@@ -133,6 +133,28 @@ def maps_figure(maps: xr.Dataset, panels: tuple[Panel, ...], *, title: str) -> F
     return figure
 
 
+def map_figure(maps: xr.Dataset, panel: Panel, limits: tuple[float, float], *, title: str) -> Figure:
+    """Draw one map of one step with given ends of its colour scale [the panel's unit].
+
+    Parameters
+    ----------
+    maps, panel, title
+        As for `maps_figure`.
+    limits
+        Values of the first and the last colour.
+    """
+    from matplotlib.figure import Figure
+
+    extent, across, along = _axes_of(maps)
+    figure = Figure(
+        figsize=(6.4, 5.2 * abs((extent[3] - extent[2]) / (extent[1] - extent[0])) + 0.9), dpi=90, layout="constrained"
+    )
+    axes = figure.add_subplot()
+    _draw(axes, maps[panel.name].values / panel.factor, panel, extent, limits)
+    axes.set(xlabel=across, ylabel=along, title=title)
+    return figure
+
+
 def phase_preview(phase: np.ndarray) -> np.ndarray:
     """Colour a phase map [rad], shape (row, column), as one turn of the colour circle per fringe: uint8 rgb."""
     turns = np.mod(np.nan_to_num(phase) / (2 * np.pi), 1.0)
@@ -161,14 +183,22 @@ def _coloured(hue_saturation_value: np.ndarray, measured: np.ndarray) -> np.ndar
     return colours
 
 
-def _draw(axes: Axes, values: np.ndarray, panel: Panel, extent: tuple[float, float, float, float]) -> None:
+def _draw(
+    axes: Axes,
+    values: np.ndarray,
+    panel: Panel,
+    extent: tuple[float, float, float, float],
+    limits: tuple[float, float] | None = None,
+) -> None:
     from matplotlib import colormaps
 
     thin = max(1, max(values.shape) // _WIDEST)
     shown = values[::thin, ::thin]
     finite = values[np.isfinite(values)]
     low, high = np.percentile(finite, (_TAIL, 100 - _TAIL)) if finite.size else (0.0, 1.0)
-    if panel.symmetric:
+    if limits is not None:
+        low, high = limits
+    elif panel.symmetric:
         high = max(abs(low), abs(high))
         low = -high
     if high <= low:
