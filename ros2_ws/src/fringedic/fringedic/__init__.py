@@ -17,12 +17,23 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from fringedic.advice import Advice, advise_settings
+    from fringedic.calibration import RigCalibration, calibrate_rig
+    from fringedic.camera.distortion import DistortionMap
+    from fringedic.camera.grid import measure_distortion
     from fringedic.correlation import Reference, measure_displacement
     from fringedic.errors import FringedicError
     from fringedic.increments import accumulate
     from fringedic.patterns import fringe_sequence, gray_code_sequence, one_image_sequence
     from fringedic.phase import absolute_phase, demodulate, unwrap_hierarchical, unwrap_spatial
     from fringedic.pictures import save_pictures
+    from fringedic.probes import (
+        Region,
+        extensometer,
+        force_curve,
+        profile,
+        region_statistics,
+        remove_rigid_motion,
+    )
     from fringedic.response import ResponseCurve, measure_response
     from fringedic.results import compare_with_truth, open_experiment, process_bag
     from fringedic.rig import RigModel
@@ -39,27 +50,37 @@ if TYPE_CHECKING:
 _HOMES = {
     "Advice": "advice",
     "CylinderFrame": "surface",
+    "DistortionMap": "camera.distortion",
     "FringedicError": "errors",
     "PreparedShape": "surface",
     "Reference": "correlation",
+    "Region": "probes",
     "ResponseCurve": "response",
+    "RigCalibration": "calibration",
     "RigModel": "rig",
     "SpecimenFrame": "surface",
     "absolute_phase": "phase",
     "accumulate": "increments",
     "advise_settings": "advice",
+    "calibrate_rig": "calibration",
     "compare_with_truth": "results",
     "couple": "surface",
     "demodulate": "phase",
+    "extensometer": "probes",
+    "force_curve": "probes",
     "fringe_sequence": "patterns",
     "gray_code_sequence": "patterns",
     "load_programme": "rig_file",
     "load_rig_file": "rig_file",
     "measure_displacement": "correlation",
+    "measure_distortion": "camera.grid",
     "measure_response": "response",
     "one_image_sequence": "patterns",
     "open_experiment": "results",
     "process_bag": "results",
+    "profile": "probes",
+    "region_statistics": "probes",
+    "remove_rigid_motion": "probes",
     "save_pictures": "pictures",
     "surface_strain": "surface",
     "to_local_frame": "surface",
@@ -70,27 +91,37 @@ _HOMES = {
 __all__ = [
     "Advice",
     "CylinderFrame",
+    "DistortionMap",
     "FringedicError",
     "PreparedShape",
     "Reference",
+    "Region",
     "ResponseCurve",
+    "RigCalibration",
     "RigModel",
     "SpecimenFrame",
     "absolute_phase",
     "accumulate",
     "advise_settings",
+    "calibrate_rig",
     "compare_with_truth",
     "couple",
     "demodulate",
+    "extensometer",
+    "force_curve",
     "fringe_sequence",
     "gray_code_sequence",
     "load_programme",
     "load_rig_file",
     "measure_displacement",
+    "measure_distortion",
     "measure_response",
     "one_image_sequence",
     "open_experiment",
     "process_bag",
+    "profile",
+    "region_statistics",
+    "remove_rigid_motion",
     "save_pictures",
     "surface_strain",
     "to_local_frame",

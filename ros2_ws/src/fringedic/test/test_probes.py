@@ -1,0 +1,169 @@
+"""Probes on a result whose values are known: a plate that is stretched, turned and shifted over three steps."""
+
+import json
+
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.spatial.transform import Rotation
+
+from fringedic.errors import ProbeError
+from fringedic.probes import (
+    Region,
+    extensometer,
+    force_curve,
+    profile,
+    region_statistics,
+    remove_rigid_motion,
+)
+
+ROWS, COLUMNS = np.arange(0, 96, 4), np.arange(0, 160, 4)
+STRETCH = (0.0, 0.01, 0.02)
+TURN = Rotation.from_rotvec([0.02, -0.05, 0.1])
+SHIFT = np.array([1e-3, -2e-3, 3e-3])
+SIGMA = 1e-6
+
+
+def plate(noise: float = 0.0) -> xr.Dataset:
+    """Stretched along x by 0, 1 and 2 %; turned and shifted from step to step."""
+    column, row = np.meshgrid(COLUMNS, ROWS)
+    x, y = 1e-4 * (column - 80.0), -1e-4 * (row - 40.0)
+    reference = np.stack([x, y, 0.1 * x])
+    rng = np.random.default_rng(2)
+    moved = []
+    for step, stretch in enumerate(STRETCH):
+        deformed = reference.copy()
+        deformed[0] *= 1 + stretch
+        deformed[2] *= 1 + stretch
+        turn = Rotation.from_rotvec(step * TURN.as_rotvec()).as_matrix()
+        after = np.tensordot(turn, deformed, 1) + step * SHIFT[:, None, None]
+        moved.append(after - reference + noise * rng.normal(size=reference.shape))
+    stack = np.array(moved, np.float32)
+    maps = {name: np.repeat(each[None], 3, axis=0) for name, each in zip("xyz", reference, strict=True)}
+    maps |= {name: stack[:, k] for k, name in enumerate("uvw")}
+    maps |= {f"sigma_{name}": np.full_like(stack[:, 0], SIGMA) for name in "uvw"}
+    return xr.Dataset(
+        {name: (("step", "row", "column"), each, {"units": "m"}) for name, each in maps.items()}
+        | {"force": ("step", np.array([5.0, 25.0, 45.0]), {"units": "N"})},
+        {"step": [0, 1, 2], "row": ROWS, "column": COLUMNS},
+        {"facts": json.dumps({"specimen": {"section_mm2": 10.0}})},
+    )
+
+
+def test_extensometer_measures_the_stretch_whatever_the_motion() -> None:
+    result = extensometer(plate(), (40, 20), (40, 140))
+    length = 120e-4 * np.hypot(1, 0.1)
+    assert np.allclose(result.strain, STRETCH, atol=2e-6), result.strain.values
+    assert np.allclose(result.length, length * (1 + np.array(STRETCH)), atol=2e-8)
+    assert np.allclose(result.elongation, length * np.array(STRETCH), atol=2e-8)
+    assert np.allclose(result.sigma_elongation, np.sqrt(2) * SIGMA, rtol=1e-3)
+    assert np.allclose(result.sigma_strain * length, result.sigma_elongation)
+
+
+def test_pads_average_and_ignore_what_is_missing() -> None:
+    noisy = plate(2e-6)
+    points, pads = (extensometer(noisy, (40, 20), (40, 140), pad=pad) for pad in (1, 21))
+    assert np.abs(pads.strain - STRETCH).max() < 0.5 * np.abs(points.strain - STRETCH).max()
+    noisy["u"][:, 10, 5] = np.nan
+    assert bool(extensometer(noisy, (40, 20), (40, 140), pad=21).strain.notnull().all())
+    noisy["w"][1, 5:15, 2:9] = np.nan
+    assert extensometer(noisy, (40, 20), (40, 140), pad=21).strain.isnull().values.tolist() == [False, True, False]
+
+
+def test_one_step_alone() -> None:
+    cloud = plate().isel(step=2).drop_vars("step")
+    assert float(extensometer(cloud, (40, 20), (40, 140)).strain) == pytest.approx(0.02, abs=2e-6)
+    assert profile(cloud, ["u"], (0, 0), (0, 80)).u.dims == ("position",)
+    assert region_statistics(cloud, ["u"], Region.rectangle((0, 0), (20, 20))).u.dims == ("statistic",)
+    assert remove_rigid_motion(cloud).rotation.shape == (3,)
+
+
+def test_profile_follows_a_line() -> None:
+    dataset = plate()
+    line = profile(dataset, ["x", "u"], (10, 6), (70, 126), points=61)
+    assert line.u.dims == ("step", "position") and line.u.units == "m"
+    assert float(line.position[-1]) == pytest.approx(np.hypot(60, 120))
+    assert np.allclose(line.x[0], 1e-4 * (line.column - 80), atol=1e-9)
+    dataset["u"][1, 10, 16] = np.nan
+    holed = profile(dataset, ["u"], (40, 0), (40, 156))
+    assert np.isnan(holed.u[1].values[61:67]).all() and np.isfinite(holed.u[1].values[70:]).all()
+    with pytest.raises(ProbeError, match="leaves the result"):
+        profile(dataset, ["u"], (0, 0), (0, 400))
+    with pytest.raises(ProbeError, match="no map e_11"):
+        profile(dataset, ["e_11"], (0, 0), (0, 40))
+
+
+def test_statistics_of_a_region() -> None:
+    dataset = plate()
+    dataset["u"][:, :2, :] = np.nan
+    triangle = Region(((0, 0), (0, 80), (80, 0)))
+    inside = triangle.mask(dataset)
+    assert inside[0, 0] and inside[0, 20] and inside[20, 0] and not inside[20, 2] and inside.sum() == 231
+    assert (Region(triangle.corners[::-1]).mask(dataset) == inside).all()
+    table = region_statistics(dataset, ["u", "w"], triangle)
+    values = dataset.u.values[2][inside]
+    assert float(table.u.sel(step=2, statistic="mean")) == pytest.approx(np.nanmean(values), rel=1e-6)
+    assert float(table.u.sel(step=2, statistic="standard_deviation")) == pytest.approx(
+        np.nanstd(values, ddof=1), rel=1e-5
+    )
+    assert float(table.u.sel(step=2, statistic="maximum")) == np.nanmax(values)
+    assert float(table.u.sel(step=2, statistic="median")) == pytest.approx(np.nanmedian(values))
+    assert float(table.measured_fraction.sel(step=0, map="u")) == pytest.approx(190 / 231)
+    assert float(table.measured_fraction.sel(step=0, map="w")) == 1.0
+    dataset["u"][1] = np.nan
+    assert bool(region_statistics(dataset, ["u"], triangle).u.sel(step=1).isnull().all())
+    with pytest.raises(ProbeError, match="at least three"):
+        Region(((0, 0), (1, 1))).mask(dataset)
+    with pytest.raises(ProbeError, match="no point"):
+        Region.rectangle((1, 1), (2, 2)).mask(dataset)
+
+
+def test_rigid_motion_is_removed_and_told() -> None:
+    dataset = plate()
+    still = remove_rigid_motion(dataset)
+    for step, stretch in enumerate(STRETCH):
+        found = still.sel(step=step)
+        expected = stretch * (dataset.x[0] - dataset.x[0].mean())
+        wrong = np.abs(found.u - expected).max()
+        print(f"step {step}: largest error of what remains {1e9 * float(wrong):.2f} nm")
+        assert wrong < 5e-9 and np.abs(found.v).max() < 5e-9
+        assert np.allclose(found.rotation, step * TURN.as_rotvec(), atol=1e-6)
+    # the centroid stays where it was in the reference
+    assert abs(float(still.u[2].mean())) < 1e-9
+    clamped = remove_rigid_motion(dataset, Region.rectangle((0, 0), (92, 40)))
+    grip = clamped.u[2].values[:, :11]
+    assert np.abs(grip).mean() < 0.2 * np.abs(clamped.u[2].values[:, -11:]).mean()
+    dataset["u"][1] = np.nan
+    with pytest.raises(ProbeError, match="fewer than three"):
+        remove_rigid_motion(dataset)
+
+
+def test_force_and_stress_against_strain() -> None:
+    dataset = plate()
+    strain = extensometer(dataset, (40, 20), (40, 140)).strain
+    curve = force_curve(dataset, strain, tare=5.0)
+    assert curve.force.values.tolist() == [0.0, 20.0, 40.0]
+    assert np.allclose(curve.stress, [0.0, 2e6, 4e6]), "recorded section of 10 mm2"
+    assert np.allclose(force_curve(dataset, strain, section=5e-6, sign=-1).stress, [-1e6, -5e6, -9e6])
+    del dataset.attrs["facts"]
+    assert "stress" not in force_curve(dataset, strain)
+    for wrong, words in (
+        ({"sign": 2}, "1 or -1"),
+        ({"section": 0.0}, "above 0"),
+    ):
+        with pytest.raises(ProbeError, match=words):
+            force_curve(dataset, strain, **wrong)
+    with pytest.raises(ProbeError, match="has 3 steps"):
+        force_curve(dataset, [0.0])
+    with pytest.raises(ProbeError, match="no load frame"):
+        force_curve(dataset.drop_vars("force"), strain)
+
+
+def test_places_outside_are_named() -> None:
+    dataset = plate()
+    with pytest.raises(ProbeError, match="outside the result"):
+        extensometer(dataset, (40, 20), (40, 400))
+    with pytest.raises(ProbeError, match="move them apart"):
+        extensometer(dataset, (40, 20), (40, 21))
+    with pytest.raises(ProbeError, match="above 0"):
+        extensometer(dataset, (40, 20), (40, 80), pad=0)
