@@ -142,7 +142,9 @@ class DistortionMap:
         if kept is None or kept[0] != key:
             a, b = 2 * columns / (self.width - 1) - 1, 2 * rows / (self.height - 1) - 1
             # elementwise sums: the same bits on any number of threads, which a matrix product does not promise
-            values = np.stack([chebyshev.chebgrid2d(b, a, each) for each in (self.columns, self.rows)], dtype=np.float32)
+            values = np.stack(
+                [chebyshev.chebgrid2d(b, a, each) for each in (self.columns, self.rows)], dtype=np.float32
+            )
             values.setflags(write=False)
             kept = key, values
             self.__dict__["_kept_field"] = kept
@@ -196,7 +198,7 @@ class DistortionMap:
 
         if ideal_camera_matrix is None:
             centre = 0.5 * (self.width - 1), 0.5 * (self.height - 1)
-            ideal_camera_matrix = [[self.width, 0, centre[0]], [0, self.width, centre[1]], [0, 0, 1]]
+            ideal_camera_matrix = np.array([[self.width, 0, centre[0]], [0, self.width, centre[1]], [0, 0, 1.0]])
         matrix = np.asarray(ideal_camera_matrix, float)
         row, column = np.meshgrid(
             np.linspace(0, self.height - 1, _BROWN_POINTS[0]),

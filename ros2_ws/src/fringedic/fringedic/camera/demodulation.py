@@ -1,0 +1,245 @@
+"""Windowed Fourier phase of a printed grid: both directions, up to the image's edges, windows that follow the phase."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from scipy.ndimage import binary_dilation
+from scipy.sparse import csr_array
+
+from fringedic.camera.polynomials import Basis, least_squares, square, terms
+from fringedic.errors import GridContrastError, GridCoveredError
+
+_START_ORDERS = (2, 4, 8)  # of the phase, from differences of neighbours
+_MODEL_ORDER = 14  # of the phase that the windows are moved along with
+_LIGHT_ORDER = 4  # of the amplitudes over the image
+_PASSES = 2
+_FAINT = 0.3  # amplitude over the median: less is not the grid
+_LOWEST_CONTRAST = 0.04  # amplitude over mean grey level
+_FEWEST = 60  # points
+# Components (m, n) of m phase_1 + n phase_2 that a print of crossed lines has.
+_COMPONENTS = [
+    (0, 0),
+    (1, 0),
+    (0, 1),
+    (1, 1),
+    (1, -1),
+    (2, 0),
+    (0, 2),
+    (2, 1),
+    (2, -1),
+    (1, 2),
+    (1, -2),
+    (3, 0),
+    (0, 3),
+]
+_COMPONENTS += [(3, 1), (3, -1), (1, 3), (1, -3)]
+
+
+@dataclass(frozen=True, eq=False)
+class GridPhases:
+    """Phases of both directions of a grid at points about a period apart.
+
+    Attributes
+    ----------
+    points : (points, 2)
+        Column and row [px]; only those that show the grid.
+    phases : (points, 2)
+        Phase [rad] of the direction that grows along the columns and of the one that grows along the rows.
+    weights : (points,)
+        Pixels behind a point, relative to a whole window; smaller along the image's edges.
+    valid : (rows of points, columns of points) bool
+        Where the grid shows.
+    """
+
+    points: np.ndarray
+    phases: np.ndarray
+    weights: np.ndarray
+    valid: np.ndarray
+
+
+def grid_phases(image: np.ndarray, usable: np.ndarray, carriers: np.ndarray) -> GridPhases:
+    """Return the phases of a grid with the given `carriers` (2, 2) [1/px] in an image.
+
+    Inside the image, where the windows are whole, the phases follow from the transform along the phase found so far. At
+    the edges a window is cut, and would mix the directions, their harmonics and the mean. There the picture that the
+    polynomials of phase and amplitude draw is subtracted first, so that only what they miss is left to be mixed.
+
+    Raises
+    ------
+    GridContrastError, GridCoveredError
+        When the lines are too faint, or hardly anything of the image shows them.
+    """
+    period = float(np.mean(1 / np.hypot(*carriers.T)))
+    windows = _Windows(image, usable, period)
+    inner = windows.inner
+    models = [_linear(carrier, image.shape) for carrier in carriers]
+    valid = inner & windows.all_usable
+    for model in models:
+        valid &= _strong(windows.demodulate(windows.wave(model)), windows, valid)
+    # a window that reaches over the edge of what covers the grid sees that edge too
+    valid &= ~binary_dilation(inner & ~valid, np.ones((3, 3), bool), iterations=2)
+    if valid.sum() < _FEWEST:
+        raise GridCoveredError("hardly any of the image shows the grid")
+    basis = Basis(windows.points, image.shape, _MODEL_ORDER)
+    for k, model in enumerate(models):
+        for order in _START_ORDERS:
+            slope = _from_differences(windows.demodulate(windows.wave(model)), valid, basis, min(order, basis.highest))
+            model = model + slope
+        for _ in range(_PASSES):
+            rest = _continuous(windows.demodulate(windows.wave(model)), valid)
+            model = model + _polynomial(rest, valid.astype(float), basis)
+        models[k] = model
+
+    weights = windows.weights
+    shown = windows.all_usable & ~binary_dilation(inner & ~valid, np.ones((3, 3), bool), iterations=2)
+    for last in (False, True):
+        beyond = _beyond(windows, models, carriers, valid)
+        for amplitude in beyond:
+            strength = np.abs(amplitude)
+            shown &= strength > _FAINT * np.median(strength[valid])
+        rests = [_continuous(amplitude, shown) for amplitude in beyond]
+        if not last:
+            changes = [_polynomial(rest, weights * shown, basis) for rest in rests]
+            models = [model + change for model, change in zip(models, changes, strict=True)]
+    phases = [windows.at_points(model) + rest for model, rest in zip(models, rests, strict=True)]
+    return GridPhases(
+        windows.points[shown.ravel()],
+        np.stack([phase[shown] for phase in phases], axis=1),
+        weights[shown],
+        shown,
+    )
+
+
+class _Windows:
+    """Windowed sums over an image at points one period apart; at the edges the windows are cut.
+
+    The cubic B-spline of four periods has the transfer sinc^4(f P), with zeros of the fourth order at 1/P and 2/P,
+    where the image's mean, the other direction and the mirrored frequency fall.
+    """
+
+    def __init__(self, image: np.ndarray, usable: np.ndarray, period: float) -> None:
+        self.image = image.astype(np.float32)
+        self._positions = np.arange(image.shape[0], dtype=float), np.arange(image.shape[1], dtype=float)
+        sides = [_splines(n, period) for n in image.shape]
+        (self._down, self.rows, whole_rows, gain_rows), (self._right, self.columns, whole_columns, gain_columns) = sides
+        self.inner = whole_rows[:, None] & whole_columns
+        self.weights = gain_rows[:, None] * gain_columns
+        row, column = np.meshgrid(self.rows, self.columns, indexing="ij")
+        self.points = np.stack([column.ravel(), row.ravel()], axis=1)
+        self.mean = self.sums(self.image)
+        self.all_usable = self.sums(usable.astype(np.float32)) > 0.999
+
+    def sums(self, values: np.ndarray) -> np.ndarray:
+        """Weighted means of an image at the points."""
+        return (self._right @ (self._down @ values).T).T
+
+    def demodulate(self, wave: np.ndarray) -> np.ndarray:
+        """Mean of the image times the conjugate of a wave: half of the amplitude of a cosine and the phase beyond."""
+        return self.sums(self.image * wave.conj())
+
+    def wave(self, phase: np.ndarray) -> np.ndarray:
+        """exp(i phase) at every pixel, for the coefficients of a phase [rad]."""
+        return np.exp(1j * self.at_pixels(phase)).astype(np.complex64)
+
+    def at_pixels(self, coefficients: np.ndarray) -> np.ndarray:
+        """Polynomial at every pixel."""
+        return self._on_grid(*self._positions, coefficients)
+
+    def at_points(self, coefficients: np.ndarray) -> np.ndarray:
+        """Polynomial at the points."""
+        return self._on_grid(self.rows, self.columns, coefficients)
+
+    def _on_grid(self, rows: np.ndarray, columns: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+        b, a = (2 * each / (n - 1) - 1 for each, n in zip((rows, columns), self.image.shape, strict=True))
+        order = len(coefficients) - 1
+        return chebyshev.chebvander(b, order) @ coefficients @ chebyshev.chebvander(a, order).T
+
+
+def _splines(size: int, period: float) -> tuple[csr_array, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the weights (points, size), the points' places [px], which windows are whole, and their relative gain."""
+    count = max(round((size - 1) / period), 2)
+    centres = (np.arange(count) + 0.5) * (size - 1) / count
+    t = np.abs(np.arange(size) - centres[:, None]) / period
+    weights = np.where(t < 1, 4 - 6 * t**2 + 3 * t**3, np.where(t < 2, (2 - t) ** 3, 0.0))
+    whole = (centres >= 2 * period) & (centres <= size - 1 - 2 * period)
+    weights /= weights.sum(axis=1, keepdims=True)
+    gain = 1 / np.sum(weights**2, axis=1)
+    return csr_array(weights.astype(np.float32)), weights @ np.arange(size), whole, gain / gain.max()
+
+
+def _linear(carrier: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Phase 2 pi f . p in Chebyshev form, without its constant."""
+    coefficients = np.zeros((_MODEL_ORDER + 1, _MODEL_ORDER + 1))
+    coefficients[0, 1] = np.pi * carrier[0] * (shape[1] - 1)
+    coefficients[1, 0] = np.pi * carrier[1] * (shape[0] - 1)
+    return coefficients
+
+
+def _strong(amplitude: np.ndarray, windows: _Windows, valid: np.ndarray) -> np.ndarray:
+    """Return where the grid shows; refuse an image where it hardly shows anywhere."""
+    if not valid.any():
+        raise GridCoveredError("hardly any of the image shows the grid")
+    strength = np.abs(amplitude)
+    typical = float(np.median(strength[valid]))
+    if 2 * typical < _LOWEST_CONTRAST * float(np.mean(windows.mean[valid])):
+        raise GridContrastError(
+            f"the lines of the grid change the grey level by {2 * typical:.1f} only: focus the camera, light the grid "
+            "evenly, or print a coarser one"
+        )
+    return strength > _FAINT * typical
+
+
+def _continuous(amplitude: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Return the phase of amplitudes whose phases are within half a turn of their mean."""
+    middle = np.angle(np.sum(amplitude[valid]))
+    return middle + np.angle(amplitude * np.exp(-1j * middle))
+
+
+def _polynomial(values: np.ndarray, weights: np.ndarray, basis: Basis, order: int | None = None) -> np.ndarray:
+    """Return the square coefficients of the polynomial that fits values at the points."""
+    order = basis.highest if order is None else min(order, basis.highest)
+    used = weights.ravel() > 0
+    fitted = least_squares(basis.matrix[used, : terms(order)], values.ravel()[used], weights.ravel()[used])
+    return square(fitted, _MODEL_ORDER)
+
+
+def _from_differences(amplitude: np.ndarray, valid: np.ndarray, basis: Basis, order: int) -> np.ndarray:
+    """Return a phase polynomial without constant, fitted to the phase differences of neighbours: no unwrapping."""
+    products = basis.matrix[:, : terms(order)].reshape(*valid.shape, -1)
+    parts, differences = [], []
+    every, later, earlier = slice(None), slice(1, None), slice(None, -1)
+    for after, before in (((every, later), (every, earlier)), ((later, every), (earlier, every))):
+        both = valid[after] & valid[before]
+        parts.append((products[after] - products[before])[both])
+        differences.append(np.angle(amplitude[after] * amplitude[before].conj())[both])
+    change = np.concatenate(differences)
+    fitted = least_squares(np.concatenate(parts)[:, 1:], change, np.ones(len(change)))
+    return square(np.concatenate([[0.0], fitted]), _MODEL_ORDER)
+
+
+def _beyond(windows: _Windows, models: list[np.ndarray], carriers: np.ndarray, valid: np.ndarray) -> list[np.ndarray]:
+    """Return the complex amplitudes of both directions at all points, those of cut windows included."""
+    waves = [windows.wave(model) for model in models]
+    powers = {}
+    for k, wave in enumerate(waves):
+        powers[k, 0] = np.ones_like(wave)
+        for n in (1, 2, 3):
+            powers[k, n] = powers[k, n - 1] * wave
+            powers[k, -n] = powers[k, n].conj()
+    basis = Basis(windows.points, windows.image.shape, _LIGHT_ORDER)
+    weights = valid.astype(float)
+    left = windows.image.copy()
+    amplitudes = {}
+    for m, n in _COMPONENTS:
+        if np.max(np.abs(m * carriers[0] + n * carriers[1])) > 0.5:
+            continue  # seen at another frequency, where it may be another component
+        wave = powers[0, m] * powers[1, n]
+        amplitude = windows.demodulate(wave)
+        coefficients = _polynomial(amplitude, weights, basis)
+        amplitudes[m, n] = windows.at_points(coefficients)
+        twice = 1 if m == n == 0 else 2
+        left -= twice * (windows.at_pixels(coefficients) * wave).real.astype(np.float32)
+    return [amplitudes[key] + windows.sums(left * waves[k].conj()) for k, key in enumerate([(1, 0), (0, 1)])]

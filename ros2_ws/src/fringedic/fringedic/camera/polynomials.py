@@ -1,0 +1,132 @@
+"""Two-dimensional Chebyshev polynomials over an image, fitted to scattered points; their order by cross-validation."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import chebyshev
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
+
+HIGHEST_ORDER = 18
+_POINTS_PER_TERM = 10
+_FOLDS = 5
+_SAMPLES = (30, 40)
+
+
+class Basis:
+    """Products T_i(b) T_j(a), i + j <= order, over the normalised rows b and columns a of an image.
+
+    They are sorted by total degree: the basis of a lower order is the beginning of that of a higher one. On points that
+    cover the image they are nearly orthogonal, so that normal equations lose nothing.
+
+    Parameters
+    ----------
+    points : (points, 2)
+        Column and row of each point [px].
+    shape
+        Rows and columns of the image.
+    highest
+        Highest order; lower when the points cannot carry so many terms.
+    """
+
+    def __init__(self, points: np.ndarray, shape: tuple[int, int], highest: int = HIGHEST_ORDER) -> None:
+        while highest > 1 and terms(highest) * _POINTS_PER_TERM > len(points):
+            highest -= 1
+        self.highest = highest
+        self.points = points
+        self.shape = shape
+        self.matrix = _matrix(points, shape, highest)
+
+    def fit(self, values: np.ndarray, order: int, weights: np.ndarray) -> np.ndarray:
+        """Return coefficients (terms, components) that fit `values` (points, components) by weighted least squares."""
+        return least_squares(self.matrix[:, : terms(order)], values, weights)
+
+    def evaluate(self, coefficients: np.ndarray) -> np.ndarray:
+        """Return the polynomials at the points, (points, components)."""
+        return self.matrix[:, : len(coefficients)] @ coefficients
+
+    def uncertainty(self, order: int, weights: np.ndarray) -> float:
+        """Return the noise of the fitted field, root mean square over the image, where weight 1 means noise 1."""
+        used = self.matrix[:, : terms(order)]
+        row, column = np.meshgrid(
+            *(np.linspace(0, n - 1, m) for n, m in zip(self.shape, _SAMPLES, strict=True)), indexing="ij"
+        )
+        everywhere = _matrix(np.stack([column.ravel(), row.ravel()], axis=1), self.shape, order)
+        mean_square = everywhere.T @ everywhere / len(everywhere)
+        return float(np.sqrt(np.trace(cho_solve(cho_factor(used.T @ (weights[:, None] * used)), mean_square))))
+
+
+def terms(order: int) -> int:
+    """Return the number of products of total degree up to `order`."""
+    return (order + 1) * (order + 2) // 2
+
+
+def square(coefficients: np.ndarray, order: int) -> np.ndarray:
+    """Return the coefficients (terms,) as the array (order + 1, order + 1) of a `DistortionMap`."""
+    array = np.zeros((order + 1, order + 1), coefficients.dtype)
+    by_row, by_column = _degrees(order)
+    array[by_row[: len(coefficients)], by_column[: len(coefficients)]] = coefficients
+    return array
+
+
+def least_squares(matrix: np.ndarray, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Return the coefficients that fit `values` by weighted least squares, from the normal equations."""
+    weighted = matrix.T * weights
+    return cho_solve(cho_factor(weighted @ matrix), weighted @ values)
+
+
+def choose_order(
+    basis: Basis, values: np.ndarray, weights: np.ndarray, block: float
+) -> tuple[int, tuple[int, ...], tuple[float, ...]]:
+    """Return the order that predicts left-out points best.
+
+    Parameters
+    ----------
+    basis
+        Of the points.
+    values : (points, components)
+        What is to be fitted.
+    weights : (points,)
+        Of the points, inverse variances.
+    block
+        Points are left out in squares of this width [px], every fifth at a time: neighbours share noise.
+
+    Returns
+    -------
+    order, orders, errors
+        The best order, all that were tried, and the weighted root mean square error of each at the left-out points.
+    """
+    place = np.floor(basis.points / block).astype(int)
+    fold = (place[:, 0] + 2 * place[:, 1]) % _FOLDS
+    parts = []
+    for k in range(_FOLDS):
+        matrix, target, weight = basis.matrix[fold == k], values[fold == k], weights[fold == k]
+        weighted = matrix.T * weight
+        parts.append((weighted @ matrix, weighted @ target, float(weight @ np.sum(target**2, axis=1))))
+    gram, side = sum(part[0] for part in parts), sum(part[1] for part in parts)
+    orders = tuple(range(1, basis.highest + 1))
+    squares = np.zeros(len(orders))
+    for left_gram, left_side, left_square in parts:
+        # the factor of the beginning of a matrix is the beginning of its factor: one for all orders
+        factor = np.linalg.cholesky(gram - left_gram)
+        forward = solve_triangular(factor, side - left_side, lower=True)
+        for index, order in enumerate(orders):
+            n = terms(order)
+            found = solve_triangular(factor[:n, :n].T, forward[:n], lower=False)
+            squares[index] += left_square + np.sum(found * (left_gram[:n, :n] @ found - 2 * left_side[:n]))
+    errors = np.sqrt(squares / weights.sum())
+    return orders[int(np.argmin(errors))], orders, tuple(errors.tolist())
+
+
+def _degrees(order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Degrees along the rows and along the columns of each product."""
+    pairs = [(i, total - i) for total in range(order + 1) for i in range(total + 1)]
+    by_row, by_column = np.array(pairs).T
+    return by_row, by_column
+
+
+def _matrix(points: np.ndarray, shape: tuple[int, int], order: int) -> np.ndarray:
+    by_row, by_column = _degrees(order)
+    rows, columns = shape
+    along_columns = chebyshev.chebvander(2 * points[:, 0] / (columns - 1) - 1, order)
+    along_rows = chebyshev.chebvander(2 * points[:, 1] / (rows - 1) - 1, order)
+    return along_rows[:, by_row] * along_columns[:, by_column]
