@@ -1,0 +1,6 @@
+"""Calibration of the rig by a plane at known angles or heights (3.2), and the check that it still holds."""
+
+from fringedic.calibration.calibrate import calibrate_rig
+from fringedic.calibration.result import RigCalibration
+
+__all__ = ["RigCalibration", "calibrate_rig"]

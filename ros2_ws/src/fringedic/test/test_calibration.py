@@ -1,0 +1,377 @@
+"""Calibration of the rig: exact phases of the digital twin in, the twin's own parameters out, and what bad input says.
+
+The twin traces its rays with its own matrices; the view of the plane is made from where its pixels meet the plane.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fringedic.calibration import RigCalibration, calibrate_rig
+from fringedic.camera.plane_view import PlaneView
+from fringedic.errors import (
+    CalibrationAnglesError,
+    CalibrationFileError,
+    CalibrationPhaseError,
+    CalibrationPlanesError,
+    InvalidCalibrationError,
+    ShapeMismatchError,
+)
+from fringedic.rig_uncertainty import parameter_values
+from fringedic.sequence import Orientation
+from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
+
+PITCH = 10.0
+NOISE = 0.0021 * 2 * math.pi  # [rad]
+ANGLES = np.radians([-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0, 7.5])
+HELD_OUT = (7,)
+SIZE = (160, 120)
+MISALIGNED = {
+    "camera": {"tilt_x_degree": 0.2, "tilt_y_degree": -0.2},
+    "projector": {"yaw_degree": 0.2, "pitch_degree": -0.1, "roll_degree": 0.7},
+    "stage": {"axis_x_mm": 1.0, "axis_z_mm": -1.0, "axis_yaw_degree": 0.3, "axis_pitch_degree": -0.2},
+}
+DISTORTED = {**MISALIGNED, "projector": {**MISALIGNED["projector"], "k1": 0.1}}
+DECENTRED = {**MISALIGNED, "projector": {**DISTORTED["projector"], "y_mm": 25.0}}
+LEFT = {**MISALIGNED, "projector": {**DISTORTED["projector"], "x_mm": -180.0}}
+RIGS = {"ideal": {}, "misaligned": MISALIGNED, "distorted": DISTORTED, "decentred": DECENTRED, "left": LEFT}
+
+
+class Bench:
+    """The issue's rig at an eighth of the pixels, as the twin sees it."""
+
+    def __init__(self, changes: dict[str, dict[str, float]], orientation: Orientation = Orientation.VERTICAL) -> None:
+        sections = {
+            "camera": {"columns": SIZE[0], "rows": SIZE[1], "pixel_size_um": 400.0},
+            "projector": {},
+            "specimen": {"kind": "reference_plane"},
+            "stage": {},
+        }
+        for name, entries in changes.items():
+            sections[name] = {**sections[name], **entries}
+        if orientation == Orientation.HORIZONTAL:
+            projector = sections["projector"]
+            projector |= {"x_mm": projector.get("y_mm", 0.0), "y_mm": 180.0}
+            sections["stage"] = {}
+        self.orientation = orientation
+        self.twin = VirtualRig(VirtualRigConfiguration.from_dict(sections))
+        self.shape = (SIZE[1], SIZE[0])
+
+    def phase(self, specimen: dict[str, object]) -> np.ndarray:
+        """Exact phase of what stands in front of the camera [rad]."""
+        view = self.twin.with_specimen(specimen).view(0.0)
+        projector = self.twin.configuration.projector
+        if self.orientation == Orientation.VERTICAL:
+            pixels = view.projector_column - (projector.columns - 1) / 2
+        else:
+            pixels = (projector.rows - 1) / 2 - view.projector_row
+        return 2 * math.pi * pixels / PITCH
+
+    def plane(self, angle: float, height: float = 0.0) -> np.ndarray:
+        """Exact phase of the plane on the stage; with horizontal fringes it turns about x."""
+        if self.orientation == Orientation.VERTICAL:
+            turned = {"kind": "reference_plane", "angle_degree": math.degrees(angle), "height_mm": 1e3 * height}
+        else:
+            turned = {"kind": "rigid", "angle_y_degree": math.degrees(angle), "height_mm": 1e3 * height}
+            turned |= {"half_width_mm": 80.0, "half_height_mm": 60.0}
+        return self.phase(turned)
+
+    def planes(self, angles: np.ndarray = ANGLES) -> list[np.ndarray]:
+        return [self.plane(angle) for angle in angles]
+
+    def view(self) -> PlaneView:
+        """How the camera sees the plane at angle 0, from where four pixels meet it."""
+        truth = self.twin.with_specimen({"kind": "reference_plane"}).truth(0.0)
+        rows = []
+        for r, s in ((0, 0), (0, SIZE[0] - 1), (SIZE[1] - 1, 0), (SIZE[1] - 1, SIZE[0] - 1)):
+            x, y = float(truth.x[r, s]), float(truth.y[r, s])
+            rows.append([s, r, 1, 0, 0, 0, -x * s, -x * r, -x])
+            rows.append([0, 0, 0, s, r, 1, -y * s, -y * r, -y])
+        homography = np.linalg.svd(np.array(rows))[2][-1].reshape(3, 3)
+        principal = ((SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2)
+        homography /= homography[2] @ (*principal, 1.0)
+        shift = np.eye(3)
+        shift[:2, 2] = -(homography @ (*principal, 1.0))[:2]
+        homography = shift @ homography
+        turn = -math.atan2(homography[1, 0], homography[0, 0])
+        c, s = math.cos(turn), math.sin(turn)
+        return PlaneView(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ homography, *principal)
+
+    def calibrate(self, phases: list[np.ndarray], angles: np.ndarray | None = ANGLES, **options: object) -> (
+        RigCalibration
+    ):  # fmt: skip
+        """Calibrate with everything that is usually known."""
+        known = {
+            "pitch": PITCH,
+            "projector_size": (800, 600),
+            "sigma": [np.full(self.shape, NOISE)] * len(phases),
+            "orientation": self.orientation,
+            "plane": self.view(),
+        }
+        return calibrate_rig(phases, angles, 400e-6, **{**known, **options})
+
+    def sphere_error(self, calibration: RigCalibration) -> float:
+        """Largest error of z on a sphere of radius 120 mm whose top is at 12 mm [m]."""
+        twin = self.twin.with_specimen(SPHERE)
+        measured = calibration.reconstruct(self.phase(SPHERE))
+        return float(np.abs(measured.z - twin.truth(0.0).z).max())
+
+
+SPHERE = {"kind": "rigid", "shape": "sphere", "radius_mm": 120.0, "height_mm": 12.0, "half_width_mm": 80.0}
+SPHERE |= {"half_height_mm": 60.0}
+
+
+def noisy(phases: list[np.ndarray], seed: int) -> list[np.ndarray]:
+    generator = np.random.default_rng(seed)
+    return [phase + NOISE * generator.standard_normal(phase.shape) for phase in phases]
+
+
+@pytest.fixture(scope="module")
+def misaligned() -> tuple[Bench, list[np.ndarray]]:
+    bench = Bench(MISALIGNED)
+    return bench, bench.planes()
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_exact_phases_give_exact_heights(name: str) -> None:
+    bench = Bench(RIGS[name])
+    calibration = bench.calibrate(bench.planes(), held_out=HELD_OUT)
+    error = bench.sphere_error(calibration)
+    print(f"{name}: {calibration.why} Largest error of z {1e6 * error:.4f} µm (target 1)")
+    assert error < 0.05e-6, f"{1e6 * error:.3f} µm"
+    assert calibration.go, calibration.verdict
+    assert calibration.chosen == ("paper" if name == "ideal" else "general")
+    assert calibration.held_out < 0.05e-6
+
+
+def test_horizontal_fringes() -> None:
+    bench = Bench({"projector": {"yaw_degree": -0.1, "pitch_degree": 0.2, "roll_degree": 0.7}}, Orientation.HORIZONTAL)
+    calibration = bench.calibrate(bench.planes(), held_out=HELD_OUT)
+    error = bench.sphere_error(calibration)
+    print(f"horizontal: largest error of z {1e6 * error:.4f} µm (target 1)")
+    assert error < 0.05e-6, f"{1e6 * error:.3f} µm"
+    assert calibration.go
+
+
+def test_translated_planes_tell_the_principal_column() -> None:
+    changes = {**MISALIGNED, "projector": {**MISALIGNED["projector"], "principal_column": 407.0}, "stage": {}}
+    bench = Bench(changes)
+    heights = np.array([-15e-3, -10e-3, -5e-3, 0.0, 5e-3, 10e-3, 15e-3])
+    phases = [bench.plane(0.0, height) for height in heights]
+    calibration = bench.calibrate(phases, None, heights=heights)
+    error = bench.sphere_error(calibration)
+    column = calibration.model.projector_principal_column
+    print(f"translated: principal column {column:.5f} px (407), largest error of z {1e6 * error:.4f} µm (target 1)")
+    assert abs(column - 407) < 1e-2, column
+    assert error < 0.1e-6, f"{1e6 * error:.3f} µm"
+    assert math.isnan(calibration.principal_effect)
+    both = np.concatenate([heights[:3], np.zeros(3)]), np.concatenate([np.zeros(3), ANGLES[[0, 4, 6]]])
+    mixed = bench.calibrate([bench.plane(a, h) for h, a in zip(*both, strict=True)], both[1], heights=both[0])
+    error = bench.sphere_error(mixed)
+    assert error < 0.1e-6, f"turned and translated: {1e6 * error:.3f} µm"
+
+
+def test_known_camera_distance_frees_the_principal_column() -> None:
+    bench = Bench({**MISALIGNED, "projector": {**MISALIGNED["projector"], "principal_column": 407.0}})
+    phases = bench.planes()
+    assumed = bench.calibrate(phases)
+    known = bench.calibrate(phases, camera_distance=0.4, sigma_camera_distance=1e-5)
+    wrong, right = bench.sphere_error(assumed), bench.sphere_error(known)
+    print(f"principal column 7.5 px off: {1e6 * wrong:.2f} µm, with known distance {1e6 * right:.4f} µm")
+    assert right < 0.05e-6 < wrong, (right, wrong)
+    assert assumed.principal_effect > 0
+
+
+def test_distances_scale_with_the_pixel_size() -> None:
+    """Phases tell ratios only; a grid whose pitch is uncertain makes every length as uncertain."""
+    bench = Bench(MISALIGNED)
+    phases = bench.planes()
+    calibration = bench.calibrate(noisy(phases, 1), sigma_pixel_size=400e-9)
+    sigma = np.sqrt(np.diag(np.reshape(calibration.model.covariance, (len(calibration.model.parameter_names),) * 2)))
+    for name, relative in (("camera_distance", 1e-3), ("pixel_size", 1e-3), ("projector_x", 1e-3)):
+        found = sigma[calibration.model.parameter_names.index(name)] / parameter_values(calibration.model, [name])[0]
+        assert abs(found) == pytest.approx(relative, rel=0.01), name
+
+
+def test_unknown_tilt_is_sought_and_said() -> None:
+    bench = Bench(MISALIGNED)
+    calibration = bench.calibrate(noisy(bench.planes(), 2), plane=None, held_out=HELD_OUT)
+    assert any("tilt" in each for each in calibration.warnings)
+    error = bench.sphere_error(calibration)
+    print(f"without a grid: largest error of z {1e6 * error:.2f} µm")
+    assert error < 4 * calibration.height_sigma, f"{1e6 * error:.3f} µm for {1e6 * calibration.height_sigma:.3f} µm"
+
+
+def test_random_rigs_converge_and_know_their_errors() -> None:
+    """Distances x 0.5 to 2, misaligned; z-scores of all parameters of all rigs."""
+    generator = np.random.default_rng(4711)
+    scores = []
+    for trial in range(8):
+        factor = 2 ** generator.uniform(-1, 1, 3)
+        sign = generator.uniform(-1, 1, 8)
+        changes = {
+            "camera": {
+                "distance_mm": 400 * factor[0],
+                "tilt_x_degree": 0.2 * sign[0],
+                "tilt_y_degree": 0.2 * sign[1],
+            },
+            "projector": {
+                "z_mm": 380 * factor[1],
+                "x_mm": 180 * factor[2],
+                "focal_length_px": 3400 * math.hypot(380 * factor[1], 180 * factor[2]) / math.hypot(380, 180),
+                "yaw_degree": 0.2 * sign[2],
+                "pitch_degree": 0.2 * sign[3],
+                "roll_degree": 0.7 * sign[4],
+            },
+            "stage": {
+                "axis_x_mm": sign[5],
+                "axis_z_mm": sign[6],
+                "axis_yaw_degree": 0.3 * sign[7],
+            },
+        }
+        bench = Bench(changes)
+        calibration = bench.calibrate(noisy(bench.planes(ANGLES[:7]), trial), ANGLES[:7])
+        assert calibration.go, calibration.verdict
+        model, optics = calibration.model, bench.twin.optics()
+        truth = dataclasses.replace(model, **{**optics, "model": "general"})
+        covariance = np.reshape(model.covariance, (len(model.parameter_names),) * 2)
+        error = parameter_values(model, model.parameter_names) - parameter_values(truth, model.parameter_names)
+        scores.append(error / np.sqrt(np.diag(covariance)))
+    rms = float(np.sqrt(np.mean(np.concatenate(scores) ** 2)))
+    print(f"8 of 8 converged, z-scores {rms:.2f} (0.9 to 1.1 over many rigs)")
+    assert 0.75 < rms < 1.25, rms  # correlated parameters of 8 rigs: 3 standard deviations of this figure
+
+
+def test_stage_errors_are_parameters_with_priors() -> None:
+    bench = Bench(MISALIGNED)
+    sigma = math.radians(0.02)
+    errors = sigma * np.random.default_rng(3).standard_normal(len(ANGLES))
+    phases = noisy(bench.planes(ANGLES + errors), 3)
+    trusting = bench.calibrate(phases)
+    careful = bench.calibrate(phases, sigma_angle=sigma)
+    print(trusting.verdict, careful.verdict)
+    assert careful.systematic < 0.2 * trusting.systematic
+    assert careful.chi_square == pytest.approx(1, abs=0.1)
+    assert careful.height_sigma > 5 * trusting.height_sigma
+
+
+def test_files_hold_everything(tmp_path: Path, misaligned: tuple[Bench, list[np.ndarray]]) -> None:
+    bench, phases = misaligned
+    calibration = bench.calibrate(noisy(phases, 5), held_out=HELD_OUT)
+    file = calibration.save(tmp_path / "calibration")
+    read = RigCalibration.load(file.parent)
+    for field in dataclasses.fields(calibration):
+        mine, stored = getattr(calibration, field.name), getattr(read, field.name)
+        if field.name == "residual_map":
+            assert mine.identical(stored)
+        elif field.name == "correlation":
+            assert np.allclose(mine, stored, rtol=1e-15)
+        elif field.name == "planes":
+            for one, other in zip(mine, stored, strict=True):
+                for part in dataclasses.fields(one):
+                    value = getattr(one, part.name)
+                    expected = pytest.approx(value, rel=1e-11) if isinstance(value, float | tuple) else value
+                    assert getattr(other, part.name) == expected, part.name
+        elif field.name in ("model", "candidates", "parameters"):
+            assert len(repr(mine)) > 0
+        else:
+            assert stored == (pytest.approx(mine, rel=1e-11, nan_ok=True) if isinstance(mine, float) else mine), (
+                field.name
+            )
+    assert read.model.covariance == calibration.model.covariance
+    assert "angle_degree: -15" in (file.parent / "calibration_fit.yaml").read_text()
+    (file.parent / "calibration_residuals.nc").unlink()
+    with pytest.raises(CalibrationFileError, match="does not hold"):
+        RigCalibration.load(file.parent)
+
+
+def test_bad_lists_are_refused(misaligned: tuple[Bench, list[np.ndarray]]) -> None:
+    bench, phases = misaligned
+    with pytest.raises(CalibrationPlanesError, match="2 planes to fit: at least 3"):
+        bench.calibrate(phases[:2], ANGLES[:2])
+    with pytest.raises(CalibrationPlanesError, match="2 different positions"):
+        bench.calibrate(phases[:4], ANGLES[[0, 0, 1, 1]])
+    with pytest.raises(CalibrationAnglesError, match="given in degree"):
+        bench.calibrate(phases, np.degrees(ANGLES))
+    with pytest.raises(ShapeMismatchError, match=r"image 2 \(angle -10 degree\)"):
+        bench.calibrate([phases[0], phases[1][:-8], *phases[2:]])
+    with pytest.raises(ShapeMismatchError, match="7 angles for 8"):
+        bench.calibrate(phases, ANGLES[:7])
+    with pytest.raises(CalibrationPlanesError, match="held_out names plane 8"):
+        bench.calibrate(phases, held_out=(8,))
+    with pytest.raises(InvalidCalibrationError, match="grid's pitch"):
+        bench.calibrate(phases, plane=dataclasses.replace(bench.view(), homography=np.diag([2.0, 2.0, 1.0]) * 1e-3))
+
+
+def test_maps_without_a_measurement_are_named(misaligned: tuple[Bench, list[np.ndarray]]) -> None:
+    bench, phases = misaligned
+    dark = np.full_like(phases[0], np.nan)
+    with pytest.raises(CalibrationPhaseError, match=r"image 3 .*only 0 % of the image"):
+        bench.calibrate([*phases[:2], dark, *phases[3:]])
+    holes = [phase.copy() for phase in noisy(phases, 6)]
+    for index, phase in enumerate(holes):
+        phase[index * 10 : index * 10 + 30, 20:90] = np.nan
+    calibration = bench.calibrate(holes, held_out=HELD_OUT)
+    assert calibration.go, calibration.verdict
+    assert bench.sphere_error(calibration) < 1e-6
+
+
+def test_wrong_signs_are_recognised(misaligned: tuple[Bench, list[np.ndarray]]) -> None:
+    bench, phases = misaligned
+    with pytest.raises(CalibrationAnglesError, match="wrong sign"):
+        bench.calibrate(phases, -ANGLES)
+    with pytest.raises(CalibrationPhaseError, match="reverse order"):
+        bench.calibrate([-phase for phase in phases])
+    with pytest.raises(CalibrationPhaseError, match="mirrored"):
+        bench.calibrate([phase[:, ::-1] for phase in phases])
+    heights = np.array([-10e-3, -5e-3, 0.0, 5e-3, 10e-3])
+    lifted = [bench.plane(0.0, height) for height in heights]
+    with pytest.raises(CalibrationAnglesError, match="wrong sign"):
+        bench.calibrate(lifted, None, heights=-heights)
+
+
+def test_wrong_pitch_leaves_the_projector(misaligned: tuple[Bench, list[np.ndarray]]) -> None:
+    bench, phases = misaligned
+    with pytest.raises(CalibrationPhaseError, match="the pitch of 40 px"):
+        bench.calibrate(phases, pitch=40.0)
+
+
+def test_a_plane_that_was_not_moved_is_named(misaligned: tuple[Bench, list[np.ndarray]]) -> None:
+    bench, phases = misaligned
+    still = noisy([*phases[:4], phases[3], *phases[5:]], 7)
+    with pytest.raises(CalibrationPlanesError, match=r"image 4 \(angle \+0 degree\) and image 5 .* same plane"):
+        bench.calibrate(still)
+
+
+@pytest.mark.parametrize("change", ["angle", "pushed", "order", "half order", "pattern"])
+def test_the_bad_image_is_named(misaligned: tuple[Bench, list[np.ndarray]], change: str) -> None:
+    bench, phases = misaligned
+    bad = list(phases)
+    if change == "angle":
+        bad[4] = bench.plane(math.radians(6.0))
+        says = "stands at 6.00 degree, not at 5"
+    elif change == "pushed":
+        bad[4] = bench.plane(ANGLES[4], 0.2e-3)
+        says = r"\+0.200 mm away"
+    elif change == "order":
+        bad[4] = phases[4] + 2 * math.pi
+        says = r"order is wrong by \+1 everywhere"
+    elif change == "half order":
+        bad[4] = phases[4] + 2 * math.pi * (np.arange(SIZE[0]) > 100)
+        says = "order is wrong on .* % of it"
+    else:
+        bad[4] = 0.6 * phases[4] + 3 * np.sin(np.linspace(0, 8, SIZE[0]))
+        says = "not that of the plane at any angle"
+    calibration = bench.calibrate(noisy(bad, 8))
+    print(calibration.verdict)
+    assert not calibration.go
+    assert calibration.bad_images == ("image 5 (angle +5 degree)",)
+    assert calibration.verdict.startswith("NO-GO. image 5 (angle +5 degree)")
+    assert re.search(says, calibration.verdict), calibration.verdict
+    assert bench.sphere_error(calibration) < 1e-6, "the model is that of the other images"
