@@ -23,6 +23,7 @@ setup(
         "numba",
         "numpy>=1.26",
         "opencv-python-headless",
+        "pillow",
         "plotly",
         "pydantic>=2",
         "pyvista",

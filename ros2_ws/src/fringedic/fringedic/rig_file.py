@@ -44,7 +44,9 @@ class Section(BaseModel):
 class CameraSection(Section):
     """The camera of the rig."""
 
-    source: Literal["virtual", "files"] = Field(description="virtual: the virtual rig; files: images from a folder.")
+    source: Literal["virtual", "files", "aravis"] = Field(
+        description="virtual: the virtual rig; files: images from a folder; aravis: a GigE Vision or USB3 Vision camera."
+    )
     width: int | None = Field(None, ge=16, le=32768, description="Image width [px]; known from a virtual rig.")
     height: int | None = Field(None, ge=16, le=32768, description="Image height [px]; known from a virtual rig.")
     exposure_ms: float = Field(10.0, gt=0, le=60e3, description="Exposure time [ms].")
@@ -53,10 +55,23 @@ class CameraSection(Section):
     )
     files: str | None = Field(None, description="Images for the source 'files': a folder or a pattern such as a/*.tif.")
 
+    camera: str = Field("", description="Identifier or network address of a real camera; empty: the only one.")
+    pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono16"] = Field("Mono8", description="Of a real camera.")
+    first_column: int = Field(0, ge=0, le=32768, description="Of the part of a real camera's sensor [px].")
+    first_row: int = Field(0, ge=0, le=32768, description="Of the part of a real camera's sensor [px].")
+    gain_db: float = Field(0.0, ge=-100, le=100, description="Gain of a real camera [dB].")
+    trigger: Literal["internal", "software", "external_edge", "external_level"] = Field(
+        "software", description="What begins an exposure of a real camera."
+    )
+    trigger_line: str = Field("Line1", description="Input of a real camera's external triggers.")
+    packet_size_byte: int = Field(0, ge=0, le=65535, description="Network packets of a real camera; 0: the largest.")
+
     @model_validator(mode="after")
     def _files_belong_to_their_source(self) -> CameraSection:
         if (self.source == "files") != (self.files is not None):
             raise ValueError("source: files needs the key files, and only this source has it")
+        if self.source == "aravis" and (self.width is None or self.height is None):
+            raise ValueError("source: aravis needs width and height, the size of its images")
         return self
 
     @property
@@ -73,9 +88,19 @@ class CameraSection(Section):
 class ProjectorSection(Section):
     """The projector of the rig."""
 
-    source: Literal["virtual"] = Field("virtual", description="virtual: shows its image to the virtual rig only.")
+    source: Literal["virtual", "display"] = Field(
+        "virtual",
+        description="virtual: shows its image to the virtual rig only; display: a projector on this computer.",
+    )
+    display: int = Field(0, ge=0, le=15, description="Which of this computer's displays the projector is, from 0 on.")
     width: int | None = Field(None, ge=16, le=32768, description="Image width [px]; known from a virtual rig.")
     height: int | None = Field(None, ge=16, le=32768, description="Image height [px]; known from a virtual rig.")
+
+    @model_validator(mode="after")
+    def _display_has_a_size(self) -> ProjectorSection:
+        if self.source == "display" and (self.width is None or self.height is None):
+            raise ValueError("source: display needs width and height, the projector's own resolution")
+        return self
 
 
 class SequenceSection(Section):
@@ -227,10 +252,24 @@ class ReferencePlaneSection(Section):
 class LoadFrameSection(Section):
     """The testing machine."""
 
-    source: Literal["simulated", "external"] = Field(
-        "simulated", description="simulated: the one of the virtual rig; external: somebody publishes load_frame/state."
+    source: Literal["simulated", "machine", "controller", "external"] = Field(
+        "simulated",
+        description="simulated: the one of the virtual rig; machine: described by a file; controller: ros2_control "
+        "publishes joint states and wrench; external: somebody publishes load_frame/state.",
     )
-    rate_hz: float = Field(100.0, gt=0, le=10e3, description="Samples of force and position per second.")
+    file: str | None = Field(None, description="Machine file of the source 'machine', beside the rig file.")
+    joint_states_topic: str = Field("/joint_states", description="Of the source 'controller'.")
+    joint: str = Field("crosshead", description="Joint of the source 'controller'.")
+    wrench_topic: str = Field("/wrench", description="Of the source 'controller'.")
+    force_axis: Literal["x", "y", "z"] = Field("z", description="Axis of the force of the source 'controller'.")
+    force_sign: Literal[-1, 1] = Field(1, description="-1 when the controller's tension is negative.")
+    rate_hz: float = Field(100.0, gt=0, le=1000, description="Samples of force and position per second.")
+
+    @model_validator(mode="after")
+    def _file_belongs_to_its_source(self) -> LoadFrameSection:
+        if (self.source == "machine") != (self.file is not None):
+            raise ValueError("source: machine needs the key file, and only this source has it")
+        return self
 
 
 class NodesSection(Section):

@@ -78,9 +78,8 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
             }
         ),
     ]
-    if rig.load_frame is not None and rig.load_frame.source == "simulated":
-        parameters = {"rate_hz": rig.load_frame.rate_hz, "virtual_rig": _virtual_rig(rig)}
-        nodes.append(NodeEntry("load_frame", "load_frame_node", "load_frame", parameters))
+    if rig.load_frame is not None and rig.load_frame.source != "external":
+        nodes.append(NodeEntry("load_frame", "load_frame_node", "load_frame", _load_frame(rig, rig_path)))
     settings = _experiment(rig, experiment) | {
         "calibration_file": calibration_file,
         "calibration_folder": str((folder / "calibrations").absolute()),
@@ -182,8 +181,10 @@ def _hardware(rig: RigFile, camera: Mapping[str, Any]) -> list[NodeEntry]:
     """Return what stands in front of the specimen, and beside it the stage of a virtual rig."""
     nodes = []
     size = rig.projector_size()
-    if size is not None:
-        parameters = {"width_px": size[0], "height_px": size[1]}
+    if rig.projector is not None and size is not None:
+        parameters: dict[str, Any] = {"width_px": size[0], "height_px": size[1]}
+        if rig.projector.source == "display":
+            parameters |= {"screen": "display", "display": rig.projector.display}
         nodes.append(NodeEntry("projector", "fringe_projector_node", "projector", parameters))
     if rig.camera.source == "virtual":
         nodes.append(NodeEntry("stage", "load_frame_node", "stage"))
@@ -199,8 +200,32 @@ def _camera(rig: RigFile, rig_path: Path) -> dict[str, Any]:
     }
     if camera.files is not None:
         parameters["files"] = str((rig_path.parent / camera.files).absolute())
+    if camera.source == "aravis":
+        parameters |= {
+            "camera": camera.camera,
+            "pixel_format": camera.pixel_format,
+            "region_px": [camera.first_column, camera.first_row, camera.width, camera.height],
+            "gain_db": camera.gain_db,
+            "trigger": camera.trigger,
+            "trigger_line": camera.trigger_line,
+            "packet_size_byte": camera.packet_size_byte,
+        }
     if rig.virtual_rig is not None:
         parameters |= {"virtual_rig": _virtual_rig(rig), "timeout_s": RENDERING_TIMEOUT_S}
+    return parameters
+
+
+def _load_frame(rig: RigFile, rig_path: Path) -> dict[str, Any]:
+    load_frame = rig.load_frame
+    assert load_frame is not None, "only of a rig with a load frame"
+    parameters: dict[str, Any] = {"source": load_frame.source, "rate_hz": load_frame.rate_hz}
+    if load_frame.file is not None:
+        parameters["machine_file"] = str((rig_path.parent / load_frame.file).absolute())
+    if load_frame.source == "simulated":
+        parameters["virtual_rig"] = _virtual_rig(rig)
+    if load_frame.source == "controller":
+        names = ("joint_states_topic", "joint", "wrench_topic", "force_axis", "force_sign")
+        parameters |= {name: getattr(load_frame, name) for name in names}
     return parameters
 
 

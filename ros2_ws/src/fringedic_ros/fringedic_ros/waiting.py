@@ -104,7 +104,7 @@ class Condition:
         self._changed = Future()
 
     def notify(self) -> None:
-        """Say that something changed: waiting coroutines look again. Call it in the executor's thread."""
+        """Say that something changed: waiting coroutines look again. May be called from any thread."""
         changed, self._changed = self._changed, Future()
         changed.set_result(None)
 
@@ -117,9 +117,12 @@ class Condition:
             The predicate was still false after `timeout_s`.
         """
         deadline = time.monotonic() + timeout_s
-        while not predicate():
+        while True:
+            changed = self._changed  # taken before looking, so that no change falls between looking and waiting
+            if predicate():
+                return
             try:
-                await wait_for(self._node, self._changed, max(deadline - time.monotonic(), 0.0))
+                await wait_for(self._node, changed, max(deadline - time.monotonic(), 0.0))
             except WaitTimeoutError:
                 raise WaitTimeoutError(f"{what} did not come within {timeout_s:g} s") from None
 

@@ -5,37 +5,67 @@ The machine's own limits and emergency stop are in charge; this node only passes
 
 from __future__ import annotations
 
+import math
+import threading
+import time
+from typing import Literal, Self
+
 from geometry_msgs.msg import WrenchStamped
-from pydantic import Field
+from pydantic import Field, model_validator
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
-from rclpy.timer import Timer
+from rclpy.callback_groups import ReentrantCallbackGroup
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from fringedic.errors import CrossheadRangeError, WaitTimeoutError
-from fringedic.virtual_rig import LoadMode, LoadSample, SimulatedLoadFrame
+from fringedic.errors import CrossheadRangeError, FringedicError, MachineError, WaitTimeoutError
+from fringedic.virtual_rig import LoadMode, SimulatedLoadFrame
 from fringedic_msgs.action import MoveCrosshead
 from fringedic_msgs.msg import LoadState
 from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
 from fringedic_ros.main import run
 from fringedic_ros.qos import STATE
+from fringedic_ros.stamps import to_msg
 from fringedic_ros.virtual import VirtualRigText, virtual_configuration
 from fringedic_ros.waiting import Condition
+from load_frame_node.machines import Machine, Sample, SimulatedMachine, load_machine, open_machine
+from load_frame_node.machines.controller import ControllerMachine
 
 FRAME_ID = "load_frame"
 JOINT = "crosshead"
 Result = MoveCrosshead.Result
 _FEEDBACK_PERIOD_S = 0.1
+_START_TIMEOUT_S = 5.0  # from the request to the first motion
 _STOP_TIMEOUT_S = 30.0
 
 
 class LoadFrameParameters(HardwareParameters):
     """Parameters of the load frame node."""
 
+    source: Literal["simulated", "machine", "controller"] = Field(
+        "simulated",
+        description="simulated: the machine of the virtual rig; machine: the one that machine_file describes; "
+        "controller: what a ros2_control controller publishes.",
+    )
     rate_hz: float = Field(100.0, gt=0, le=1000, description="Samples of force and position per second [Hz].")
     virtual_rig: VirtualRigText = "{preset: plate}"
+    machine_file: str = Field("", description="Source `machine`: YAML file with its protocol, registers and units.")
+    position_tolerance_mm: float = Field(
+        0.01, gt=0, le=10, description="A crosshead this near to its target has arrived, though it never moved [mm]."
+    )
+    joint_states_topic: str = Field("/joint_states", description="Source `controller`: JointState of the crosshead.")
+    joint: str = Field(JOINT, description="Source `controller`: name of the crosshead's joint.")
+    wrench_topic: str = Field("/wrench", description="Source `controller`: WrenchStamped of the load cell.")
+    force_axis: Literal["x", "y", "z"] = Field("z", description="Source `controller`: axis of the force.")
+    force_sign: int = Field(1, ge=-1, le=1, description="Source `controller`: -1 when tension comes negative.")
+
+    @model_validator(mode="after")
+    def _machine_is_described(self) -> Self:
+        if self.source == "machine" and not self.machine_file:
+            raise ValueError("source machine needs the parameter machine_file: a YAML file that describes it")
+        if self.force_sign == 0:
+            raise ValueError("force_sign is 0; use 1 or -1")
+        return self
 
 
 class LoadFrameNode(HardwareNode[LoadFrameParameters]):
@@ -43,10 +73,11 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
 
     def __init__(self) -> None:
         super().__init__("load_frame", LoadFrameParameters)
-        self._machine: SimulatedLoadFrame | None = None
-        self._sampling: Timer | None = None
-        self._sample = LoadSample(LoadMode.UNKNOWN, 0.0, 0.0)
-        self._sampled_ns = 0
+        self._machine: Machine | None = None
+        self._in_use = threading.Lock()  # of the machine: by the sampling thread, a move, a hold
+        self._sampling: threading.Thread | None = None
+        self._stop_sampling = threading.Event()
+        self._sample = Sample(0, LoadMode.UNKNOWN, 0.0, 0.0)
         self._goal: ServerGoalHandle | None = None
         self._held = False
         self._changed = Condition(self)
@@ -66,48 +97,84 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
     # lifecycle
 
     def open(self) -> None:
-        """Connect to the simulated machine of the virtual rig."""
-        configuration = virtual_configuration(self.parameters.value.virtual_rig)
-        self._machine = SimulatedLoadFrame(configuration.load_frame, configuration.seed)
+        """Connect to the machine that the parameters name."""
+        parameters = self.parameters.value
+        if parameters.source == "machine":
+            self._machine = open_machine(load_machine(parameters.machine_file))
+        elif parameters.source == "controller":
+            self._machine = ControllerMachine(
+                self,
+                joint_states_topic=parameters.joint_states_topic,
+                joint=parameters.joint,
+                wrench_topic=parameters.wrench_topic,
+                force_axis=parameters.force_axis,
+                force_sign=parameters.force_sign,
+            )
+        else:
+            configuration = virtual_configuration(parameters.virtual_rig)
+            self._machine = SimulatedMachine(SimulatedLoadFrame(configuration.load_frame, configuration.seed))
 
     def activate(self) -> None:
         """Begin to sample."""
-        self._sampled_ns = self.get_clock().now().nanoseconds
-        self._sampling = self.create_timer(
-            1 / self.parameters.value.rate_hz, self._take_sample, callback_group=MutuallyExclusiveCallbackGroup()
-        )
+        self._stop_sampling.clear()
+        self._sampling = threading.Thread(target=self._sample_all, name="load_frame-sampling", daemon=True)
+        self._sampling.start()
 
     def deactivate(self) -> None:
         """Hold, and stop sampling."""
-        if self._machine is not None:
-            self._machine.hold()
+        self._stop_sampling.set()
         if self._sampling is not None:
-            self.destroy_timer(self._sampling)
+            self._sampling.join()
             self._sampling = None
+        if self._machine is not None and self.parameters.value.source != "controller":
+            try:
+                with self._in_use:
+                    self._machine.hold()
+            except MachineError as error:
+                self.get_logger().warning(str(error))
 
     def close(self) -> None:
         """Let go of the machine."""
-        self._machine = None
+        if self._machine is not None:
+            self._machine.close()
+            self._machine = None
 
     # samples
 
+    def _sample_all(self) -> None:
+        """Take samples at their times until the node is deactivated; in a thread of its own."""
+        period = 1 / self.parameters.value.rate_hz
+        due = time.monotonic()
+        while not self._stop_sampling.is_set():
+            self._take_sample()
+            due += period
+            now = time.monotonic()
+            if due < now - 1:  # the machine did not answer for a while: what was missed stays missed
+                self.diagnostics.drop(int((now - due) / period))
+                due = now
+            self._stop_sampling.wait(max(due - now, 0))
+
     def _take_sample(self) -> None:
-        if self._machine is None:
-            return
-        now = self.get_clock().now()
-        # a clock that was set back must not turn the machine's time back
-        self._machine.advance(1e-9 * max(now.nanoseconds - self._sampled_ns, 0))
-        self._sampled_ns = now.nanoseconds
-        self._sample = self._machine.sample()
-        state = LoadState(mode=int(self._sample.mode), force=self._sample.force, position=self._sample.position)
-        state.header.stamp, state.header.frame_id = now.to_msg(), FRAME_ID
+        assert self._machine is not None, "an active load frame has a machine"
+        try:
+            with self._in_use:
+                sample = self._machine.sample()
+        except MachineError as error:
+            self.get_logger().error(str(error), throttle_duration_sec=1.0)
+            self.diagnostics.failure(str(error))
+            # whoever relies on a hold has to know that nothing is known
+            sample = Sample(time.time_ns(), LoadMode.UNKNOWN, math.nan, math.nan)
+        else:
+            self.diagnostics.success()
+        self._sample = sample
+        state = LoadState(mode=int(sample.mode), force=sample.force, position=sample.position)
+        state.header.stamp, state.header.frame_id = to_msg(sample.stamp_ns), FRAME_ID
         wrench = WrenchStamped(header=state.header)
         wrench.wrench.force.z = state.force
         joint = JointState(header=state.header, name=[JOINT], position=[state.position], effort=[state.force])
         self._states.publish(state)
         self._wrenches.publish(wrench)
         self._joints.publish(joint)
-        self.diagnostics.success()
         self._changed.notify()
 
     # moving and holding
@@ -115,11 +182,18 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
     def _hold(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if self._machine is None or not self.active:
             response.message = "the load frame is not active; configure and activate it"
-        else:
-            self._machine.hold()
-            self._held = True
-            response.success = True
-            response.message = f"holding at {1e3 * self._sample.position:.4f} mm"
+            return response
+        try:
+            with self._in_use:
+                self._machine.hold()
+        except MachineError as error:
+            self.get_logger().error(str(error))
+            self.diagnostics.failure(str(error))
+            response.message = str(error)
+            return response
+        self._held = True
+        response.success = True
+        response.message = f"hold requested at {1e3 * self._sample.position:.4f} mm"
         return response
 
     def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
@@ -133,46 +207,83 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
             return self._end(goal, Result.BUSY, "the crosshead follows another goal; cancel it or wait")
         way = abs(request.position - self._sample.position)
         try:
-            self._machine.move_to(request.position, request.speed)
+            with self._in_use:
+                self._machine.move_to(request.position, request.speed)
+                requested = time.time_ns()
         except CrossheadRangeError as error:
             return self._end(goal, Result.INVALID_GOAL, str(error))
+        except MachineError as error:
+            return self._end(goal, Result.MACHINE_FAULT, str(error))
         self._goal, self._held = goal, False
-        self._sample = self._sample._replace(mode=LoadMode.MOVING)
         try:
             # twice the time at constant speed, and some for the ramps
-            return await self._follow(goal, 2 * way / request.speed + _STOP_TIMEOUT_S)
+            return await self._follow(goal, requested, 2 * way / request.speed + _STOP_TIMEOUT_S)
+        except FringedicError as error:
+            return self._end(goal, Result.MACHINE_FAULT, str(error))
         finally:
             self._goal = None
 
-    async def _follow(self, goal: ServerGoalHandle, timeout_s: float) -> MoveCrosshead.Result:
-        deadline = self.get_clock().now().nanoseconds + round(1e9 * timeout_s)
-        while not (goal.is_cancel_requested or self._is_still()):
-            if self.get_clock().now().nanoseconds > deadline:
+    async def _follow(self, goal: ServerGoalHandle, requested_ns: int, timeout_s: float) -> MoveCrosshead.Result:
+        started = time.monotonic()
+        moved = False
+        tolerance = 1e-3 * self.parameters.value.position_tolerance_mm
+
+        def is_over() -> bool:
+            nonlocal moved
+            if goal.is_cancel_requested or not self.active or self._held:
+                return True
+            sample = self._sample
+            if sample.stamp_ns < requested_ns:  # of before the request
+                return False
+            moved |= sample.mode is LoadMode.MOVING
+            if sample.mode in (LoadMode.FAULT, LoadMode.UNKNOWN):
+                return True
+            arrived = abs(sample.position - goal.request.position) <= tolerance
+            return sample.mode is not LoadMode.MOVING and (moved or arrived)
+
+        while not is_over():
+            passed = time.monotonic() - started
+            if passed > timeout_s or (not moved and passed > _START_TIMEOUT_S):
                 await self._stop()
-                return self._end(goal, Result.TIMEOUT, f"the crosshead did not arrive within {timeout_s:g} s")
+                done = f"arrive within {timeout_s:g} s" if moved else f"begin to move within {_START_TIMEOUT_S:g} s"
+                return self._end(goal, Result.TIMEOUT, f"the crosshead did not {done}")
             goal.publish_feedback(MoveCrosshead.Feedback(position=self._sample.position, force=self._sample.force))
             try:
-                await self._changed.wait(lambda: goal.is_cancel_requested or self._is_still(), _FEEDBACK_PERIOD_S)
+                await self._changed.wait(is_over, _FEEDBACK_PERIOD_S)
             except WaitTimeoutError:
                 continue
+        return await self._outcome(goal)
+
+    async def _outcome(self, goal: ServerGoalHandle) -> MoveCrosshead.Result:
         if goal.is_cancel_requested:
             await self._stop()
             return self._end(goal, Result.CANCELLED, f"cancelled; holding at {1e3 * self._sample.position:.4f} mm")
-        if not self.active or self._sample.mode == LoadMode.FAULT:
-            return self._end(goal, Result.MACHINE_FAULT, "the machine stopped")
         if self._held:
+            await self._wait_until_still()
             return self._end(
                 goal, Result.CANCELLED, f"load_frame/hold stopped it at {1e3 * self._sample.position:.4f} mm"
             )
+        if not self.active or self._sample.mode in (LoadMode.FAULT, LoadMode.UNKNOWN):
+            return self._end(goal, Result.MACHINE_FAULT, "the machine stopped, or no longer tells what it does")
         return self._end(goal, Result.NONE, "")
 
     def _is_still(self) -> bool:
-        return self._sample.mode != LoadMode.MOVING or not self.active
+        return self._sample.mode is not LoadMode.MOVING or not self.active
 
     async def _stop(self) -> None:
+        """Request a hold and wait until the machine stands."""
         if self._machine is not None:
-            self._machine.hold()
-            await self._changed.wait(self._is_still, _STOP_TIMEOUT_S, "the crosshead's stop")
+            with self._in_use:
+                self._machine.hold()
+            await self._wait_until_still()
+
+    async def _wait_until_still(self) -> None:
+        requested = time.time_ns()
+        await self._changed.wait(
+            lambda: (self._sample.stamp_ns > requested and self._is_still()) or not self.active,
+            _STOP_TIMEOUT_S,
+            "the crosshead's stop",
+        )
 
     def _end(self, goal: ServerGoalHandle, code: int, message: str) -> MoveCrosshead.Result:
         if code == Result.NONE:

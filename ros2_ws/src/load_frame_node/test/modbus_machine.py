@@ -1,0 +1,83 @@
+"""A testing machine that speaks Modbus TCP, as a process: pymodbus's server before the simulated load frame.
+
+Registers, as the machine file of the tests names them: 0 force [N], 2 position [mm], 4 status, 10 target [mm],
+12 speed [mm/s]; coils: 0 starts a move, 1 holds, 2 breaks the load cell, 3 reports a fault.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import struct
+import sys
+
+from pymodbus.constants import ExcCodes
+from pymodbus.server import ModbusTcpServer
+from pymodbus.simulator import DataType, SimData, SimDevice
+
+from fringedic.errors import CrossheadRangeError
+from fringedic.virtual_rig import LoadMode, SimulatedLoadFrame, VirtualRigConfiguration
+from load_frame_node.machines import SimulatedMachine
+
+STATUS = {LoadMode.IDLE: 0, LoadMode.MOVING: 11, LoadMode.HOLD: 12}
+READ_HOLDING, WRITE_COIL = 3, 5
+
+
+class Registers:
+    def __init__(self) -> None:
+        configuration = VirtualRigConfiguration.from_dict({"preset": "plate"})
+        self.machine = SimulatedMachine(SimulatedLoadFrame(configuration.load_frame, seed=1))
+        self.holding: list[int] = []
+        self.broken = self.fault = False
+
+    async def access(
+        self, function: int, start: int, address: int, count: int, current: list[int], new: list | None
+    ) -> ExcCodes | None:
+        if function == READ_HOLDING:
+            self.holding = current
+            sample = self.machine.sample()
+            current[0:2] = words(math.nan if self.broken else sample.force)
+            current[2:4] = words(1e3 * sample.position)
+            current[4] = 99 if self.fault else STATUS[sample.mode]
+        elif function == WRITE_COIL and new:
+            return self.switch(address, bool(new[0]))
+        elif new and address >= 10:
+            self.holding = current
+        return None
+
+    def switch(self, coil: int, on: bool) -> ExcCodes | None:
+        if coil == 0 and on:
+            try:
+                self.machine.move_to(1e-3 * number(self.holding[10:12]), 1e-3 * number(self.holding[12:14]))
+            except CrossheadRangeError:
+                return ExcCodes.ILLEGAL_VALUE
+        elif coil == 1 and on:
+            self.machine.hold()
+        elif coil == 2:
+            self.broken = on
+        elif coil == 3:
+            self.fault = on
+        return None
+
+
+def words(value: float) -> list[int]:
+    return list(struct.unpack(">HH", struct.pack(">f", value)))
+
+
+def number(registers: list[int]) -> float:
+    return float(struct.unpack(">f", struct.pack(">HH", *registers))[0])
+
+
+async def serve(port: int) -> None:
+    registers = Registers()
+    bits = [SimData(0, values=[False] * 16, datatype=DataType.BITS)]
+    numbers = [SimData(0, count=32, values=0, datatype=DataType.REGISTERS)]
+    device = SimDevice(1, (bits, bits, numbers, numbers), action=registers.access)
+    server = ModbusTcpServer(device, address=("127.0.0.1", port))
+    await server.listen()
+    print(server.transport.sockets[0].getsockname()[1], flush=True)
+    await asyncio.Event().wait()
+
+
+if __name__ == "__main__":
+    asyncio.run(serve(int(sys.argv[1])))

@@ -1,0 +1,59 @@
+"""A testing machine that speaks text commands, as a process: a TCP socket before the simulated load frame."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+
+from fringedic.virtual_rig import LoadMode, SimulatedLoadFrame, VirtualRigConfiguration
+from load_frame_node.machines import SimulatedMachine
+
+WORDS = {LoadMode.IDLE: "IDLE", LoadMode.MOVING: "RUN", LoadMode.HOLD: "HOLD"}
+
+
+class Conversation:
+    def __init__(self) -> None:
+        configuration = VirtualRigConfiguration.from_dict({"preset": "plate"})
+        self.machine = SimulatedMachine(SimulatedLoadFrame(configuration.load_frame, seed=1))
+        self.speed = 1.0  # [mm/min]
+        self.silent = self.babbling = False
+
+    def answer(self, line: str) -> str | None:
+        sample = self.machine.sample()
+        command, _, value = line.partition(" ")
+        match command:
+            case "MEAS:FORC?":
+                return "?#!" if self.babbling else f"{1e-3 * sample.force:.6f}"  # [kN]
+            case "MEAS:POS?":
+                return f"{1e6 * sample.position:.3f}"  # [um]
+            case "STAT?":
+                return WORDS[sample.mode]
+            case "SPEED":
+                self.speed = float(value)
+            case "GOTO":
+                self.machine.move_to(1e-3 * float(value), 1e-3 / 60 * self.speed)
+            case "STOP":
+                self.machine.hold()
+            case "SILENT":
+                self.silent = True
+            case "BABBLE":
+                self.babbling = True
+        return None
+
+    async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        while line := await reader.readline():
+            answer = self.answer(line.decode().strip())
+            if answer is not None and not self.silent:
+                writer.write(f"{answer}\n".encode())
+                await writer.drain()
+        writer.close()
+
+
+async def main(port: int) -> None:
+    server = await asyncio.start_server(Conversation().serve, "127.0.0.1", port)
+    print(server.sockets[0].getsockname()[1], flush=True)
+    await server.serve_forever()
+
+
+if __name__ == "__main__":
+    asyncio.run(main(int(sys.argv[1])))

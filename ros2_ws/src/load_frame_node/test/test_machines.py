@@ -1,0 +1,356 @@
+"""Testing machines over real sockets: servers in processes of their own, which can be killed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+import pyvisa
+import rclpy
+import yaml
+from geometry_msgs.msg import WrenchStamped
+from pymodbus.client import ModbusTcpClient
+from rclpy.action import ActionClient
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from fringedic.errors import CrossheadRangeError, MachineError, MachineFileError
+from fringedic.virtual_rig import LoadMode
+from fringedic_msgs.action import MoveCrosshead
+from fringedic_msgs.msg import LoadState
+from fringedic_ros.qos import STATE
+from fringedic_ros.testing import NodeProcess, Peer
+from load_frame_node.machines import Machine, Sample, load_machine, open_machine
+from load_frame_node.machines.machine import Motion
+
+DOMAIN = 46
+HERE = Path(__file__).parent
+MM = 1e-3
+LIMITS = {"lowest_mm": 0.0, "highest_mm": 1.0, "fastest_mm_per_s": 5.0}
+MODBUS: dict[str, Any] = {
+    "protocol": "modbus",
+    "host": "127.0.0.1",
+    "force": {"register": 0},
+    "position": {"register": 2},
+    "status": {"register": 4, "idle": [0], "moving": [11], "hold": [12], "fault": [99]},
+    "move": {"position": {"register": 10}, "speed": {"register": 12}, "start": {"coil": 0}},
+    "hold": {"coil": 1},
+    "limits": LIMITS,
+}
+SCPI: dict[str, Any] = {
+    "protocol": "scpi",
+    "force": {"query": "MEAS:FORC?", "unit": "kN"},
+    "position": {"query": "MEAS:POS?", "unit": "um"},
+    "status": {"query": "STAT?", "idle": ["IDLE"], "moving": ["RUN"], "hold": ["HOLD"]},
+    "move": {"commands": ["SPEED {speed:.4f}", "GOTO {position:.4f}"], "speed_unit": "mm/min"},
+    "hold": ["STOP"],
+    "limits": LIMITS,
+}
+
+
+@contextmanager
+def server(script: str, port: int = 0) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """Run a machine; it listens on `port`, or on a free one."""
+    command = [sys.executable, str(HERE / script), str(port)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            yield process, int(process.stdout.readline())
+        finally:
+            process.kill()
+
+
+def description(kind: str, port: int) -> dict[str, Any]:
+    if kind == "modbus":
+        return {**MODBUS, "port": port}
+    return {**SCPI, "resource": f"TCPIP::127.0.0.1::{port}::SOCKET"}
+
+
+def opened(content: dict[str, Any], folder: Path) -> Machine:
+    path = folder / "machine.yaml"
+    path.write_text(yaml.safe_dump(content))
+    return open_machine(load_machine(path))
+
+
+@contextmanager
+def machine(kind: str, folder: Path, **changes: Any) -> Iterator[tuple[Machine, subprocess.Popen[str], int]]:
+    with server(f"{kind}_machine.py") as (process, port):
+        connected = opened({**description(kind, port), **changes}, folder)
+        try:
+            yield connected, process, port
+        finally:
+            connected.close()
+
+
+def until(connected: Machine, mode: LoadMode) -> Sample:
+    deadline = time.monotonic() + 10
+    while (sample := connected.sample()).mode is not mode:
+        assert time.monotonic() < deadline, f"still {sample}"
+        time.sleep(0.01)
+    return sample
+
+
+@pytest.mark.parametrize("kind", ["modbus", "scpi"])
+def test_moves_holds_and_tells_in_si(kind: str, tmp_path: Path) -> None:
+    """The virtual plate's grips are 2000 N/mm stiff; units differ from machine to machine, SI is what comes out."""
+    with machine(kind, tmp_path) as (connected, _, _):
+        before = time.time_ns()
+        sample = connected.sample()
+        assert before < sample.stamp_ns < time.time_ns()
+        assert sample.mode is LoadMode.IDLE
+        connected.move_to(0.4 * MM, 2 * MM)
+        assert until(connected, LoadMode.MOVING).position < 0.4 * MM
+        arrived = until(connected, LoadMode.HOLD)
+        assert arrived.position == pytest.approx(0.4 * MM, abs=1e-8)
+        assert 700 < arrived.force < 900
+        connected.move_to(0.0, 0.1 * MM)
+        until(connected, LoadMode.MOVING)
+        connected.hold()
+        held = until(connected, LoadMode.HOLD)
+        assert 0.3 * MM < held.position < 0.4 * MM, "it stopped on its way"
+
+
+@pytest.mark.parametrize("kind", ["modbus", "scpi"])
+def test_mode_from_motion_when_the_machine_does_not_tell(kind: str, tmp_path: Path) -> None:
+    with machine(kind, tmp_path, status=None, motion={"slowest_mm_per_s": 0.01, "span_s": 0.1}) as (connected, _, _):
+        assert connected.sample().mode is LoadMode.UNKNOWN
+        until(connected, LoadMode.HOLD)
+        connected.move_to(0.2 * MM, 0.5 * MM)
+        until(connected, LoadMode.MOVING)
+        assert until(connected, LoadMode.HOLD).position == pytest.approx(0.2 * MM, abs=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["modbus", "scpi"])
+def test_server_that_dies_and_comes_back(kind: str, tmp_path: Path) -> None:
+    with machine(kind, tmp_path, timeout_s=0.3) as (connected, process, port):
+        process.kill()
+        process.wait()
+        with pytest.raises(MachineError, match=f"testing machine at .*{port}.*: sample: "):
+            connected.sample()
+        with pytest.raises(MachineError, match="hold: "):
+            connected.hold()
+        with server(f"{kind}_machine.py", port):
+            deadline = time.monotonic() + 15
+            while True:
+                try:
+                    connected.sample()
+                    break
+                except MachineError as error:
+                    assert time.monotonic() < deadline, str(error)
+                    time.sleep(0.1)
+
+
+@pytest.mark.parametrize("kind", ["modbus", "scpi"])
+def test_moves_beyond_the_limits_do_not_reach_the_machine(kind: str, tmp_path: Path) -> None:
+    with machine(kind, tmp_path) as (connected, _, _):
+        for position, speed, words in (
+            (1.2 * MM, MM, "position 1.2 mm is outside 0 to 1 mm"),
+            (float("nan"), MM, "position nan mm"),
+            (0.5 * MM, 0.0, "speed 0 mm/s"),
+            (0.5 * MM, 6 * MM, "speed 6 mm/s is outside"),
+        ):
+            with pytest.raises(CrossheadRangeError, match=words):
+                connected.move_to(position, speed)
+        assert connected.sample().mode is LoadMode.IDLE
+
+
+def test_modbus_machine_that_refuses_or_sends_nonsense(tmp_path: Path) -> None:
+    with machine("modbus", tmp_path, limits={**LIMITS, "highest_mm": 100.0}) as (connected, _, port):
+        with pytest.raises(MachineError, match="move: refused"):
+            connected.move_to(50 * MM, MM)  # beyond the machine's own limit
+        with ModbusTcpClient("127.0.0.1", port=port) as technician:
+            technician.write_coil(2, True, device_id=1)
+            with pytest.raises(MachineError, match="force is nan"):
+                connected.sample()
+            technician.write_coil(2, False, device_id=1)
+            technician.write_coil(3, True, device_id=1)
+            assert connected.sample().mode is LoadMode.FAULT
+    with server("modbus_machine.py") as (_, port), pytest.raises(MachineError, match="sample: refused"):
+        opened({**MODBUS, "force": {"register": 900}, "port": port}, tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("command", "words"), [("BABBLE", r"'\?#!', which is no number"), ("SILENT", "has no answer: .*[Tt]imeout")]
+)
+def test_scpi_machine_that_babbles_or_is_silent(command: str, words: str, tmp_path: Path) -> None:
+    with (
+        machine("scpi", tmp_path, timeout_s=0.3, hold=[command]) as (connected, _, _),
+        pytest.raises(MachineError, match=words),
+    ):
+        connected.hold()
+        connected.sample()
+
+
+def test_scpi_over_another_visa_backend(tmp_path: Path) -> None:
+    """The simulated instruments of pyvisa-sim: the same driver, another way to the machine."""
+    instruments = tmp_path / "instruments.yaml"
+    instruments.write_text(
+        yaml.safe_dump(
+            {
+                "spec": "1.1",
+                "devices": {
+                    "machine": {
+                        "eom": {"ASRL INSTR": {"q": "\n", "r": "\n"}},
+                        "error": "ERROR",
+                        "dialogues": [{"q": "F?", "r": "-1.5"}, {"q": "P?", "r": "12.25"}, {"q": "S?", "r": "2"}],
+                    }
+                },
+                "resources": {"ASRL1::INSTR": {"device": "machine"}},
+            }
+        )
+    )
+    content = {
+        "protocol": "scpi",
+        "resource": "ASRL1::INSTR",
+        "backend": f"{instruments}@sim",
+        "force": {"query": "F?", "unit": "kN", "scale": -1.0},
+        "position": {"query": "P?", "offset": -2.25},
+        "status": {"query": "S?", "moving": [1], "hold": [2]},
+    }
+    connected = opened(content, tmp_path)
+    sample = connected.sample()
+    assert (sample.mode, sample.force, sample.position) == (LoadMode.HOLD, 1500.0, pytest.approx(10 * MM))
+    with pytest.raises(MachineError, match="has no move"):
+        connected.move_to(0.0, MM)
+    with pytest.raises(MachineError, match="has no hold; stop it at the machine"):
+        connected.hold()
+    connected.close()
+    pyvisa.ResourceManager(f"{instruments}@sim").close()
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"protocol": "telepathy"}, "protocol"),
+        ({"host": None}, "host: "),
+        ({"force": {"register": 70000}}, "force.register: "),
+        ({"force": {"register": 0, "unit": "lbf"}}, "force.unit: "),
+        ({"force": {"register": 0, "scale": 0}}, "force: scale is 0"),
+        ({"colour": "red"}, "colour: "),
+        ({"hold": None}, "what can be moved has to be stopped"),
+        ({"limits": None}, "limits are not"),
+        ({"hold": {"coil": 1, "register": 2}}, "hold: give either coil or register"),
+    ],
+)
+def test_machine_file_with_a_mistake(changes: dict[str, Any], words: str, tmp_path: Path) -> None:
+    path = tmp_path / "machine.yaml"
+    path.write_text(yaml.safe_dump({**MODBUS, **changes}))
+    with pytest.raises(MachineFileError, match=rf"machine\.yaml: .*{words}"):
+        load_machine(path)
+    with pytest.raises(MachineFileError, match="cannot be read"):
+        load_machine(tmp_path / "absent.yaml")
+
+
+def test_motion_over_a_clock_that_jumps_back() -> None:
+    motion = Motion(slowest=0.01 * MM, span=0.2)
+    times = [int(1e8 * k) for k in range(6)]
+    modes = [motion.mode(time_ns, 0.05 * MM * k) for k, time_ns in enumerate(times)]
+    assert modes == [LoadMode.UNKNOWN] * 2 + [LoadMode.MOVING] * 4
+    assert motion.mode(0, 0.0) is LoadMode.UNKNOWN
+    assert motion.mode(int(1e8), 0.0) is LoadMode.UNKNOWN
+    assert motion.mode(int(2e8), 0.0) is LoadMode.HOLD
+
+
+class Operator(Peer):
+    def __init__(self) -> None:
+        super().__init__()
+        self.states = self.listen(LoadState, "load_frame/state", STATE)
+        self._move = ActionClient(self, MoveCrosshead, "move_crosshead")
+        self._hold = self.create_client(Trigger, "load_frame/hold")
+
+    def move(self, position: float, speed: float) -> MoveCrosshead.Result:
+        self.wait(self._move.server_is_ready, "the action server")
+        sending = self._move.send_goal_async(MoveCrosshead.Goal(position=position, speed=speed))
+        self.wait(sending.done, "the answer to the goal", 10)
+        ending = sending.result().get_result_async()
+        self.wait(ending.done, "the result", 20)
+        return ending.result().result
+
+    def hold(self) -> Trigger.Response:
+        self.wait(self._hold.service_is_ready, "the hold service")
+        future = self._hold.call_async(Trigger.Request())
+        self.wait(future.done, "the hold", 10)
+        return future.result()
+
+    def until(self, mode: int) -> LoadState:
+        self.states.clear()
+        self.wait(lambda: self.states and self.states[-1].mode == mode, f"mode {mode}", 20)
+        return self.states[-1]
+
+
+@pytest.fixture
+def operator() -> Iterator[Operator]:
+    rclpy.init(domain_id=DOMAIN)
+    operator = Operator()
+    yield operator
+    operator.destroy_node()
+    rclpy.shutdown()
+
+
+def test_node_drives_a_modbus_machine_that_is_lost_and_found(operator: Operator, tmp_path: Path) -> None:
+    path = tmp_path / "machine.yaml"
+    parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
+    with server("modbus_machine.py") as (process, port):
+        path.write_text(yaml.safe_dump({**description("modbus", port), "timeout_s": 0.3}))
+        with NodeProcess("load_frame_node.load_frame_node", DOMAIN, tmp_path, parameters):
+            arrived = operator.move(0.3 * MM, 1.0 * MM)
+            assert (arrived.error_code, arrived.error_message) == (MoveCrosshead.Result.NONE, "")
+            assert arrived.position == pytest.approx(0.3 * MM, abs=1e-8)
+            assert operator.move(0.3 * MM, 1.0 * MM).error_code == MoveCrosshead.Result.NONE, "it is there already"
+            assert operator.move(2 * MM, 1.0 * MM).error_code == MoveCrosshead.Result.INVALID_GOAL
+            held = operator.until(LoadState.HOLD)
+            assert held.force > 500
+            process.kill()
+            process.wait()
+            unknown = operator.until(LoadState.UNKNOWN)
+            assert unknown.force != unknown.force and unknown.position != unknown.position, "NaN: not measured"
+            refused = operator.move(0.1 * MM, 1.0 * MM)
+            assert refused.error_code == MoveCrosshead.Result.MACHINE_FAULT
+            assert "testing machine at 127.0.0.1" in refused.error_message
+            assert not operator.hold().success
+            with server("modbus_machine.py", port):
+                operator.until(LoadState.IDLE)
+                assert operator.move(0.1 * MM, 1.0 * MM).error_code == MoveCrosshead.Result.NONE
+
+
+def test_node_listens_to_a_controller(operator: Operator, tmp_path: Path) -> None:
+    """What ros2_control publishes becomes the machine's state; moves are left to the controller."""
+    joints = operator.create_publisher(JointState, "/joint_states", 10)
+    wrenches = operator.create_publisher(WrenchStamped, "/load_cell", 10)
+    position = [0.2 * MM]
+
+    def publish() -> None:
+        now = operator.get_clock().now().to_msg()
+        joint = JointState(name=["table", "ram"], position=[9.0, position[0]])
+        wrench = WrenchStamped()
+        joint.header.stamp = wrench.header.stamp = now
+        wrench.wrench.force.x, wrench.wrench.force.z = -120.0, 5.0
+        joints.publish(joint)
+        wrenches.publish(wrench)
+
+    timer = operator.create_timer(0.01, publish)
+    parameters = {
+        "source": "controller",
+        "joint": "ram",
+        "wrench_topic": "/load_cell",
+        "force_axis": "x",
+        "force_sign": -1,
+    }
+    with NodeProcess("load_frame_node.load_frame_node", DOMAIN, tmp_path, parameters):
+        held = operator.until(LoadState.HOLD)
+        assert (held.force, held.position) == (120.0, 0.2 * MM)
+        refused = operator.move(0.1 * MM, 1.0 * MM)
+        assert refused.error_code == MoveCrosshead.Result.MACHINE_FAULT
+        assert "its own controller" in refused.error_message
+        ramp = operator.create_timer(0.01, lambda: position.__setitem__(0, position[0] + 1e-6))
+        assert operator.until(LoadState.MOVING).force == 120.0
+        operator.destroy_timer(ramp)
+        operator.until(LoadState.HOLD)
+        operator.destroy_timer(timer)
+        operator.until(LoadState.UNKNOWN)
