@@ -274,14 +274,13 @@ class CalibrationServer:
     async def _compute(self, turn: Turn, code: int, function: Callable[..., Any], *arguments: Any) -> Any:
         """What a function of the session returns, from the worker's thread; its named errors end the turn."""
         future = self._worker.run(function, *arguments)
-        while not future.done():
-            with suppress(WaitTimeoutError):
-                await wait_for(self._node, future, CANCEL_PERIOD)
-            turn.check()
-        try:
-            return future.result()
-        except (FringedicError, OSError) as error:
-            raise StepFailure(code, str(error)) from error
+        while True:
+            try:
+                return await wait_for(self._node, future, CANCEL_PERIOD)
+            except WaitTimeoutError:
+                turn.check()
+            except (FringedicError, OSError) as error:
+                raise StepFailure(code, str(error)) from error
 
 
 def _planes(request: CalibrateRig.Goal, result: CalibrateRig.Result) -> list[ReferencePlane]:

@@ -31,7 +31,7 @@ from experiment_node.topics import (
     STEP,
 )
 from fringedic.errors import FringedicError, NotAnsweredError, ParameterError
-from fringedic.recording import BagReader, RawMessage
+from fringedic.recording import BagReader, RawMessage, type_hash
 from fringedic.rig import RigModel
 from fringedic.sequence import stamp_of
 from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, Reference, RigCalibration, StepStatus
@@ -358,10 +358,10 @@ class PlayerNode(Node):
 
 
 def _played(bag: BagReader, names: Mapping[str, str]) -> Iterator[RawMessage]:
-    """Yield the messages under their relative names; calibrations become those of today's definition."""
+    """Yield the messages under their relative names; calibrations of an older definition become those of today's."""
     for message in bag.published(names):
         name, data = names[message.topic], message.data
-        if name == CALIBRATION:
+        if name == CALIBRATION and bag.topics[message.topic].hash != type_hash("fringedic_msgs/msg/RigCalibration"):
             recorded = bag.decode(message.topic, data)
             model, frame = RigModel.from_message(recorded), recorded.header.frame_id
             data = serialize_message(calibration_message(model, stamp_ns=stamp_of(recorded), frame_id=frame))
