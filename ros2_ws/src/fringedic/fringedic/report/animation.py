@@ -1,0 +1,75 @@
+"""Moving pictures of a map over the steps."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from PIL import Image
+
+from fringedic.errors import DatasetError
+from fringedic.pictures import Panel, map_figure
+
+FRAMES = 60  # of longer experiments every n-th step is shown
+FRAME_MS, LAST_FRAME_MS = 250, 1500
+_COLOURS = 128
+
+
+def save_animation(dataset: xr.Dataset, file: str | os.PathLike[str], panel: Panel) -> Path:
+    """Write a map over the steps as a GIF with one colour scale for all steps.
+
+    Parameters
+    ----------
+    dataset
+        From `fringedic.open_experiment`.
+    file
+        The GIF.
+    panel
+        The map and its unit.
+
+    Raises
+    ------
+    DatasetError
+        No step has the map.
+    """
+    path = Path(file)
+    path.write_bytes(animation(dataset, panel))
+    return path
+
+
+def animation(dataset: xr.Dataset, panel: Panel) -> bytes:
+    """Return a map over the steps as a GIF; see `save_animation`."""
+    steps = _measured(dataset, panel.name)
+    if not steps:
+        raise DatasetError(f"no step has the map {panel.name}")
+    steps = steps[:: -(-len(steps) // FRAMES)]
+    limits = _limits(dataset, panel, steps)
+    frames = []
+    for step in steps:
+        figure = map_figure(dataset.sel(step=step), panel, limits, title=f"step {step}: {panel.title}")
+        canvas = FigureCanvasAgg(figure)
+        canvas.draw()
+        picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+        frames.append(picture.quantize(_COLOURS, method=Image.Quantize.FASTOCTREE))
+    stream = io.BytesIO()
+    durations = [FRAME_MS] * (len(frames) - 1) + [LAST_FRAME_MS]
+    frames[0].save(stream, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0)
+    return stream.getvalue()
+
+
+def _measured(dataset: xr.Dataset, name: str) -> list[int]:
+    if name not in dataset:
+        return []
+    return [int(step) for step in dataset["step"].values if np.isfinite(dataset[name].sel(step=step).values).any()]
+
+
+def _limits(dataset: xr.Dataset, panel: Panel, steps: Sequence[int]) -> tuple[float, float]:
+    """Return the ends of the colour scale over all steps, in the panel's unit."""
+    ends = [np.nanpercentile(dataset[panel.name].sel(step=step).values, (0.5, 99.5)) / panel.factor for step in steps]
+    low, high = float(min(end[0] for end in ends)), float(max(end[1] for end in ends))
+    return (low, high) if high > low else (low - 0.5, low + 0.5)

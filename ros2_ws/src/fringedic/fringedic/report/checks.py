@@ -1,0 +1,53 @@
+"""What a reader of a report must be warned of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from fringedic.provenance import UNKNOWN
+from fringedic.report.items import Known
+from fringedic.report.static import NoiseFloor
+
+FEW_POINTS = 0.5
+_EXPLAINED = (0.8, 1.25)  # measured noise over stated one
+
+
+def warnings(known: Known, static: Sequence[int], floors: Sequence[NoiseFloor]) -> list[str]:
+    """Return one sentence per warning."""
+    dataset = known.dataset
+    found = [f"step {int(step)}: {error}" for step, error in _errors(known)]
+    if "damage" in dataset.attrs:
+        found.append(f"the recording is damaged: {dataset.attrs['damage']}")
+    if known.exposures is not None and known.exposures.dropped:
+        found.append(f"the camera lost {known.exposures.dropped} frames")
+    for step, fraction in zip(dataset["step"].values, dataset["valid_fraction"].values, strict=True):
+        if fraction < FEW_POINTS:
+            found.append(f"step {int(step)}: only {fraction:.0%} of the points are measured")
+    if not static:
+        found.append(
+            "the noise floor is not measured: no step repeats the reference step at rest; measure the specimen at "
+            "least twice more before it is loaded, or name such steps with --static"
+        )
+    elif len(static) == 1:
+        found.append("only one step at rest: no noise over time can be told")
+    for floor in floors:
+        ratio = floor.spatial / floor.predicted if floor.predicted else np.nan
+        if np.isfinite(ratio) and not _EXPLAINED[0] <= ratio <= _EXPLAINED[1]:
+            found.append(f"the noise of {floor.name} at rest is {ratio:.2f} times the one that its uncertainty states")
+    if known.advice is not None:
+        found += known.advice.warnings
+    commit = str(dataset.attrs.get("commit", UNKNOWN))
+    if commit == UNKNOWN or "changes" in commit:
+        found.append(f"the software cannot be traced to one version of its source: commit {commit}")
+    return found
+
+
+def _errors(known: Known) -> list[tuple[int, str]]:
+    dataset = known.dataset
+    return [
+        (int(step), str(error))
+        for step, error in zip(dataset["step"].values, dataset["error"].values, strict=True)
+        if error
+    ]
