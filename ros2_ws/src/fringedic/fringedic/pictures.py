@@ -51,6 +51,15 @@ ERRORS = (
     Panel("v", "error of v", "µm", 1e-6),
     Panel("w", "error of w", "µm", 1e-6),
 )
+ANIMATED = (
+    Panel("u", "displacement u along x", "mm", 1e-3, symmetric=False),
+    Panel("v", "displacement v along y", "mm", 1e-3, symmetric=False),
+    Panel("w", "displacement w along z", "mm", 1e-3, symmetric=False),
+    Panel("e_11", "strain e_11 along t1", "µstrain", 1e-6, symmetric=False),
+    Panel("e_22", "strain e_22 along t2", "µstrain", 1e-6, symmetric=False),
+    Panel("displacement_x", "displacement along columns", "px", 1.0, symmetric=False),
+    Panel("displacement_y", "displacement along rows, downwards", "px", 1.0, symmetric=False),
+)
 IN_PLANE = (
     Panel("displacement_x", "displacement along columns", "px", 1.0, symmetric=False),
     Panel("displacement_y", "displacement along rows, downwards", "px", 1.0, symmetric=False),

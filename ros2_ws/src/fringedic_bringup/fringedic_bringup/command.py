@@ -283,7 +283,7 @@ def export(
     formats: Annotated[
         list[str] | None,
         typer.Option(
-            "--to", metavar="FORMAT", help="netcdf, zarr, vtk, ply, csv, mat, tiff, png or r3xa; may be repeated."
+            "--to", metavar="FORMAT", help="netcdf, zarr, vtk, ply, csv, mat, tiff, png, gif or r3xa."
         ),
     ] = None,
     steps: Annotated[list[int] | None, typer.Option("--step", help="Only this step; may be repeated.")] = None,
@@ -304,6 +304,27 @@ def export(
             console.print("\n".join(lines), markup=False, highlight=False)
     if problems:
         raise ExportError(f"{problems} of {len(formats or ()) or 2} formats were not written, see above")
+
+
+@app.command(epilog="Example: fringedic report recordings/plate-7/bag --output plate-7.html")
+def report(
+    source: Annotated[Path, typer.Argument(metavar="BAG|DATASET", help="Recording or dataset.")],
+    output: Annotated[Path | None, typer.Option(help="HTML file; report.html beside the recording by default.")] = None,
+    static: Annotated[
+        list[int] | None,
+        typer.Option(
+            "--static",
+            metavar="STEP",
+            help="Step at rest, for the noise floor; by default those at the position of the reference. May be repeated.",
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write the report of an experiment as one HTML file that needs no network."""
+    from fringedic.report import write_report
+
+    written = write_report(source, output, static_steps=static or None, overwrite=overwrite)
+    console.print(f"report: {written}", markup=False, highlight=False)
 
 
 def main() -> None:

@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import xarray as xr
 
-from fringedic.errors import ExportError
+from fringedic.errors import DatasetError, ExportError
 from fringedic.export import r3xa, surfaces, tables
 from fringedic.export.metadata import experiment_name
-from fringedic.pictures import save_pictures
+from fringedic.pictures import ANIMATED, save_pictures
+from fringedic.report.animation import save_animation
 
 
 class _Format(NamedTuple):
@@ -30,6 +31,19 @@ def _write_png(dataset: xr.Dataset, folder: Path) -> list[str]:
     return []
 
 
+def _write_gif(dataset: xr.Dataset, folder: Path) -> list[str]:
+    folder.mkdir(parents=True)
+    absent = []
+    for panel in ANIMATED:
+        try:
+            save_animation(dataset, folder / f"{panel.name}.gif", panel)
+        except DatasetError as error:
+            absent.append(str(error))
+    if len(absent) == len(ANIMATED):
+        raise ExportError("no step has a map to show")
+    return absent
+
+
 _FORMATS = {
     "netcdf": _Format(tables.write_netcdf, ".nc"),
     "zarr": _Format(tables.write_zarr, ".zarr"),
@@ -39,6 +53,7 @@ _FORMATS = {
     "mat": _Format(tables.write_matlab, ".mat"),
     "tiff": _Format(tables.write_tiff, "_tiff"),
     "png": _Format(_write_png, "_png"),
+    "gif": _Format(_write_gif, "_gif"),
     "r3xa": _Format(r3xa.write_r3xa, "_r3xa.json"),
 }
 FORMATS = tuple(_FORMATS)
