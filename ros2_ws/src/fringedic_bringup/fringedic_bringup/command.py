@@ -282,9 +282,7 @@ def export(
     source: Annotated[Path, typer.Argument(metavar="BAG|DATASET", help="Recording or dataset.")],
     formats: Annotated[
         list[str] | None,
-        typer.Option(
-            "--to", metavar="FORMAT", help="netcdf, zarr, vtk, ply, csv, mat, tiff, png, gif or r3xa."
-        ),
+        typer.Option("--to", metavar="FORMAT", help="netcdf, zarr, vtk, ply, csv, mat, tiff, png, gif or r3xa."),
     ] = None,
     steps: Annotated[list[int] | None, typer.Option("--step", help="Only this step; may be repeated.")] = None,
     output: Output = None,
@@ -315,7 +313,7 @@ def report(
         typer.Option(
             "--static",
             metavar="STEP",
-            help="Step at rest, for the noise floor; by default those at the position of the reference. May be repeated.",
+            help="Step at rest, for the noise floor; by default those at the position of the reference.",
         ),
     ] = None,
     overwrite: Overwrite = False,
@@ -423,7 +421,7 @@ def _finish(reports: list[RunReport]) -> None:
     for report in reports:
         console.print(report_table(report))
         console.print(
-            f"{report.folder}: recording (bag), dataset (results.nc), {len(report.pictures)} pictures",
+            f"{report.folder}: report.html, recording (bag), dataset (results.nc), {len(report.pictures)} pictures",
             markup=False,
             highlight=False,
         )

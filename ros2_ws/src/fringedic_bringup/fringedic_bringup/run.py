@@ -12,6 +12,7 @@ from camera_node.drivers.files import SUFFIXES
 from fringedic.errors import RigFileError, StepFailedError
 from fringedic.pictures import save_pictures
 from fringedic.recording import BagReader
+from fringedic.report import write_report
 from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
 from fringedic.rig_file import Programme, RigFile, load_programme, load_rig_file
 from fringedic.sequence import frame_record, stamp_of
@@ -67,7 +68,7 @@ def run_experiment(
     *,
     domain: int | None = None,
 ) -> RunReport:
-    """Run a programme on a rig and leave recording, dataset, pictures and logs in a folder.
+    """Run a programme on a rig and leave recording, dataset, pictures, report and logs in a folder.
 
     A step that fails is reported and the programme goes on, unless a node has ended.
 
@@ -78,7 +79,7 @@ def run_experiment(
     programme
         The load steps.
     folder
-        Gets ``bag``, ``logs``, the dataset ``results.nc``, a picture per step and, of a virtual rig, ``truth.nc``.
+        Gets ``bag``, ``logs``, the dataset ``results.nc``, ``report.html``, a picture per step and, of a virtual rig, ``truth.nc``.
     progress
         Told what goes on.
     domain
@@ -98,7 +99,7 @@ def run_experiment(
     with RunningGraph(graph, folder / "logs", domain=domain) as running:
         steps = drive(graph, programme, running.check, progress, domain=domain)
         progress.stage(f"{programme.experiment}: closing the recording")
-    progress.stage(f"{programme.experiment}: writing dataset and pictures")
+    progress.stage(f"{programme.experiment}: writing dataset, pictures and report")
     return write_results(programme.experiment, folder, steps)
 
 
@@ -145,7 +146,7 @@ def drive(
 
 
 def write_results(experiment: str, folder: Path, steps: list[StepReport]) -> RunReport:
-    """Write dataset and pictures of a recording, and add losses and errors against the truth to the steps."""
+    """Write dataset, pictures and report of a recording; add losses and errors against the truth to the steps."""
     bag = folder / "bag"
     recorded = BagReader(bag)
     if not recorded.find_optional("camera/exposure"):
@@ -164,6 +165,7 @@ def write_results(experiment: str, folder: Path, steps: list[StepReport]) -> Run
                 pictures = save_pictures(dataset, folder, truth=truth)
         else:
             pictures = save_pictures(dataset, folder)
+    write_report(bag, folder / "report.html", overwrite=True)
     for report in steps:
         report.dropped, report.missing = losses.get(report.step, (0, 0))
         if errors is not None and report.step in errors.step.values:
