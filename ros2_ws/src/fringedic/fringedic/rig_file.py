@@ -45,7 +45,7 @@ class CameraSection(Section):
     """The camera of the rig."""
 
     source: Literal["virtual", "files", "aravis"] = Field(
-        description="virtual: the virtual rig; files: images from a folder; aravis: a GigE Vision or USB3 Vision camera."
+        description="virtual: the virtual rig; files: images from a folder; aravis: a GigE or USB3 Vision camera."
     )
     width: int | None = Field(None, ge=16, le=32768, description="Image width [px]; known from a virtual rig.")
     height: int | None = Field(None, ge=16, le=32768, description="Image height [px]; known from a virtual rig.")

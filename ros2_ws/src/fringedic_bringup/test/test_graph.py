@@ -1,0 +1,49 @@
+"""From a rig file to the nodes and their parameters."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fringedic.rig_file import load_rig_file
+from fringedic_bringup.graph import rig_graph
+
+REAL_RIG = """
+namespace: bench
+camera: {source: aravis, camera: 192.168.1.20, width: 1280, height: 960, first_row: 64, exposure_ms: 16.7, gain_db: 3}
+projector: {source: display, display: 1, width: 1920, height: 1080}
+sequence: {pitches_px: [1920, 120, 20], shifts: 4}
+load_frame: {source: machine, file: frame.yaml, rate_hz: 500}
+"""
+
+
+def test_real_devices_get_what_the_rig_file_says(tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    path.write_text(REAL_RIG)
+    graph = rig_graph(load_rig_file(path), path, tmp_path / "out", experiment="tension")
+    nodes = {node.name: dict(node.parameters) for node in graph.nodes}
+    assert graph.namespace == "bench"
+    assert "stage" not in nodes, "the stage belongs to the virtual rig"
+    camera = nodes["camera"]
+    assert camera["source"] == "aravis"
+    assert (camera["camera"], camera["region_px"]) == ("192.168.1.20", [0, 64, 1280, 960])
+    assert (camera["exposure_time_s"], camera["gain_db"], camera["trigger"]) == (0.0167, 3.0, "software")
+    assert nodes["projector"] == {"width_px": 1920, "height_px": 1080, "screen": "display", "display": 1}
+    assert nodes["load_frame"] == {"source": "machine", "rate_hz": 500.0, "machine_file": str(tmp_path / "frame.yaml")}
+
+
+def test_controller_is_told_its_topics(tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    path.write_text(
+        REAL_RIG.replace("source: machine, file: frame.yaml", "source: controller, joint: ram, force_sign: -1")
+    )
+    graph = rig_graph(load_rig_file(path), path, tmp_path / "out", experiment="tension")
+    load_frame = dict(next(node.parameters for node in graph.nodes if node.name == "load_frame"))
+    assert load_frame == {
+        "source": "controller",
+        "rate_hz": 500.0,
+        "joint_states_topic": "/joint_states",
+        "joint": "ram",
+        "wrench_topic": "/wrench",
+        "force_axis": "z",
+        "force_sign": -1,
+    }
