@@ -19,11 +19,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from fringedic.correlation import kernels
+from fringedic.correlation import kernels, node_kernels
 from fringedic.correlation.images import SMALLEST_WINDOW
+from fringedic.correlation.interpolation import WEIGHTS, noise_kept
 from fringedic.correlation.pyramid import (
     DERIVATIVE_NOISE,
-    INTERPOLATION_NOISE,
     Level,
     node_counts,
     spline_of,
@@ -34,9 +34,9 @@ from fringedic.errors import NoCorrelationError
 
 f4 = np.float32
 
-ORDER = 4
+NOISE_KEPT = noise_kept()
+ORDER = 6
 NARROWER = 0.75  # the Gaussian of S against that of W
-ITERATIONS = 5  # of the fixed point per warp; it contracts by about a half each time
 # Displacement errors [px] that may be left at each warp of the finest, a middle and the coarsest level.
 EXPECTED = ((0.2, 0.05, 0.05, 0.05), (0.3, 0.1, 0.1), (0.5, 0.3, 0.1, 0.1, 0.1, 0.1))
 SETTLED = 0.02  # [px], root mean square change after which a level is left
@@ -62,10 +62,33 @@ def _transfer(window: np.ndarray, smoothing: np.ndarray) -> np.ndarray:
     return window / (window + (1 - window) * (1 - smoothing) ** ORDER)
 
 
-def _gaussian(deviation: float) -> np.ndarray:
+def _relaxations(count: int) -> np.ndarray:
+    """Steps of the fixed point, as multiples of the plain ones, that shrink its error the most.
+
+    A plain step multiplies the error of a frequency by (1 - h) s, s = 1 - (1 - v)^ORDER, which lies between 0 and a
+    largest value r; `count` steps of 1 / (1 - m_k), m_k the zeros of Chebyshev's polynomial on (0, r), multiply it by
+    less than any others (Richardson's second-degree iteration). Three of them do what a dozen of plain steps do.
+    """
+    q2 = np.linspace(0, 10, 1001)
+    largest = np.max((1 - np.exp(-q2)) * (1 - (1 - np.exp(-q2 * NARROWER**2)) ** ORDER))
+    zeros = largest / 2 * (1 + np.cos(np.pi * (np.arange(count) + 0.5) / count))
+    return np.asarray(1 / (1 - zeros), dtype=f4)
+
+
+RELAXATIONS = {count: _relaxations(count) for count in (2, 3)}
+
+
+def _gaussian(deviation: float, reach: int) -> np.ndarray:
     """Taps from the centre on, of unit sum over both sides."""
-    taps = np.exp(-0.5 * (np.arange(kernels.REACH + 1) / deviation) ** 2)
+    taps = np.exp(-0.5 * (np.arange(reach + 1) / deviation) ** 2)
     return taps / (taps[0] + 2 * taps[1:].sum())
+
+
+def _response(taps: np.ndarray) -> np.ndarray:
+    """Transfer of a symmetric filter at 128 frequencies of the nodes."""
+    waves = np.cos(2 * np.pi * np.outer(np.fft.fftfreq(128), np.arange(taps.size)))
+    waves[:, 1:] *= 2
+    return np.asarray(waves @ taps)
 
 
 @lru_cache(maxsize=16)
@@ -81,10 +104,10 @@ def window_of(width: int) -> Window:
     n = np.sqrt(np.pi * np.sum(transfer**2) * (q2[1] - q2[0]))
     deviation = float(n / (np.sqrt(2) * np.pi) * (width - 1) / 1.8)
     cell = round(width / 8)
-    taps, smoothing = _gaussian(deviation / cell), _gaussian(NARROWER * deviation / cell)
-    waves = np.cos(2 * np.pi * np.outer(np.fft.fftfreq(128), np.arange(kernels.REACH + 1)))
-    waves[:, 1:] *= 2
-    gain = _transfer(np.outer(waves @ taps, waves @ taps), np.outer(waves @ smoothing, waves @ smoothing))
+    taps = _gaussian(deviation / cell, node_kernels.REACH)
+    smoothing = _gaussian(NARROWER * deviation / cell, node_kernels.NARROW_REACH)
+    h, v = _response(taps), _response(smoothing)
+    gain = _transfer(np.outer(h, h), np.outer(v, v))
     return Window(width, deviation, cell, taps.astype(f4), smoothing.astype(f4), float(np.mean(gain**2)))
 
 
@@ -94,91 +117,75 @@ class Field:
 
     nodes: np.ndarray  # (4, node row, node column): d_x, d_y [px of the level], gain and offset of g
     cells: np.ndarray  # (CHANNELS, node row, node column)
-    sums: np.ndarray  # the same, windowed
+    sums: np.ndarray  # the same, windowed, without the last two
 
 
-def _plane(field: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Affine part of a field (2, row, column): smoothing the rest keeps it exact up to the edges of what is seen."""
-    _, rows, columns = field.shape
-    y, x = np.mgrid[:rows, :columns].astype(f4)
-    basis = np.stack([np.ones_like(x), x / columns, y / rows])
-    few = np.s_[..., ::4, ::4]
-    some, weighted = basis[few], basis[few] * weight[few]
-    normal = np.einsum("iyx,jyx->ij", weighted, some, dtype=np.float64)
-    right = np.einsum("iyx,cyx->ic", weighted, field[few], dtype=np.float64)
-    a = np.linalg.lstsq(normal, right, rcond=1e-9)[0].astype(f4)
-    return a[0, :, None, None] + a[1, :, None, None] * basis[1] + a[2, :, None, None] * basis[2]
+class _Scratch:
+    """Arrays of a level that every warp fills anew."""
+
+    def __init__(self, shape: tuple[int, int], cell: int) -> None:
+        self.counts = node_counts(shape, cell)
+        rows, columns = self.counts
+        self.lines = np.empty((4, rows + 4, shape[1]), f4)
+        self.residual = np.empty(shape, f4)
+        self.mean = np.empty((-(-rows // 2), columns), f4)
+        self.cells = np.empty((kernels.CHANNELS, rows, columns), f4)
+        self.sums = np.empty((kernels.GXE, rows, columns), f4)
+        self.seen = np.empty(self.counts, f4)
 
 
 def _summed(
-    level: Level, spline: np.ndarray, nodes: np.ndarray, window: Window, expected: float
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Sums over cells and windows after one warp of the deformed image, and the noise of a pixel's residual.
+    level: Level, spline: np.ndarray, nodes: np.ndarray, window: Window, expected: float, scratch: _Scratch
+) -> float:
+    """Sums over cells and windows after one warp of the deformed image; returns the noise of a pixel's residual.
 
     `expected` [px] is the displacement error that may still be there: residuals it explains are not taken for outliers.
     """
     cell = window.cell
-    rows, columns = level.shape
-    _, node_rows, node_columns = nodes.shape
-    lines = np.empty((4, node_rows + 4, columns), f4)
-    kernels.widened(nodes, (np.arange(columns) - 0.5 * (cell - 1)) / cell, lines)
-    residual = np.empty((rows, columns), f4)
-    mean = np.empty((node_rows, node_columns), f4)
-    kernels.residuals(level.values, spline, lines, cell, residual, mean)
+    kernels.spread_out(nodes, cell, scratch.lines)
+    kernels.residuals(level.values, spline, WEIGHTS, scratch.lines, cell, scratch.residual, scratch.mean)
+    mean = scratch.mean
     seen = mean[np.isfinite(mean)]
     if seen.size == 0:
         raise NoCorrelationError("no pixel of the reference is seen in the deformed image: nothing can be measured")
-    noise = float(np.median(seen)) * (1.4826 if cell == 1 else np.sqrt(np.pi / 2))
+    middle = seen.size // 2
+    noise = float(np.partition(seen, middle)[middle]) * (1.4826 if cell == 1 else np.sqrt(np.pi / 2))
     limit = 3 * np.hypot(noise, expected * level.slope)
-    cells = np.empty((kernels.CHANNELS, node_rows, node_columns), f4)
-    kernels.accumulated(level.values, level.along_x, level.along_y, residual, limit, cell, cells)
-    sums = np.empty_like(cells)
-    kernels.windowed(cells, window.taps, sums)
-    return cells, sums, noise
+    kernels.accumulated(level.values, level.along_x, level.along_y, scratch.residual, limit, cell, scratch.cells)
+    node_kernels.windowed(scratch.cells, window.taps, scratch.sums)
+    return float(noise)
 
 
-def _equalise(nodes: np.ndarray, sums: np.ndarray, seen: np.ndarray, window: Window, floor: float) -> None:
-    """Follow the brightness of every window; where little is seen, under glare, the neighbours' holds."""
-    kernels.equalised(nodes, sums, floor)
-    plane = _plane(nodes[2:], seen)
-    weighted, spread = np.empty((3, *seen.shape), f4), np.empty((3, *seen.shape), f4)
-    weighted[0], weighted[1:] = seen, (nodes[2:] - plane) * seen
-    kernels.windowed(weighted, window.taps, spread)
-    own = np.clip(2 * spread[0], 0, 1)
-    nodes[2:] = own * nodes[2:] + (1 - own) * (plane + spread[1:] / spread[0])
+def _planes(field: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Affine parts (channel, 3) of a field: smoothing the rest keeps it exact up to the edges of what is seen."""
+    out = np.empty((field.shape[0], 3), f4)
+    node_kernels.planes(field, weight, out)
+    return out
 
 
-def _refine(level: Level, spline: np.ndarray, nodes: np.ndarray, window: Window, expected: float) -> Field:
-    """One warp of the deformed image and the fixed point around it."""
-    cells, sums, noise = _summed(level, spline, nodes, window, expected)
+def _refine(
+    level: Level, spline: np.ndarray, nodes: np.ndarray, window: Window, expected: float, scratch: _Scratch
+) -> float:
+    """One warp of the deformed image and the fixed point around it: moves `nodes`, returns by how much [px]."""
+    noise = _summed(level, spline, nodes, window, expected, scratch)
+    steps = 2 if expected > 0.1 else 3  # a first warp has others after it
+    cells, sums, seen = scratch.cells, scratch.sums, scratch.seen
     # tau: the gradient that the noise of one image alone would show, as an energy per cell.
     cell2 = window.cell**2
     tau = cell2 * max(DERIVATIVE_NOISE * noise**2 / 2, 1e-6 * level.slope**2)
-    seen = _rich(cells, tau) / f4(cell2) + f4(1e-3)
-    plane = _plane(nodes[:2], seen)
-    start = nodes[:2] - plane
+    node_kernels.textured(cells, 2 * TEXTURE * tau, 1 / cell2, 1e-3, seen)
+    plane = _planes(nodes[:2], seen)
+    start = np.empty_like(nodes[:2])
+    node_kernels.without_plane(nodes[:2], plane, start)
     u = start.copy()
-    kernels.fixed_point(cells, sums, seen, start, window.taps, window.smoothing, tau, ORDER, ITERATIONS, u)
-    fresh = nodes.copy()
-    fresh[:2] = u + plane
-    _equalise(fresh, sums, seen, window, noise**2 + 1e-6)
-    return Field(fresh, cells, sums)
-
-
-def _moments(sums: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Means of f and e, variances of f and e and their covariance in the window."""
-    inverse = f4(1) / np.maximum(sums[kernels.W], f4(1e-6))
-    mean_f, mean_e = sums[kernels.WF] * inverse, sums[kernels.WE] * inverse
-    var_f = np.maximum(sums[kernels.WFF] * inverse - mean_f**2, 0)
-    var_e = np.maximum(sums[kernels.WEE] * inverse - mean_e**2, 0)
-    return mean_f, mean_e, var_f, var_e, sums[kernels.WEF] * inverse - mean_f * mean_e
-
-
-def _correlation(sums: np.ndarray) -> np.ndarray:
-    """Zero-normalised cross-correlation coefficient of f and g in every window."""
-    _, _, var_f, var_e, covariance = _moments(sums)
-    var_g = np.maximum(var_f - 2 * covariance + var_e, 0)
-    return (var_f - covariance) / np.sqrt(np.maximum(var_f * var_g, f4(1e-12)))
+    node_kernels.fixed_point(cells, sums, seen, start, window.taps, window.smoothing, tau, ORDER, RELAXATIONS[steps], u)
+    u -= start
+    nodes[:2] += u
+    node_kernels.equalised(nodes, sums, noise**2 + 1e-6)
+    brightness = nodes[2:]
+    node_kernels.lent(brightness, _planes(brightness, seen), seen, window.taps)
+    few = np.s_[..., ::2, ::2]
+    return float(np.sqrt(np.sum(seen[few] * u[few] ** 2) / np.sum(seen[few])))
 
 
 def explained(correlation: np.ndarray, speckles: np.ndarray) -> np.ndarray:
@@ -193,20 +200,6 @@ def explained(correlation: np.ndarray, speckles: np.ndarray) -> np.ndarray:
 SMALLEST_EXPLAINED = 0.25
 SMALLEST_AGREEMENT = 0.1
 TEXTURE = 1.5  # gradient energy of a texture over that of noise alone
-# Texture is looked for in 3 x 3 cells, sharply bounded: a window's far end must not lend its texture to a bare middle.
-AROUND = np.array([1, 1] + [0] * (kernels.REACH - 1), dtype=f4) / 3
-
-
-def _gradient_energy(cells: np.ndarray) -> np.ndarray:
-    """Sum of (df/dx)^2 + (df/dy)^2 per cell, averaged over 3 x 3 cells."""
-    energy = np.empty_like(cells[:1])
-    kernels.windowed(cells[kernels.GXX : kernels.GXX + 1] + cells[kernels.GYY : kernels.GYY + 1], AROUND, energy)
-    return energy[0]
-
-
-def _rich(cells: np.ndarray, tau: np.ndarray | float) -> np.ndarray:
-    """Weight of the cells that have texture, zero for the others; tau is the energy of noise along one axis."""
-    return np.where(_gradient_energy(cells) > 2 * TEXTURE * tau, cells[kernels.W], f4(0))
 
 
 def textured_cells(level: Level, cell: int) -> int:
@@ -214,7 +207,8 @@ def textured_cells(level: Level, cell: int) -> int:
     cells = np.empty((kernels.CHANNELS, *node_counts(level.shape, cell)), f4)
     still = np.where(np.isnan(level.values), f4(np.nan), f4(0))
     kernels.accumulated(level.values, level.along_x, level.along_y, still, 1.0, cell, cells)
-    energy = _gradient_energy(cells)
+    energy = np.empty(cells.shape[1:], f4)
+    node_kernels.gradient_energy(cells, energy)
     return int(np.count_nonzero(energy > 0.1 * np.quantile(energy, 0.95)))
 
 
@@ -269,23 +263,22 @@ def displacement_nodes(
         if k < top:
             nodes = transferred(nodes, (k + 1, window_at(width, k + 1).cell), (k, window.cell), levels[k].shape)
         spline = spline_of(deformed[k])
+        scratch = _Scratch(levels[k].shape, window.cell)
         if k == top:
             # Shading first: mean and contrast of every window, before any residual is called an outlier.
-            _, sums, _ = _summed(levels[k], spline, nodes, window, np.inf)
-            kernels.equalised(nodes, sums, 1e-3)
+            _summed(levels[k], spline, nodes, window, np.inf, scratch)
+            node_kernels.equalised(nodes, scratch.sums, 1e-3)
         steps = EXPECTED[0] if k == 0 else EXPECTED[1] if k < top else EXPECTED[2]
         least = steps[-1]
         for expected in steps:
-            field = _refine(levels[k], spline, nodes, window, expected)
-            change = float(np.sqrt(np.mean((field.nodes[:2] - nodes[:2]) ** 2)))
-            nodes = field.nodes
+            change = _refine(levels[k], spline, nodes, window, expected, scratch)
             if change < SETTLED and (k or expected == least):
                 break
         if k:
             smooth = np.empty_like(nodes[:2])
-            kernels.median3(nodes[:2], smooth)
+            node_kernels.median3(nodes[:2], smooth)
             nodes[:2] = smooth
-    return field
+    return Field(nodes, scratch.cells, scratch.sums)
 
 
 @dataclass(frozen=True)
@@ -308,30 +301,21 @@ def judged(field: Field, window: Window, offered: int) -> Nodes:
     ------
     NoCorrelationError
     """
-    cells, sums, cell2 = field.cells, field.sums, f4(window.cell**2)
-    gain = field.nodes[2]
-    _, _, var_f, var_e, _ = _moments(sums)
-    fraction = field.nodes[:2] - np.floor(field.nodes[:2])
-    steps = INTERPOLATION_NOISE.size - 1
-    kept = INTERPOLATION_NOISE[np.rint(fraction * steps).astype(np.intp)].prod(axis=0)
-    pixel = (var_e * (1 + gain**2) / (1 + gain**2 * kept)).astype(f4)
-    tau = f4(DERIVATIVE_NOISE / 2) * cell2 * pixel
-    xx, xy, yy = sums[kernels.GXX], sums[kernels.GXY], sums[kernels.GYY]
-    variance = pixel * f4(window.noise) / np.maximum(xx * yy - xy * xy, f4(1e-30))
-    sigma = np.sqrt(np.stack([variance * yy, variance * xx]))
-
-    covered = np.empty_like(cells[:1])
-    kernels.windowed(_rich(cells, tau)[None], window.taps, covered)
-    smallest = (xx + yy) / 2 - np.sqrt((xx - yy) ** 2 / 4 + xy * xy)
-    # Speckles in a window of the effective area 4 pi s^2, each of the area 2 pi r^2 with r^2 = var f / (2 var df/dx).
-    speckle = np.pi * var_f / np.maximum((xx + yy) / 2, f4(1e-12)) * np.maximum(sums[kernels.W], f4(1e-6))
-    speckles = 4 * np.pi * window.deviation**2 / np.maximum(speckle, f4(1e-6))
+    cells, sums, cell2 = field.cells, field.sums, window.cell**2
+    shape = sums.shape[1:]
+    sigma, tau, rich = np.empty((2, *shape), f4), np.empty(shape, f4), np.empty((1, *shape), f4)
+    node_kernels.uncertainty(
+        field.nodes, cells, sums, NOISE_KEPT, window.noise, DERIVATIVE_NOISE / 2 * cell2, TEXTURE, sigma, tau, rich[0]
+    )
+    covered = np.empty_like(rich)
+    node_kernels.windowed(rich, window.taps, covered)
     # Agreement is looked for in a window twice as large: a few speckles can be made to agree with anything.
     wide = np.empty_like(sums)
-    kernels.windowed(sums, window.taps, wide)
-    agreed = explained(_correlation(wide), 2 * speckles) > SMALLEST_EXPLAINED
-    valid = (covered[0] >= cell2 / 2) & (smallest > TEXTURE * tau) & agreed
-    check_agreement(int(valid.sum()), offered)
+    node_kernels.windowed(sums, window.taps, wide)
+    share, smallest = np.empty(shape, f4), np.empty(shape, f4)
+    node_kernels.agreement(sums, wide, 4 * np.pi * window.deviation**2, share, smallest)
+    valid = (covered[0] >= f4(cell2 / 2)) & (smallest > f4(TEXTURE) * tau) & (share > SMALLEST_EXPLAINED)
+    check_agreement(int(np.count_nonzero(valid)), offered)
     # What is not valid keeps a usual value, so that interpolation between nodes does not overshoot next to it.
-    sigma = np.where(valid, sigma, np.median(sigma[:, valid]))
-    return Nodes(field.nodes[:2], sigma.astype(f4), valid)
+    usual = np.median(sigma[:, valid][:, ::8])
+    return Nodes(field.nodes[:2], np.where(valid, sigma, usual), valid)

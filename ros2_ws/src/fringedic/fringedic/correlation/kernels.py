@@ -11,11 +11,11 @@ from numba import njit, prange
 
 f4 = np.float32
 
-# Taps on either side of the centre of a filter of nodes.
-REACH = 6
-# Columns of one block of the warp, and the NaN border of the coefficients that a block may reach into.
-BLOCK = 32
-BORDER = BLOCK + 8
+# Pixels that are interpolated together, and the NaN border of the coefficients that such a group may reach into.
+GROUP = 16
+BORDER = GROUP + 8
+# Columns that are worked on together for all rows of a cell: their scratch stays in the fastest cache.
+BLOCK = 256
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
@@ -100,7 +100,37 @@ def gradient(image: np.ndarray, taps: np.ndarray, values: np.ndarray, along_x: n
             along_y[r, c] = gy if good else f4(0)
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
+def _mirrored(index: int, size: int) -> int:
+    """Where the line of pixels that is mirrored at its first and last one, over and over, repeats the real one."""
+    index = abs(index) % (2 * size - 2)
+    return index if index < size else 2 * size - 2 - index
+
+
+@njit(nogil=True, error_model="numpy")
+def _scaled(factor: np.float32, line: np.ndarray, out: np.ndarray) -> None:
+    for c in range(out.size):
+        out[c] = factor * line[c]
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _add_pairs(
+    taps: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    c: np.ndarray,
+    d: np.ndarray,
+    e: np.ndarray,
+    f: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Add three taps of a symmetric filter: each times the sum of the two lines at its distance."""
+    p, q, s = taps[0], taps[1], taps[2]
+    for k in range(out.size):
+        out[k] += p * (a[k] + b[k]) + q * (c[k] + d[k]) + s * (e[k] + f[k])
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy", fastmath={"contract"})
 def spline_coefficients(image: np.ndarray, taps: np.ndarray, out: np.ndarray) -> None:
     """Coefficients of the quintic B-spline through the pixels of an image without NaN, mirrored at its edges.
 
@@ -112,27 +142,30 @@ def spline_coefficients(image: np.ndarray, taps: np.ndarray, out: np.ndarray) ->
     for r in prange(rows):
         line = np.empty(columns + 2 * reach, f4)
         body = line[reach : reach + columns]
-        centre = image[r]
-        for c in range(columns):
-            body[c] = taps[0] * centre[c]
-        for k in range(1, reach + 1):
-            above = r - k if r >= k else k - r
-            below = r + k if r + k < rows else 2 * (rows - 1) - r - k
-            up, down = image[above], image[below]
-            tap = taps[k]
-            for c in range(columns):
-                body[c] += tap * (up[c] + down[c])
+        _scaled(taps[0], image[r], body)
+        for k in range(1, reach + 1, 3):
+            a, b, c = k, k + 1, k + 2
+            _add_pairs(
+                taps[k : k + 3],
+                image[_mirrored(r - a, rows)], image[_mirrored(r + a, rows)],
+                image[_mirrored(r - b, rows)], image[_mirrored(r + b, rows)],
+                image[_mirrored(r - c, rows)], image[_mirrored(r + c, rows)],
+                body,
+            )  # fmt: skip
         for k in range(1, reach + 1):
             line[reach - k] = line[reach + k]
             line[reach + columns - 1 + k] = line[reach + columns - 1 - k]
         target = out[r + BORDER, BORDER : BORDER + columns]
-        for c in range(columns):
-            target[c] = taps[0] * line[c + reach]
-        for k in range(1, reach + 1):
-            left, right = line[reach - k : reach - k + columns], line[reach + k : reach + k + columns]
-            tap = taps[k]
-            for c in range(columns):
-                target[c] += tap * (left[c] + right[c])
+        _scaled(taps[0], body, target)
+        for k in range(1, reach + 1, 3):
+            m, n = reach - k, reach + k
+            _add_pairs(
+                taps[k : k + 3],
+                line[m : m + columns], line[n : n + columns],
+                line[m - 1 : m - 1 + columns], line[n + 1 : n + 1 + columns],
+                line[m - 2 : m - 2 + columns], line[n + 2 : n + 2 + columns],
+                target,
+            )  # fmt: skip
 
 
 @njit(nogil=True, error_model="numpy")
@@ -194,11 +227,68 @@ def widened(nodes: np.ndarray, positions: np.ndarray, out: np.ndarray) -> None:
         _continued(out[channel])
 
 
-@njit(nogil=True, error_model="numpy")
-def _row_between(lines: np.ndarray, position: float, out: np.ndarray) -> None:
-    """One image row of a field of widened node lines (2 + node row + 2, column), at a position given in nodes."""
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy", fastmath={"contract"})
+def spread_out(nodes: np.ndarray, cell: int, out: np.ndarray) -> None:
+    """`widened` to every column of the image: the weights repeat from cell to cell."""
+    channels, rows, columns = nodes.shape
+    n = out.shape[2]
+    weights = np.empty((cell, 4), f4)
+    before = np.empty(cell, np.int64)
+    for p in range(cell):
+        first, weights[p, 0], weights[p, 1], weights[p, 2], weights[p, 3] = _cubic(
+            (p - 0.5 * (cell - 1)) / cell + 2.0, columns + 4
+        )
+        before[p] = first - 2
+    for flat in prange(channels * rows):
+        channel, r = flat // rows, flat % rows
+        line = np.empty((columns + 4, 1), f4)
+        line[2 : 2 + columns, 0] = nodes[channel, r]
+        _continued(line)
+        values, target = line[:, 0].copy(), out[channel, r + 2]
+        whole = n // cell
+        if cell == 4:
+            # Strides known beforehand are what is vectorised. Nodes: 1.5 pixels from either end of a cell.
+            a0, b0, c0, d0 = weights[0, 0], weights[0, 1], weights[0, 2], weights[0, 3]
+            a1, b1, c1, d1 = weights[1, 0], weights[1, 1], weights[1, 2], weights[1, 3]
+            a2, b2, c2, d2 = weights[2, 0], weights[2, 1], weights[2, 2], weights[2, 3]
+            a3, b3, c3, d3 = weights[3, 0], weights[3, 1], weights[3, 2], weights[3, 3]
+            for j in range(whole):
+                v0, v1, v2, v3, v4 = values[j], values[j + 1], values[j + 2], values[j + 3], values[j + 4]
+                target[4 * j] = a0 * v0 + b0 * v1 + c0 * v2 + d0 * v3
+                target[4 * j + 1] = a1 * v0 + b1 * v1 + c1 * v2 + d1 * v3
+                target[4 * j + 2] = a2 * v1 + b2 * v2 + c2 * v3 + d2 * v4
+                target[4 * j + 3] = a3 * v1 + b3 * v2 + c3 * v3 + d3 * v4
+        else:
+            for p in range(cell):
+                a, b, c, d = weights[p, 0], weights[p, 1], weights[p, 2], weights[p, 3]
+                shift = before[p]
+                for j in range(whole):
+                    k = j + shift
+                    target[j * cell + p] = a * values[k] + b * values[k + 1] + c * values[k + 2] + d * values[k + 3]
+        for column in range(whole * cell, n):
+            p = column - whole * cell
+            k = whole + before[p]
+            target[column] = (
+                weights[p, 0] * values[k]
+                + weights[p, 1] * values[k + 1]
+                + weights[p, 2] * values[k + 2]
+                + weights[p, 3] * values[k + 3]
+            )
+    for channel in range(channels):
+        _continued(out[channel])
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _row_between(lines: np.ndarray, position: float, begin: int, out: np.ndarray) -> None:
+    """Part of an image row of a field of widened node lines (2 + node row + 2, column), at a position given in nodes.
+
+    The part is as long as `out` and begins at column `begin`.
+    """
     first, a, b, c, d = _cubic(position, lines.shape[0] - 4)
-    p0, p1, p2, p3 = lines[first], lines[first + 1], lines[first + 2], lines[first + 3]
+    end = begin + out.size
+    p0, p1, p2, p3 = (
+        lines[first, begin:end], lines[first + 1, begin:end], lines[first + 2, begin:end], lines[first + 3, begin:end],
+    )  # fmt: skip
     for k in range(out.size):
         out[k] = a * p0[k] + b * p1[k] + c * p2[k] + d * p3[k]
 
@@ -210,23 +300,27 @@ def heightened(lines: np.ndarray, positions: np.ndarray, out: np.ndarray) -> Non
     rows = positions.size
     for flat in prange(channels * rows):
         channel, r = flat // rows, flat % rows
-        _row_between(lines[channel], positions[r], out[channel, r])
+        _row_between(lines[channel], positions[r], 0, out[channel, r])
 
 
 @njit(nogil=True, error_model="numpy")
 def _add_up(line: np.ndarray, cell: int, out: np.ndarray) -> None:
-    """Sums over the cells of a line, the last of which may be cut."""
+    """Sums over the cells of a line, the last of which may be cut. Strides known beforehand are what is vectorised."""
     whole = line.size // cell
-    for j in range(whole):
-        out[j] = line[j * cell]
-    for k in range(1, cell):
+    if cell == 4:
         for j in range(whole):
-            out[j] += line[j * cell + k]
+            out[j] = (line[4 * j] + line[4 * j + 1]) + (line[4 * j + 2] + line[4 * j + 3])
+    else:
+        for j in range(whole):
+            out[j] = line[j * cell]
+        for k in range(1, cell):
+            for j in range(whole):
+                out[j] += line[j * cell + k]
     if whole < out.size:
         out[whole] = np.sum(line[whole * cell :])
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
 def _quintic(
     c0: np.ndarray,
     c1: np.ndarray,
@@ -236,37 +330,35 @@ def _quintic(
     c5: np.ndarray,
     along_x: np.ndarray,
     along_y: np.ndarray,
+    weights: np.ndarray,
     keys: np.ndarray,
     key: int,
     out: np.ndarray,
 ) -> None:
-    """Spline values of those pixels of a block whose integer displacement is `key`: contiguous loads, no gathers."""
-    k = f4(1.0 / 120.0)
+    """Interpolated values of those pixels of a block whose integer displacement is `key`: contiguous loads, no gathers.
+
+    `along_x` and `along_y` are distances from the middle of the six pixels; see `interpolation.WEIGHTS`.
+    """
+    p0, p1, p2, p3, p4, p5 = weights[0, 0], weights[0, 1], weights[0, 2], weights[0, 3], weights[0, 4], weights[0, 5]
+    q0, q1, q2, q3, q4, q5 = weights[1, 0], weights[1, 1], weights[1, 2], weights[1, 3], weights[1, 4], weights[1, 5]
+    r0, r1, r2, r3, r4, r5 = weights[2, 0], weights[2, 1], weights[2, 2], weights[2, 3], weights[2, 4], weights[2, 5]
     for i in range(out.size):
         x = along_x[i]
         y = along_y[i]
-        x1 = f4(1) - x
-        y1 = f4(1) - y
         x2 = x * x
-        x4 = x2 * x2
-        z2 = x1 * x1
-        z4 = z2 * z2
-        a0 = z4 * x1 * k
-        a5 = x4 * x * k
-        a1 = (f4(26) - f4(50) * x + x2 * (f4(20) + f4(20) * x) + x4 * (f4(5) * x - f4(20))) * k
-        a4 = (f4(26) - f4(50) * x1 + z2 * (f4(20) + f4(20) * x1) + z4 * (f4(5) * x1 - f4(20))) * k
-        a2 = (f4(66) - f4(60) * x2 + x4 * (f4(30) - f4(10) * x)) * k
-        a3 = (f4(66) - f4(60) * z2 + z4 * (f4(30) - f4(10) * x1)) * k
         y2 = y * y
-        y4 = y2 * y2
-        v2 = y1 * y1
-        v4 = v2 * v2
-        b0 = v4 * y1 * k
-        b5 = y4 * y * k
-        b1 = (f4(26) - f4(50) * y + y2 * (f4(20) + f4(20) * y) + y4 * (f4(5) * y - f4(20))) * k
-        b4 = (f4(26) - f4(50) * y1 + v2 * (f4(20) + f4(20) * y1) + v4 * (f4(5) * y1 - f4(20))) * k
-        b2 = (f4(66) - f4(60) * y2 + y4 * (f4(30) - f4(10) * y)) * k
-        b3 = (f4(66) - f4(60) * v2 + v4 * (f4(30) - f4(10) * y1)) * k
+        even0, odd0 = p0 + x2 * (p2 + x2 * p4), x * (p1 + x2 * (p3 + x2 * p5))
+        even1, odd1 = q0 + x2 * (q2 + x2 * q4), x * (q1 + x2 * (q3 + x2 * q5))
+        even2, odd2 = r0 + x2 * (r2 + x2 * r4), x * (r1 + x2 * (r3 + x2 * r5))
+        a0, a5 = even0 + odd0, even0 - odd0
+        a1, a4 = even1 + odd1, even1 - odd1
+        a2, a3 = even2 + odd2, even2 - odd2
+        even0, odd0 = p0 + y2 * (p2 + y2 * p4), y * (p1 + y2 * (p3 + y2 * p5))
+        even1, odd1 = q0 + y2 * (q2 + y2 * q4), y * (q1 + y2 * (q3 + y2 * q5))
+        even2, odd2 = r0 + y2 * (r2 + y2 * r4), y * (r1 + y2 * (r3 + y2 * r5))
+        b0, b5 = even0 + odd0, even0 - odd0
+        b1, b4 = even1 + odd1, even1 - odd1
+        b2, b3 = even2 + odd2, even2 - odd2
         s = b0 * (a0 * c0[i] + a1 * c0[i + 1] + a2 * c0[i + 2] + a3 * c0[i + 3] + a4 * c0[i + 4] + a5 * c0[i + 5])
         s += b1 * (a0 * c1[i] + a1 * c1[i + 1] + a2 * c1[i + 2] + a3 * c1[i + 3] + a4 * c1[i + 4] + a5 * c1[i + 5])
         s += b2 * (a0 * c2[i] + a1 * c2[i + 1] + a2 * c2[i + 2] + a3 * c2[i + 3] + a4 * c2[i + 4] + a5 * c2[i + 5])
@@ -277,87 +369,124 @@ def _quintic(
             out[i] = s
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def residuals(
-    values: np.ndarray, coefficients: np.ndarray, lines: np.ndarray, cell: int, out: np.ndarray, mean: np.ndarray
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _interpolated(
+    coefficients: np.ndarray,
+    weights: np.ndarray,
+    row: int,
+    column: int,
+    along_x: np.ndarray,
+    along_y: np.ndarray,
+    keys: np.ndarray,
+    out: np.ndarray,
 ) -> None:
-    """e(p) = f(p) - gain(p) g(p + d(p)) - offset(p), and the mean of abs(e) in each cell (NaN where nothing is seen).
+    """Interpolated values of a block of whole groups of pixels that begins at (row, column).
 
-    `lines` (4, 2 + node row + 2, column) holds d_x, d_y, gain and offset widened to the columns of the image; g is the
-    spline of `coefficients`. A pixel that any of its 36 coefficients does not cover is NaN.
+    `keys` hold the integer displacement of each pixel; pixels between which it does not change are done together.
+    """
+    other = 0
+    for c in range(keys.size):
+        other += keys[c] != keys[0]
+    done = 0
+    while done < keys.size:
+        key = keys[done]
+        begin = done - done % GROUP
+        if other == 0:
+            done = keys.size
+        while done < keys.size and keys[done] == key:
+            done += 1
+        end = min(done + (GROUP - 1) - (done - 1 + GROUP) % GROUP, keys.size)
+        top = row + (key >> 15) - 16384 + BORDER - 2
+        left = column + begin + (key & 32767) - 16384 + BORDER - 2
+        right = left + end - begin + 5
+        _quintic(
+            coefficients[top, left:right],
+            coefficients[top + 1, left:right],
+            coefficients[top + 2, left:right],
+            coefficients[top + 3, left:right],
+            coefficients[top + 4, left:right],
+            coefficients[top + 5, left:right],
+            along_x[begin:end],
+            along_y[begin:end],
+            weights,
+            keys[begin:end],
+            key,
+            out[begin:end],
+        )
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy", fastmath={"contract"})
+def residuals(
+    values: np.ndarray,
+    coefficients: np.ndarray,
+    weights: np.ndarray,
+    lines: np.ndarray,
+    cell: int,
+    out: np.ndarray,
+    mean: np.ndarray,
+) -> None:
+    """e(p) = f(p) - gain(p) g(p + d(p)) - offset(p), and the mean of abs(e) in cells (NaN where nothing is seen).
+
+    `mean` (half the node rows, rounded up, node column) is that of every second row of cells: enough to know the noise.
+    `lines` (4, 2 + node row + 2, column) holds d_x, d_y, gain and offset widened to the columns of the image; g is
+    interpolated with `coefficients` and `weights`. A pixel that any of its 36 coefficients does not cover is NaN.
     """
     rows, columns = values.shape
-    for node in prange(mean.shape[0]):
-        field = np.empty((4, columns), f4)
-        along_x = np.empty(columns, f4)
-        along_y = np.empty(columns, f4)
-        keys = np.empty(columns, np.int32)
-        total = np.zeros(columns, f4)
-        count = np.zeros(columns, f4)
-        first = node * cell
-        last = min(first + cell, rows)
-        for r in range(first, last):
-            position = (r - 0.5 * (cell - 1)) / cell
-            for channel in range(4):
-                _row_between(lines[channel], position, field[channel])
-            dx, dy, gain, offset = field[0], field[1], field[2], field[3]
-            lowest, leftmost = f4(-4), f4(-4)
-            highest, rightmost = f4(rows + 3), f4(columns + 3)
-            for c in range(columns):
-                y = min(max(dy[c] + f4(r), lowest), highest)
-                fy = np.floor(y)
-                along_y[c] = y - fy
-                keys[c] = np.int32(fy) << 15
-            for c in range(columns):
-                x = min(max(dx[c] + f4(c), leftmost), rightmost)
-                fx = np.floor(x)
-                along_x[c] = x - fx
-                keys[c] += np.int32(fx) - np.int32(c) + np.int32(16384)
-            target = out[r]
-            for begin in range(0, columns, BLOCK):
-                end = min(begin + BLOCK, columns)
-                done = begin
-                while done < end:
-                    key = keys[done]
-                    row = (key >> 15) + BORDER - 2
-                    column = (key & 32767) - 16384 + begin + BORDER - 2
-                    stop = column + end - begin + 5
-                    _quintic(
-                        coefficients[row, column:stop],
-                        coefficients[row + 1, column:stop],
-                        coefficients[row + 2, column:stop],
-                        coefficients[row + 3, column:stop],
-                        coefficients[row + 4, column:stop],
-                        coefficients[row + 5, column:stop],
-                        along_x[begin:end],
-                        along_y[begin:end],
-                        keys[begin:end],
-                        key,
-                        target[begin:end],
-                    )
-                    while done < end and keys[done] == key:
-                        done += 1
-            source = values[r]
-            for c in range(columns):
-                target[c] = source[c] - gain[c] * target[c] - offset[c]
-            for c in range(columns):
-                good = target[c] == target[c]
-                total[c] += abs(target[c]) if good else f4(0)
-                count[c] += f4(1) if good else f4(0)
-        numbers = np.empty(mean.shape[1], f4)
-        means = mean[node]
-        _add_up(total, cell, means)
-        _add_up(count, cell, numbers)
-        for j in range(means.size):
-            means[j] = means[j] / numbers[j] if numbers[j] > f4(0) else f4(np.nan)
+    block = BLOCK // cell * cell
+    lowest, leftmost = f4(-4), f4(-4)
+    highest, rightmost = f4(rows + 3), f4(columns + 3)
+    for node in prange(-(-rows // cell)):
+        field = np.zeros((4, block + GROUP), f4)
+        along_x, along_y, grey = np.empty(block + GROUP, f4), np.empty(block + GROUP, f4), np.empty(block + GROUP, f4)
+        keys = np.empty(block + GROUP, np.int32)
+        total, count, numbers = np.empty(block, f4), np.empty(block, f4), np.empty(block // cell, f4)
+        for begin in range(0, columns, block):
+            size = min(block, columns - begin)
+            whole = -(-size // GROUP) * GROUP
+            total[:] = f4(0)
+            count[:] = f4(0)
+            for r in range(node * cell, min(node * cell + cell, rows)):
+                position = (r - 0.5 * (cell - 1)) / cell
+                for channel in range(4):
+                    _row_between(lines[channel], position, begin, field[channel, :size])
+                dx, dy, gain, offset = field[0], field[1], field[2], field[3]
+                for c in range(whole):
+                    y = min(max(dy[c] + f4(r), lowest), highest)
+                    fy = np.floor(y)
+                    along_y[c] = y - fy - f4(0.5)
+                    keys[c] = (np.int32(fy) - np.int32(r) + np.int32(16384)) << 15
+                for c in range(whole):
+                    x = min(max(dx[c] + f4(begin + c), leftmost), rightmost)
+                    fx = np.floor(x)
+                    along_x[c] = x - fx - f4(0.5)
+                    keys[c] += np.int32(fx) - np.int32(begin + c) + np.int32(16384)
+                keys[size:whole] = keys[size - 1]
+                _interpolated(
+                    coefficients, weights, r, begin, along_x[:whole], along_y[:whole], keys[:whole], grey[:whole]
+                )
+                source, target = values[r, begin : begin + size], out[r, begin : begin + size]
+                for c in range(size):
+                    target[c] = source[c] - gain[c] * grey[c] - offset[c]
+                if node % 2 == 0:
+                    for c in range(size):
+                        good = target[c] == target[c]
+                        total[c] += abs(target[c]) if good else f4(0)
+                        count[c] += f4(1) if good else f4(0)
+            if node % 2 == 1:
+                continue
+            means = mean[node // 2, begin // cell : begin // cell + -(-size // cell)]
+            _add_up(total[:size], cell, means)
+            _add_up(count[:size], cell, numbers[: means.size])
+            for j in range(means.size):
+                means[j] = means[j] / numbers[j] if numbers[j] > f4(0) else f4(np.nan)
 
 
 # Channels of the sums of each cell.
-GXX, GXY, GYY, GXE, GYE, W, WF, WFF, WE, WEF, WEE = range(11)
+GXX, GXY, GYY, W, WF, WFF, WE, WEF, WEE, GXE, GYE = range(11)
 CHANNELS = 11
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
 def _add_products(
     w: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, sum_ab: np.ndarray, sum_ac: np.ndarray
 ) -> None:
@@ -368,7 +497,7 @@ def _add_products(
         sum_ac[k] += wa * c[k]
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy", fastmath={"contract"})
 def accumulated(
     values: np.ndarray,
     along_x: np.ndarray,
@@ -385,204 +514,45 @@ def accumulated(
     """
     rows, columns = values.shape
     inverse = f4(1.0 / limit)
+    block = BLOCK // cell * cell
     for node in prange(out.shape[1]):
-        sums = np.zeros((CHANNELS, columns), f4)
-        weight, clean_f, clean_e = np.empty(columns, f4), np.empty(columns, f4), np.empty(columns, f4)
-        for r in range(node * cell, min(node * cell + cell, rows)):
-            f, gx, gy, e = values[r], along_x[r], along_y[r], residual[r]
-            for c in range(columns):
-                good = e[c] == e[c]
-                clean_e[c] = e[c] if good else f4(0)
-                clean_f[c] = f[c] if good else f4(0)
-            for c in range(columns):
-                over = min(max(abs(clean_e[c]) * inverse - f4(1), f4(0)), f4(1))
-                kept = f4(1) - over * over
-                weight[c] = kept * kept if e[c] == e[c] else f4(0)
-            # Two sums at a time: compilers vectorise loops that write to few arrays.
-            _add_products(weight, gx, gx, gy, sums[GXX], sums[GXY])
-            _add_products(weight, gy, gy, clean_e, sums[GYY], sums[GYE])
-            _add_products(weight, clean_e, gx, clean_e, sums[GXE], sums[WEE])
-            _add_products(weight, clean_f, clean_f, clean_e, sums[WFF], sums[WEF])
-            total, total_f, total_e = sums[W], sums[WF], sums[WE]
-            for c in range(columns):
-                total[c] += weight[c]
-                total_f[c] += weight[c] * clean_f[c]
-            for c in range(columns):
-                total_e[c] += weight[c] * clean_e[c]
-        for channel in range(CHANNELS):
-            _add_up(sums[channel], cell, out[channel, node])
-
-
-@njit(nogil=True, error_model="numpy")
-def _smoothed(padded: np.ndarray, taps: np.ndarray, line: np.ndarray, r: int, out: np.ndarray) -> None:
-    """Row r of the separable filter of an array that has REACH rows of zeros above and below.
-
-    `line` is a scratch of REACH zeros at either end. Loops over a few rows at a time are what compilers vectorise.
-    """
-    columns = out.size
-    body = line[REACH : REACH + columns]
-    t0, t1, t2, t3, t4, t5, t6 = taps[0], taps[1], taps[2], taps[3], taps[4], taps[5], taps[6]
-    c = r + REACH
-    m3, m2, m1, p0, p1, p2, p3 = (
-        padded[c - 3], padded[c - 2], padded[c - 1], padded[c], padded[c + 1], padded[c + 2], padded[c + 3],
-    )  # fmt: skip
-    for k in range(columns):
-        body[k] = t0 * p0[k] + t1 * (m1[k] + p1[k]) + t2 * (m2[k] + p2[k]) + t3 * (m3[k] + p3[k])
-    m6, m5, m4, p4, p5, p6 = padded[c - 6], padded[c - 5], padded[c - 4], padded[c + 4], padded[c + 5], padded[c + 6]
-    for k in range(columns):
-        body[k] += t4 * (m4[k] + p4[k]) + t5 * (m5[k] + p5[k]) + t6 * (m6[k] + p6[k])
-    for k in range(columns):
-        out[k] = (
-            t0 * line[k + 6]
-            + t1 * (line[k + 5] + line[k + 7])
-            + t2 * (line[k + 4] + line[k + 8])
-            + t3 * (line[k + 3] + line[k + 9])
-            + t4 * (line[k + 2] + line[k + 10])
-            + t5 * (line[k + 1] + line[k + 11])
-            + t6 * (line[k] + line[k + 12])
-        )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def windowed(nodes: np.ndarray, taps: np.ndarray, out: np.ndarray) -> None:
-    """Separable symmetric filter of node arrays (channel, node row, node column), zero outside.
-
-    `taps` are REACH + 1 from the centre on.
-    """
-    channels, rows, columns = nodes.shape
-    line = np.zeros(columns + 2 * REACH, f4)
-    padded = np.zeros((rows + 2 * REACH, columns), f4)
-    for channel in range(channels):
-        padded[REACH : REACH + rows] = nodes[channel]
-        for r in range(rows):
-            _smoothed(padded, taps, line, r, out[channel, r])
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def fixed_point(
-    cells: np.ndarray,
-    sums: np.ndarray,
-    seen: np.ndarray,
-    start: np.ndarray,
-    taps: np.ndarray,
-    smoothing: np.ndarray,
-    tau: float,
-    order: int,
-    iterations: int,
-    out: np.ndarray,
-) -> None:
-    """u = S u + H^-1 W * (grad f (e - grad f . (S u - start))) on the nodes; `out` holds the first u (2, row, column).
-
-    S = 1 - (1 - V)^order with V, the filter of the taps `smoothing`, normalised by the weights `seen`; W has `taps`.
-    Steps are limited to one pixel. The nodes are few, and one thread works on them without waiting for another.
-    """
-    _, rows, columns = start.shape
-    line = np.zeros(columns + 2 * REACH, f4)
-    padded = np.zeros((rows + 2 * REACH, columns), f4)
-    padded_y = np.zeros((rows + 2 * REACH, columns), f4)
-    filtered, filtered_y = np.empty(columns, f4), np.empty(columns, f4)
-    smooth, rest = np.empty((2, rows, columns), f4), np.empty((rows, columns), f4)
-    inverse_seen = np.empty((rows, columns), f4)
-    padded[REACH : REACH + rows] = seen
-    for r in range(rows):
-        _smoothed(padded, smoothing, line, r, filtered)
-        for c in range(columns):
-            inverse_seen[r, c] = f4(1) / filtered[c]
-    add = f4(tau)
-    for _ in range(iterations):
-        for channel in range(2):
-            for r in range(rows):
-                total, left, first = smooth[channel, r], rest[r], out[channel, r]
-                for c in range(columns):
-                    total[c] = f4(0)
-                    left[c] = first[c]
-            for _ in range(order):
-                for r in range(rows):
-                    target, weight, left = padded[r + REACH], seen[r], rest[r]
-                    for c in range(columns):
-                        target[c] = weight[c] * left[c]
-                for r in range(rows):
-                    _smoothed(padded, smoothing, line, r, filtered)
-                    total, left, inverse = smooth[channel, r], rest[r], inverse_seen[r]
-                    for c in range(columns):
-                        value = filtered[c] * inverse[c]
-                        total[c] += value
-                        left[c] -= value
-        for r in range(rows):
-            u, v, u0, v0 = smooth[0, r], smooth[1, r], start[0, r], start[1, r]
-            gxx, gxy, gyy = cells[GXX, r], cells[GXY, r], cells[GYY, r]
-            target, source = padded[r + REACH], cells[GXE, r]
-            for c in range(columns):
-                target[c] = source[c] - gxx[c] * (u[c] - u0[c]) - gxy[c] * (v[c] - v0[c])
-            target, source = padded_y[r + REACH], cells[GYE, r]
-            for c in range(columns):
-                target[c] = source[c] - gxy[c] * (u[c] - u0[c]) - gyy[c] * (v[c] - v0[c])
-        for r in range(rows):
-            _smoothed(padded, taps, line, r, filtered)
-            _smoothed(padded_y, taps, line, r, filtered_y)
-            hxx, hxy, hyy = sums[GXX, r], sums[GXY, r], sums[GYY, r]
-            u, target = smooth[0, r], out[0, r]
-            for c in range(columns):
-                xx, xy, yy = hxx[c] + add, hxy[c], hyy[c] + add
-                step = (yy * filtered[c] - xy * filtered_y[c]) / (xx * yy - xy * xy)
-                target[c] = u[c] + min(max(step, f4(-1)), f4(1))
-            v, target = smooth[1, r], out[1, r]
-            for c in range(columns):
-                xx, xy, yy = hxx[c] + add, hxy[c], hyy[c] + add
-                step = (xx * filtered_y[c] - xy * filtered[c]) / (xx * yy - xy * xy)
-                target[c] = v[c] + min(max(step, f4(-1)), f4(1))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def equalised(nodes: np.ndarray, sums: np.ndarray, floor: float) -> None:
-    """Give g, by gain (channel 2) and offset (channel 3), the mean and the standard deviation of f in every window.
-
-    `floor` is a variance below which contrast is not compared.
-    """
-    least = f4(floor)
-    for r in range(nodes.shape[1]):
-        for c in range(nodes.shape[2]):
-            w = sums[W, r, c]
-            if not w > f4(0):
-                continue
-            mean_f, mean_e = sums[WF, r, c] / w, sums[WE, r, c] / w
-            mean_g = mean_f - mean_e
-            var_f = max(sums[WFF, r, c] / w - mean_f * mean_f, f4(0))
-            second_g = (sums[WFF, r, c] - f4(2) * sums[WEF, r, c] + sums[WEE, r, c]) / w
-            var_g = max(second_g - mean_g * mean_g, f4(0))
-            ratio = min(max(np.sqrt((var_f + least) / (var_g + least)), f4(0.5)), f4(2))
-            nodes[2, r, c] = min(max(ratio * nodes[2, r, c], f4(0.1)), f4(10))
-            nodes[3, r, c] = ratio * nodes[3, r, c] + mean_f - ratio * mean_g
-
-
-@njit(nogil=True, error_model="numpy")
-def _median(a: np.float32, b: np.float32, c: np.float32) -> np.float32:
-    return max(min(a, b), min(max(a, b), c))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def median3(nodes: np.ndarray, out: np.ndarray) -> None:
-    """Median over 3 x 3 nodes of each channel; the outermost nodes are repeated.
-
-    The median of nine is the median of the greatest of the row minima, the median of the row medians and the smallest
-    of the row maxima, rows being sorted triples.
-    """
-    channels, rows, columns = nodes.shape
-    lowest, middle, highest = np.empty(columns, f4), np.empty(columns, f4), np.empty(columns, f4)
-    for channel in range(channels):
-        for r in range(rows):
-            above, here, below = nodes[channel, max(r - 1, 0)], nodes[channel, r], nodes[channel, min(r + 1, rows - 1)]
-            for c in range(columns):
-                x, y, z = above[c], here[c], below[c]
-                lowest[c] = min(min(x, y), z)
-                middle[c] = _median(x, y, z)
-                highest[c] = max(max(x, y), z)
-            for c in range(columns):
-                left, right = max(c - 1, 0), min(c + 1, columns - 1)
-                out[channel, r, c] = _median(
-                    max(max(lowest[left], lowest[c]), lowest[right]),
-                    _median(middle[left], middle[c], middle[right]),
-                    min(min(highest[left], highest[c]), highest[right]),
+        scratch = np.empty((CHANNELS + 3, block), f4)
+        for begin in range(0, columns, block):
+            size = min(block, columns - begin)
+            end = begin + size
+            scratch[:CHANNELS] = f4(0)
+            gxx, gxy, gyy, gxe, gye = (
+                scratch[GXX, :size], scratch[GXY, :size], scratch[GYY, :size], scratch[GXE, :size], scratch[GYE, :size],
+            )  # fmt: skip
+            w, wf, wff = scratch[W, :size], scratch[WF, :size], scratch[WFF, :size]
+            we, wef, wee = scratch[WE, :size], scratch[WEF, :size], scratch[WEE, :size]
+            weight, clean_f, clean_e = (
+                scratch[CHANNELS, :size], scratch[CHANNELS + 1, :size], scratch[CHANNELS + 2, :size],
+            )  # fmt: skip
+            for r in range(node * cell, min(node * cell + cell, rows)):
+                f, e = values[r, begin:end], residual[r, begin:end]
+                gx, gy = along_x[r, begin:end], along_y[r, begin:end]
+                for c in range(size):
+                    good = e[c] == e[c]
+                    clean_e[c] = e[c] if good else f4(0)
+                    clean_f[c] = f[c] if good else f4(0)
+                for c in range(size):
+                    over = min(max(abs(clean_e[c]) * inverse - f4(1), f4(0)), f4(1))
+                    kept = f4(1) - over * over
+                    weight[c] = kept * kept if e[c] == e[c] else f4(0)
+                # Two sums at a time: compilers vectorise loops that write to few arrays.
+                _add_products(weight, gx, gx, gy, gxx, gxy)
+                _add_products(weight, gy, gy, clean_e, gyy, gye)
+                _add_products(weight, clean_e, gx, clean_e, gxe, wee)
+                _add_products(weight, clean_f, clean_f, clean_e, wff, wef)
+                for c in range(size):
+                    w[c] += weight[c]
+                    wf[c] += weight[c] * clean_f[c]
+                for c in range(size):
+                    we[c] += weight[c] * clean_e[c]
+            for channel in range(CHANNELS):
+                _add_up(
+                    scratch[channel, :size], cell, out[channel, node, begin // cell : begin // cell + -(-size // cell)]
                 )
 
 
@@ -616,7 +586,7 @@ def points(
     """Widened node lines at row positions given in nodes, NaN where the nearest node or the pixel is not valid."""
     for r in prange(positions.size):
         for channel in range(fields.shape[0]):
-            _row_between(lines[channel], positions[r], fields[channel, r])
+            _row_between(lines[channel], positions[r], 0, fields[channel, r])
         good, nodes, pixels = valid[r], valid_nodes[node_rows[r]], measured[r]
         for c in range(good.size):
             good[c] = nodes[node_columns[c]] and pixels[c] == pixels[c]

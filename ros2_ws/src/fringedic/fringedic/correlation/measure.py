@@ -186,8 +186,9 @@ def _dense(
     rows, columns = (reference.rows - centre) / window.cell, (reference.columns - centre) / window.cell
     node_rows = np.clip(np.rint(rows).astype(np.intp), 0, nodes.valid.shape[0] - 1)
     node_columns = np.clip(np.rint(columns).astype(np.intp), 0, nodes.valid.shape[1] - 1)
-    lines = np.empty((4, nodes.valid.shape[0] + 4, columns.size), f4)
-    kernels.widened(np.concatenate([nodes.displacement, nodes.sigma]), columns, lines)
+    lines = np.empty((4, nodes.valid.shape[0] + 4, reference.shape[1]), f4)
+    kernels.spread_out(np.concatenate([nodes.displacement, nodes.sigma]), window.cell, lines)
+    lines = np.ascontiguousarray(lines[:, :, :: reference.spacing])
     fields = np.empty((4, rows.size, columns.size), f4)
     valid = np.empty((rows.size, columns.size), np.bool_)
     measured = np.ascontiguousarray(reference.values[:: reference.spacing, :: reference.spacing])

@@ -6,48 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fringedic.correlation import kernels
+from fringedic.correlation import kernels, node_kernels
+from fringedic.correlation.interpolation import INVERSE
 
 f4 = np.float32
 
 COARSEST = 24  # [px]: below, the borders of the gradient leave nothing
 DERIVATIVE = np.array([3 / 4, -3 / 20, 1 / 60], dtype=f4)  # of sixth order
 DERIVATIVE_NOISE = 2 * float(np.sum(DERIVATIVE.astype(float) ** 2))
-
-
-def _spline_inverse(reach: int) -> np.ndarray:
-    """Taps of the inverse of the sampled quintic B-spline, from the centre to `reach` pixels, of unit sum."""
-    angle = 2 * np.pi * np.fft.fftfreq(256)
-    taps = np.fft.ifft(120 / (66 + 52 * np.cos(angle) + 2 * np.cos(2 * angle))).real[: reach + 1]
-    return np.asarray(taps / (taps[0] + 2 * taps[1:].sum()), dtype=f4)
-
-
-SPLINE_INVERSE = _spline_inverse(12)
-
-
-def _interpolation_noise(positions: int = 64) -> np.ndarray:
-    """Variance of white noise of unit variance after interpolation along one axis at k / positions, k = 0...positions.
-
-    The spline averages noise between pixels; what it averages away lies at frequencies without texture.
-    """
-    t = np.arange(positions + 1) / positions
-    spline = np.zeros((positions + 1, 6))
-    for k in range(6):
-        distance = np.abs(t - (k - 2))
-        spline[:, k] = np.where(
-            distance < 1,
-            66 - 60 * distance**2 + 30 * distance**4 - 10 * distance**5,
-            np.where(
-                distance < 2,
-                51 + 75 * distance - 210 * distance**2 + 150 * distance**3 - 45 * distance**4 + 5 * distance**5,
-                np.clip(3 - distance, 0, None) ** 5,
-            ),
-        )
-    inverse = np.concatenate([SPLINE_INVERSE[:0:-1], SPLINE_INVERSE]).astype(float)
-    return np.array([np.sum(np.convolve(row / 120, inverse) ** 2) for row in spline])
-
-
-INTERPOLATION_NOISE = _interpolation_noise()
 
 
 @dataclass(frozen=True)
@@ -86,7 +52,7 @@ def reference_level(image: np.ndarray) -> Level:
 def spline_of(image: np.ndarray) -> np.ndarray:
     """Coefficients of the quintic spline through an image, NaN around pixels that are not measured, and outside.
 
-    Missing pixels are filled with the mean of their surroundings first; what the fill changes dies out as .43 per
+    Missing pixels are filled with the mean of their surroundings first; what the fill changes dies out as .54 per
     pixel, and the four pixels around it that a coefficient reaches are given up.
     """
     rows, columns = image.shape
@@ -94,9 +60,9 @@ def spline_of(image: np.ndarray) -> np.ndarray:
     out = np.full((rows + 2 * border, columns + 2 * border), np.nan, dtype=f4)
     missing = np.isnan(image)
     if not missing.any():
-        kernels.spline_coefficients(image, SPLINE_INVERSE, out)
+        kernels.spline_coefficients(image, INVERSE, out)
         return out
-    kernels.spline_coefficients(filled(image[None])[0], SPLINE_INVERSE, out)
+    kernels.spline_coefficients(filled(image[None])[0], INVERSE, out)
     near = missing.copy()
     near[1:] |= missing[:-1]
     near[:-1] |= missing[1:]
@@ -107,8 +73,8 @@ def spline_of(image: np.ndarray) -> np.ndarray:
     return out
 
 
-_SURROUNDINGS = np.full(kernels.REACH + 1, 1 / (2 * kernels.REACH + 1), dtype=f4)
-_SPREAD = np.array([6, 4, 1] + [0] * (kernels.REACH - 2), dtype=f4) / 16
+_SURROUNDINGS = np.full(node_kernels.REACH + 1, 1 / (2 * node_kernels.REACH + 1), dtype=f4)
+_SPREAD = np.array([6, 4, 1] + [0] * (node_kernels.REACH - 2), dtype=f4) / 16
 
 
 def filled(nodes: np.ndarray) -> np.ndarray:
@@ -119,8 +85,8 @@ def filled(nodes: np.ndarray) -> np.ndarray:
     known = np.where(missing, f4(0), f4(1))[None]
     weighted = np.where(missing, f4(0), nodes).astype(f4)
     spread, weight = np.empty_like(weighted), np.empty_like(known)
-    kernels.windowed(weighted, _SPREAD, spread)
-    kernels.windowed(known, _SPREAD, weight)
+    node_kernels.windowed(weighted, _SPREAD, spread)
+    node_kernels.windowed(known, _SPREAD, weight)
     around = np.where(weight > 0, spread / np.where(weight > 0, weight, 1), f4(np.nan))
     if np.isnan(around).any():
         rows, columns = missing.shape
@@ -141,7 +107,7 @@ def filled(nodes: np.ndarray) -> np.ndarray:
 def blurred(image: np.ndarray) -> np.ndarray:
     """Image seen through a blur of about one pixel; its missing pixels stay missing."""
     out = np.empty_like(image[None])
-    kernels.windowed(filled(image[None]), _SPREAD, out)
+    node_kernels.windowed(filled(image[None]), _SPREAD, out)
     return np.where(np.isnan(image), f4(np.nan), out[0])
 
 
@@ -150,7 +116,7 @@ def flattened(image: np.ndarray) -> np.ndarray:
     known = np.where(np.isnan(image), f4(0), f4(1))
     grey = np.where(np.isnan(image), f4(0), image)
     local = np.empty((3, *image.shape), f4)
-    kernels.windowed(np.stack([known, grey, grey * grey]), _SURROUNDINGS, local)
+    node_kernels.windowed(np.stack([known, grey, grey * grey]), _SURROUNDINGS, local)
     weight = np.maximum(local[0], f4(1e-6))
     mean = local[1] / weight
     deviation = np.sqrt(np.maximum(local[2] / weight - mean * mean, 0))

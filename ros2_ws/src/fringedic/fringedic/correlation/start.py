@@ -10,6 +10,7 @@ import numpy as np
 import scipy.fft
 
 from fringedic.correlation import kernels
+from fringedic.correlation.interpolation import WEIGHTS
 from fringedic.correlation.pyramid import (
     Level,
     blurred,
@@ -69,13 +70,12 @@ def _refined(level: Level, spline: np.ndarray, k: int, affine: np.ndarray, passe
     ones = np.ones(counts)
     basis = np.stack([ones, ones * columns, ones * rows[:, None]]) / scale
     lines = np.empty((4, counts[0] + 4, shape[1]), f4)
-    positions = (np.arange(shape[1]) - 0.5 * (CELL - 1)) / CELL
-    residual, mean = np.empty(shape, f4), np.empty(counts, f4)
+    residual, mean = np.empty(shape, f4), np.empty((-(-counts[0] // 2), counts[1]), f4)
     sums = np.empty((kernels.CHANNELS, *counts), f4)
     correlation = -1.0
     for _ in range(passes):
-        kernels.widened(affine_field(affine, k, shape, CELL, 1.0, 0.0), positions, lines)
-        kernels.residuals(level.values, spline, lines, CELL, residual, mean)
+        kernels.spread_out(affine_field(affine, k, shape, CELL, 1.0, 0.0), CELL, lines)
+        kernels.residuals(level.values, spline, WEIGHTS, lines, CELL, residual, mean)
         if not np.isfinite(mean).any():
             return affine, -1.0
         # flattened images are zero where nothing is known: no residual there, and nothing about the noise either
@@ -91,7 +91,7 @@ def _refined(level: Level, spline: np.ndarray, k: int, affine: np.ndarray, passe
         right = np.concatenate([np.einsum("iyx,yx->i", basis, s[channel]) for channel in (kernels.GXE, kernels.GYE)])
         change = np.linalg.lstsq(normal, right, rcond=1e-9)[0].reshape(2, 3)
         affine = affine + change
-        w, wf, wff, we, wef, wee = (s[c].sum() for c in range(kernels.W, kernels.CHANNELS))
+        w, wf, wff, we, wef, wee = (s[c].sum() for c in range(kernels.W, kernels.GXE))
         var_f = wff / w - (wf / w) ** 2
         common = var_f - (wef / w - wf * we / w**2)
         var_g = 2 * common - var_f + wee / w - (we / w) ** 2

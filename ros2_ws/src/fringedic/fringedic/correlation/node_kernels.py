@@ -1,0 +1,442 @@
+"""Compiled loops over the nodes of the dense correlation: filters, the fixed point, brightness and judgement.
+
+Node arrays are float32 (channel, node row, node column). Bands of rows are worked on side by side and nothing is summed
+across them, so results do not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from fringedic.correlation.kernels import GXE, GXX, GXY, GYE, GYY, WE, WEE, WEF, WF, WFF, W
+
+f4 = np.float32
+
+# Taps on either side of the centre of a filter of nodes, and of the narrower one of the fixed point.
+REACH = 6
+NARROW_REACH = 4
+# Node rows of a band.
+BAND = 32
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _smoothed(padded: np.ndarray, taps: np.ndarray, line: np.ndarray, r: int, out: np.ndarray) -> None:
+    """Row r of the separable symmetric filter of an array that has REACH rows of zeros above and below.
+
+    `line` is a scratch of REACH zeros at either end. Loops over a few rows at a time are what compilers vectorise.
+    """
+    columns = out.size
+    body = line[REACH : REACH + columns]
+    t0, t1, t2, t3, t4, t5, t6 = taps[0], taps[1], taps[2], taps[3], taps[4], taps[5], taps[6]
+    c = r + REACH
+    m3, m2, m1, p0, p1, p2, p3 = (
+        padded[c - 3], padded[c - 2], padded[c - 1], padded[c], padded[c + 1], padded[c + 2], padded[c + 3],
+    )  # fmt: skip
+    for k in range(columns):
+        body[k] = t0 * p0[k] + t1 * (m1[k] + p1[k]) + t2 * (m2[k] + p2[k]) + t3 * (m3[k] + p3[k])
+    m6, m5, m4, p4, p5, p6 = padded[c - 6], padded[c - 5], padded[c - 4], padded[c + 4], padded[c + 5], padded[c + 6]
+    for k in range(columns):
+        body[k] += t4 * (m4[k] + p4[k]) + t5 * (m5[k] + p5[k]) + t6 * (m6[k] + p6[k])
+    for k in range(columns):
+        out[k] = (
+            t0 * line[k + 6]
+            + t1 * (line[k + 5] + line[k + 7])
+            + t2 * (line[k + 4] + line[k + 8])
+            + t3 * (line[k + 3] + line[k + 9])
+            + t4 * (line[k + 2] + line[k + 10])
+            + t5 * (line[k + 1] + line[k + 11])
+            + t6 * (line[k] + line[k + 12])
+        )
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _softened(padded: np.ndarray, taps: np.ndarray, line: np.ndarray, r: int, out: np.ndarray) -> None:
+    """`_smoothed` with NARROW_REACH taps and as many zeros at either end of `line`; the array has REACH as before."""
+    columns = out.size
+    body = line[NARROW_REACH : NARROW_REACH + columns]
+    t0, t1, t2, t3, t4 = taps[0], taps[1], taps[2], taps[3], taps[4]
+    c = r + REACH
+    m4, m3, m2, m1, p0 = padded[c - 4], padded[c - 3], padded[c - 2], padded[c - 1], padded[c]
+    p1, p2, p3, p4 = padded[c + 1], padded[c + 2], padded[c + 3], padded[c + 4]
+    for k in range(columns):
+        body[k] = t0 * p0[k] + t1 * (m1[k] + p1[k]) + t2 * (m2[k] + p2[k]) + t3 * (m3[k] + p3[k]) + t4 * (m4[k] + p4[k])
+    for k in range(columns):
+        out[k] = (
+            t0 * line[k + 4]
+            + t1 * (line[k + 3] + line[k + 5])
+            + t2 * (line[k + 2] + line[k + 6])
+            + t3 * (line[k + 1] + line[k + 7])
+            + t4 * (line[k] + line[k + 8])
+        )
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def windowed(nodes: np.ndarray, taps: np.ndarray, out: np.ndarray) -> None:
+    """Separable symmetric filter of node arrays (channel, node row, node column), zero outside.
+
+    `taps` are REACH + 1 from the centre on; as many channels are filtered as `out` has.
+    """
+    channels, rows, columns = out.shape
+    bands = -(-rows // BAND)
+    for task in prange(channels * bands):
+        channel, first = task // bands, task % bands * BAND
+        size = min(BAND, rows - first)
+        line, padded = np.zeros(columns + 2 * REACH, f4), np.zeros((BAND + 2 * REACH, columns), f4)
+        for r in range(max(first - REACH, 0), min(first + size + REACH, rows)):
+            padded[r - first + REACH] = nodes[channel, r]
+        for r in range(size):
+            _smoothed(padded, taps, line, r, out[channel, first + r])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def planes(field: np.ndarray, weight: np.ndarray, out: np.ndarray) -> None:
+    """Weighted least-squares planes a + b column + c row through every fourth node of each channel, out (channel, 3).
+
+    Where the weights leave a slope open it is zero.
+    """
+    channels, rows, columns = field.shape
+    total, x0, y0 = 1e-30, 0.0, 0.0
+    for r in range(0, rows, 4):
+        for c in range(0, columns, 4):
+            w = float(weight[r, c])
+            total += w
+            x0 += w * c
+            y0 += w * r
+    x0 /= total
+    y0 /= total
+    xx, xy, yy = 0.0, 0.0, 0.0
+    sums = np.zeros((channels, 3))
+    for r in range(0, rows, 4):
+        for c in range(0, columns, 4):
+            w = float(weight[r, c])
+            x, y = c - x0, r - y0
+            xx += w * x * x
+            xy += w * x * y
+            yy += w * y * y
+            for channel in range(channels):
+                value = w * field[channel, r, c]
+                sums[channel, 0] += value
+                sums[channel, 1] += value * x
+                sums[channel, 2] += value * y
+    determinant = xx * yy - xy * xy
+    for channel in range(channels):
+        value, along_x, along_y = sums[channel]
+        slope_x, slope_y = 0.0, 0.0
+        if determinant > 1e-6 * (xx * yy) and determinant > 0.0:
+            slope_x = (yy * along_x - xy * along_y) / determinant
+            slope_y = (xx * along_y - xy * along_x) / determinant
+        out[channel, 0] = f4(value / total - slope_x * x0 - slope_y * y0)
+        out[channel, 1] = f4(slope_x)
+        out[channel, 2] = f4(slope_y)
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _gradient_energy(cells: np.ndarray, r: int, column: np.ndarray, out: np.ndarray) -> None:
+    """Sum of (df/dx)^2 + (df/dy)^2 per cell, averaged over 3 x 3 cells: row r. `column` is a scratch.
+
+    The neighbourhood is sharply bounded: a window's far end must not lend its texture to a bare middle.
+    """
+    rows, columns = cells.shape[1:]
+    column[:] = f4(0)
+    for k in range(max(r - 1, 0), min(r + 2, rows)):
+        xx, yy = cells[GXX, k], cells[GYY, k]
+        for c in range(columns):
+            column[c + 1] += xx[c] + yy[c]
+    ninth = f4(1.0 / 9.0)
+    for c in range(columns):
+        out[c] = ninth * (column[c] + column[c + 1] + column[c + 2])
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def gradient_energy(cells: np.ndarray, out: np.ndarray) -> None:
+    """Sum of (df/dx)^2 + (df/dy)^2 per cell, averaged over 3 x 3 cells, out (node row, node column)."""
+    for r in prange(out.shape[0]):
+        column = np.empty(out.shape[1] + 2, f4)
+        _gradient_energy(cells, r, column, out[r])
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def textured(cells: np.ndarray, least: float, factor: float, floor: float, out: np.ndarray) -> None:
+    """floor + factor times the weight of the cells whose gradient energy is above `least`, out (node row, column)."""
+    low, scale, add = f4(least), f4(factor), f4(floor)
+    for r in prange(out.shape[0]):
+        columns = out.shape[1]
+        column, energy = np.empty(columns + 2, f4), np.empty(columns, f4)
+        _gradient_energy(cells, r, column, energy)
+        weight, target = cells[W, r], out[r]
+        for c in range(columns):
+            target[c] = add + (scale * weight[c] if energy[c] > low else f4(0))
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _times(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
+    for c in range(out.size):
+        out[c] = a[c] * b[c]
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _move(
+    filtered: np.ndarray, inverse: np.ndarray, seen: np.ndarray, total: np.ndarray, left: np.ndarray, out: np.ndarray
+) -> None:
+    """Move filtered * inverse from `left` to `total`; `out` is what is left times `seen`."""
+    for c in range(filtered.size):
+        value = filtered[c] * inverse[c]
+        total[c] += value
+        rest = left[c] - value
+        left[c] = rest
+        out[c] = rest * seen[c]
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _explained(
+    ge: np.ndarray,
+    gx: np.ndarray,
+    gy: np.ndarray,
+    u: np.ndarray,
+    v: np.ndarray,
+    u0: np.ndarray,
+    v0: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Sums of gradient times residual after a displacement (u, v) in the place of (u0, v0)."""
+    for c in range(out.size):
+        out[c] = ge[c] - gx[c] * (u[c] - u0[c]) - gy[c] * (v[c] - v0[c])
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _stepped(
+    own: np.ndarray,
+    other: np.ndarray,
+    own_h: np.ndarray,
+    cross_h: np.ndarray,
+    other_h: np.ndarray,
+    tau: np.float32,
+    smooth: np.ndarray,
+    relaxation: np.float32,
+    out: np.ndarray,
+) -> None:
+    """One component of smooth + H^-1 (own, other), steps limited to a pixel; `out` moves there by `relaxation`."""
+    for c in range(out.size):
+        first, cross, second = own_h[c] + tau, cross_h[c], other_h[c] + tau
+        step = (second * own[c] - cross * other[c]) / (first * second - cross * cross)
+        target = smooth[c] + min(max(step, f4(-1)), f4(1))
+        out[c] += relaxation * (target - out[c])
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def fixed_point(
+    cells: np.ndarray,
+    sums: np.ndarray,
+    seen: np.ndarray,
+    start: np.ndarray,
+    taps: np.ndarray,
+    smoothing: np.ndarray,
+    tau: float,
+    order: int,
+    relaxations: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """u = S u + H^-1 W * (grad f (e - grad f . (S u - start))) on the nodes; `out` holds the first u (2, row, column).
+
+    S = 1 - (1 - V)^order with V, the filter of the taps `smoothing`, normalised by the weights `seen`; W has `taps`.
+    Step k goes the `relaxations[k]`-fold of the way.
+    """
+    _, rows, columns = start.shape
+    bands = -(-rows // BAND)
+    smooth, rest = np.empty((2, rows, columns), f4), np.empty((2, rows, columns), f4)
+    # Both lie between rows of zeros.
+    weighted = np.zeros((2, 2, rows + 2 * REACH, columns), f4)
+    right = np.zeros((2, rows + 2 * REACH, columns), f4)
+    inverse = np.empty((rows, columns), f4)
+    right[0, REACH : REACH + rows] = seen
+    for band in prange(bands):
+        line = np.zeros(columns + 2 * NARROW_REACH, f4)
+        for r in range(band * BAND, min(band * BAND + BAND, rows)):
+            _softened(right[0], smoothing, line, r, inverse[r])
+            for c in range(columns):
+                inverse[r, c] = f4(1) / inverse[r, c]
+    add = f4(tau)
+    for k in range(relaxations.size):
+        relaxation = relaxations[k]
+        for channel in prange(2):
+            line, filtered = np.zeros(columns + 2 * NARROW_REACH, f4), np.empty(columns, f4)
+            smooth[channel] = f4(0)
+            for r in range(rows):
+                rest[channel, r] = out[channel, r]
+                _times(seen[r], rest[channel, r], weighted[channel, 0, r + REACH])
+            for n in range(order):
+                source, target = weighted[channel, n % 2], weighted[channel, 1 - n % 2]
+                for r in range(rows):
+                    _softened(source, smoothing, line, r, filtered)
+                    _move(filtered, inverse[r], seen[r], smooth[channel, r], rest[channel, r], target[r + REACH])
+        for r in prange(rows):
+            u, v, u0, v0 = smooth[0, r], smooth[1, r], start[0, r], start[1, r]
+            _explained(cells[GXE, r], cells[GXX, r], cells[GXY, r], u, v, u0, v0, right[0, r + REACH])
+            _explained(cells[GYE, r], cells[GXY, r], cells[GYY, r], u, v, u0, v0, right[1, r + REACH])
+        for band in prange(bands):
+            line = np.zeros(columns + 2 * REACH, f4)
+            along_x, along_y = np.empty(columns, f4), np.empty(columns, f4)
+            for r in range(band * BAND, min(band * BAND + BAND, rows)):
+                _smoothed(right[0], taps, line, r, along_x)
+                _smoothed(right[1], taps, line, r, along_y)
+                xx, xy, yy = sums[GXX, r], sums[GXY, r], sums[GYY, r]
+                _stepped(along_x, along_y, xx, xy, yy, add, smooth[0, r], relaxation, out[0, r])
+                _stepped(along_y, along_x, yy, xy, xx, add, smooth[1, r], relaxation, out[1, r])
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def equalised(nodes: np.ndarray, sums: np.ndarray, floor: float) -> None:
+    """Give g, by gain (channel 2) and offset (channel 3), the mean and the standard deviation of f in every window.
+
+    `floor` is a variance below which contrast is not compared.
+    """
+    least = f4(floor)
+    for r in prange(nodes.shape[1]):
+        for c in range(nodes.shape[2]):
+            w = sums[W, r, c]
+            if not w > f4(0):
+                continue
+            mean_f, mean_e = sums[WF, r, c] / w, sums[WE, r, c] / w
+            mean_g = mean_f - mean_e
+            var_f = max(sums[WFF, r, c] / w - mean_f * mean_f, f4(0))
+            second_g = (sums[WFF, r, c] - f4(2) * sums[WEF, r, c] + sums[WEE, r, c]) / w
+            var_g = max(second_g - mean_g * mean_g, f4(0))
+            ratio = min(max(np.sqrt((var_f + least) / (var_g + least)), f4(0.5)), f4(2))
+            nodes[2, r, c] = min(max(ratio * nodes[2, r, c], f4(0.1)), f4(10))
+            nodes[3, r, c] = ratio * nodes[3, r, c] + mean_f - ratio * mean_g
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def lent(field: np.ndarray, plane: np.ndarray, seen: np.ndarray, taps: np.ndarray) -> None:
+    """Where little of a window is seen, let its neighbours' values hold, around their planes (channel, 3); in place."""
+    channels, rows, columns = field.shape
+    weighted = np.empty((channels + 1, rows, columns), f4)
+    spread = np.empty((channels + 1, rows, columns), f4)
+    weighted[channels] = seen
+    for r in prange(rows):
+        for channel in range(channels):
+            for c in range(columns):
+                flat = plane[channel, 0] + plane[channel, 1] * f4(c) + plane[channel, 2] * f4(r)
+                weighted[channel, r, c] = seen[r, c] * (field[channel, r, c] - flat)
+    windowed(weighted, taps, spread)
+    for r in prange(rows):
+        for channel in range(channels):
+            for c in range(columns):
+                flat = plane[channel, 0] + plane[channel, 1] * f4(c) + plane[channel, 2] * f4(r)
+                own = min(f4(2) * spread[channels, r, c], f4(1))
+                others = flat + spread[channel, r, c] / spread[channels, r, c]
+                field[channel, r, c] = own * field[channel, r, c] + (f4(1) - own) * others
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def without_plane(field: np.ndarray, plane: np.ndarray, out: np.ndarray) -> None:
+    """Field minus planes (channel, 3)."""
+    for r in prange(field.shape[1]):
+        for channel in range(field.shape[0]):
+            a, b = plane[channel, 0] + plane[channel, 2] * f4(r), plane[channel, 1]
+            for c in range(field.shape[2]):
+                out[channel, r, c] = field[channel, r, c] - (a + b * f4(c))
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def uncertainty(
+    nodes: np.ndarray,
+    cells: np.ndarray,
+    sums: np.ndarray,
+    kept: np.ndarray,
+    node_gain: float,
+    tau_factor: float,
+    texture: float,
+    sigma: np.ndarray,
+    least: np.ndarray,
+    rich: np.ndarray,
+) -> None:
+    """Standard deviations (2, ...) of the nodes, the gradient energy that noise shows, and the cells that show more.
+
+    `kept` is the share of white noise that interpolation leaves at fractions k / (kept.size - 1) of a pixel;
+    `node_gain` is the variance at a node over that of its window; `least` becomes `tau_factor` times the variance of a
+    pixel; `rich` is the weight of the cells with `texture` times that energy, along both axes.
+    """
+    steps = f4(kept.size - 1)
+    for r in prange(nodes.shape[1]):
+        columns = nodes.shape[2]
+        column, energy = np.empty(columns + 2, f4), np.empty(columns, f4)
+        _gradient_energy(cells, r, column, energy)
+        for c in range(columns):
+            inverse = f4(1) / max(sums[W, r, c], f4(1e-6))
+            mean_e = sums[WE, r, c] * inverse
+            var_e = max(sums[WEE, r, c] * inverse - mean_e * mean_e, f4(0))
+            x, y = nodes[0, r, c], nodes[1, r, c]
+            share = kept[int(np.rint((x - np.floor(x)) * steps))] * kept[int(np.rint((y - np.floor(y)) * steps))]
+            gain = nodes[2, r, c] * nodes[2, r, c]
+            pixel = var_e * (f4(1) + gain) / (f4(1) + gain * share)
+            tau = f4(tau_factor) * pixel
+            xx, xy, yy = sums[GXX, r, c], sums[GXY, r, c], sums[GYY, r, c]
+            variance = pixel * f4(node_gain) / max(xx * yy - xy * xy, f4(1e-30))
+            sigma[0, r, c] = np.sqrt(variance * yy)
+            sigma[1, r, c] = np.sqrt(variance * xx)
+            least[r, c] = tau
+            rich[r, c] = cells[W, r, c] if energy[c] > f4(2 * texture) * tau else f4(0)
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def agreement(sums: np.ndarray, wide: np.ndarray, area: float, explained: np.ndarray, smallest: np.ndarray) -> None:
+    """How much of the texture in twice the window the fit explains, and the smaller eigenvalue of H per window.
+
+    The coefficient of determination r^2 is adjusted for the parameters (two of motion, two of brightness) by the number
+    of speckles in the window, whose effective area is `area` [px^2]: a window with few independent speckles can be made
+    to agree with anything. The adjustment is limited to a factor 10.
+    """
+    for r in prange(sums.shape[1]):
+        for c in range(sums.shape[2]):
+            w = max(sums[W, r, c], f4(1e-6))
+            mean_f = sums[WF, r, c] / w
+            var_f = max(sums[WFF, r, c] / w - mean_f * mean_f, f4(0))
+            xx, xy, yy = sums[GXX, r, c], sums[GXY, r, c], sums[GYY, r, c]
+            energy = f4(0.5) * (xx + yy)
+            smallest[r, c] = energy - np.sqrt(f4(0.25) * (xx - yy) * (xx - yy) + xy * xy)
+            # Area of a speckle 2 pi r^2 with r^2 = var f / (2 var df/dx).
+            speckle = f4(np.pi) * var_f / max(energy, f4(1e-12)) * w
+            freedom = max(f4(2) * f4(area) / max(speckle, f4(1e-6)) - f4(1), f4(1e-6))
+            inverse = f4(1) / max(wide[W, r, c], f4(1e-6))
+            mean_f, mean_e = wide[WF, r, c] * inverse, wide[WE, r, c] * inverse
+            var_f = max(wide[WFF, r, c] * inverse - mean_f * mean_f, f4(0))
+            var_e = max(wide[WEE, r, c] * inverse - mean_e * mean_e, f4(0))
+            covariance = wide[WEF, r, c] * inverse - mean_f * mean_e
+            var_g = max(var_f - f4(2) * covariance + var_e, f4(0))
+            correlation = (var_f - covariance) / np.sqrt(max(var_f * var_g, f4(1e-12)))
+            correlation = min(max(correlation, f4(0)), f4(1))
+            left = f4(1) - correlation * correlation
+            explained[r, c] = f4(1) - left * freedom / max(freedom - f4(4), f4(0.1) * freedom)
+
+
+@njit(nogil=True, error_model="numpy")
+def _median(a: np.float32, b: np.float32, c: np.float32) -> np.float32:
+    return max(min(a, b), min(max(a, b), c))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def median3(nodes: np.ndarray, out: np.ndarray) -> None:
+    """Median over 3 x 3 nodes of each channel; the outermost nodes are repeated.
+
+    The median of nine is the median of the greatest of the row minima, the median of the row medians and the smallest
+    of the row maxima, rows being sorted triples.
+    """
+    channels, rows, columns = nodes.shape
+    lowest, middle, highest = np.empty(columns, f4), np.empty(columns, f4), np.empty(columns, f4)
+    for channel in range(channels):
+        for r in range(rows):
+            above, here, below = nodes[channel, max(r - 1, 0)], nodes[channel, r], nodes[channel, min(r + 1, rows - 1)]
+            for c in range(columns):
+                x, y, z = above[c], here[c], below[c]
+                lowest[c] = min(min(x, y), z)
+                middle[c] = _median(x, y, z)
+                highest[c] = max(max(x, y), z)
+            for c in range(columns):
+                left, right = max(c - 1, 0), min(c + 1, columns - 1)
+                out[channel, r, c] = _median(
+                    max(max(lowest[left], lowest[c]), lowest[right]),
+                    _median(middle[left], middle[c], middle[right]),
+                    min(min(highest[left], highest[c]), highest[right]),
+                )
