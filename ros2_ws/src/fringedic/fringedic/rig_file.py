@@ -314,6 +314,9 @@ class Ramp(Section):
     from_mm: float = Field(0.0, description="First position.")
     to_mm: float = Field(description="Last position.")
     steps: int = Field(ge=2, le=10000, description="Number of steps.")
+    repeats_at_rest: int = Field(
+        0, ge=0, le=1000, description="How often the first position is measured again, for the noise floor."
+    )
     speed_mm_per_s: float = Field(1.0, gt=0, description="Speed of the crosshead.")
     hold_s: float = Field(0.0, ge=0, le=3600, description="Time to wait after each move before measuring.")
     mode: Literal["fringes", "white"] = Field("fringes", description="white: one frame, in-plane displacement only.")
@@ -340,12 +343,12 @@ class Programme(Section):
         ramp = self.ramp
         return [
             ProgrammeStep(
-                position_mm=ramp.from_mm + (ramp.to_mm - ramp.from_mm) * number / (ramp.steps - 1),
+                position_mm=ramp.from_mm + (ramp.to_mm - ramp.from_mm) * max(number, 0) / (ramp.steps - 1),
                 speed_mm_per_s=ramp.speed_mm_per_s,
                 hold_s=ramp.hold_s,
                 mode=ramp.mode,
             )
-            for number in range(ramp.steps)
+            for number in range(-ramp.repeats_at_rest, ramp.steps)
         ]
 
 

@@ -79,7 +79,8 @@ def run_experiment(
     programme
         The load steps.
     folder
-        Gets ``bag``, ``logs``, the dataset ``results.nc``, ``report.html``, a picture per step and, of a virtual rig, ``truth.nc``.
+        Gets ``bag``, ``logs``, the dataset ``results.nc``, ``report.html``, a picture per step and, of a virtual rig,
+        ``truth.nc``.
     progress
         Told what goes on.
     domain
