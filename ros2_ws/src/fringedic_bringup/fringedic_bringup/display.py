@@ -83,13 +83,16 @@ def report_table(report: RunReport) -> Table:
     """Return the steps of a run as a table: errors against the truth, valid part, lost frames, time to the cloud."""
     table = Table(title=f"{report.experiment}: {report.folder}", min_width=70, title_justify="left")
     with_truth = any(step.errors for step in report.steps)
+    with_exact = any("z_exact" in step.errors for step in report.steps)
     table.add_column("step", justify="right")
     table.add_column("position\n[mm]", justify="right")
     table.add_column("force\n[N]", justify="right")
     table.add_column("displacement\n[RMS]", justify="right")
     if with_truth:
-        for name in ("u", "v", "w"):
+        for name in ("u", "v", "w", "z"):
             table.add_column(f"error {name}\n[µm RMS]", justify="right")
+    if with_exact:
+        table.add_column("z, exact\ncalibration", justify="right")
     table.add_column("valid\n[%]", justify="right")
     table.add_column("frames lost\ncamera / bag", justify="right")
     table.add_column("exposure to\ncloud [s]", justify="right")
@@ -101,7 +104,9 @@ def report_table(report: RunReport) -> Table:
         displacement = step.rms_displacement
         cells.append(f"{displacement:.3f} px" if step.white else f"{displacement * 1e6:.1f} µm")
         if with_truth:
-            cells += [_figure(step.errors.get(name, float("nan")), 2) for name in ("u", "v", "w")]
+            cells += [_figure(step.errors.get(name, float("nan")), 2) for name in ("u", "v", "w", "z")]
+        if with_exact:
+            cells.append(_figure(step.errors.get("z_exact", float("nan")), 2))
         cells += [
             _figure(step.valid_fraction * 100, 1),
             f"{step.dropped} / {step.missing}",

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import xarray as xr
 
 from camera_node.drivers.files import SUFFIXES
@@ -14,13 +15,15 @@ from fringedic.pictures import save_pictures
 from fringedic.recording import BagReader
 from fringedic.report import write_report
 from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
-from fringedic.rig_file import Programme, RigFile, load_programme, load_rig_file
+from fringedic.rig_file import VIRTUAL_RIG, Programme, RigFile, calibration_of, load_programme, load_rig_file
 from fringedic.sequence import frame_record, stamp_of
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.graph import Graph, rig_graph
 from fringedic_bringup.processes import RunningGraph
 from fringedic_bringup.report import Progress, RunReport, StepReport
 from fringedic_msgs.action import MeasureStep
+
+Reconstruct = Callable[[xr.DataArray], xr.Dataset]
 
 
 def load_rig(rig_path: Path, programme_path: Path | None, images: Path | None) -> tuple[RigFile, Programme]:
@@ -101,7 +104,7 @@ def run_experiment(
         steps = drive(graph, programme, running.check, progress, domain=domain)
         progress.stage(f"{programme.experiment}: closing the recording")
     progress.stage(f"{programme.experiment}: writing dataset, pictures and report")
-    return write_results(programme.experiment, folder, steps)
+    return write_results(programme.experiment, folder, steps, exact=_exact(rig))
 
 
 def drive(
@@ -146,8 +149,17 @@ def drive(
     return reports
 
 
-def write_results(experiment: str, folder: Path, steps: list[StepReport]) -> RunReport:
-    """Write dataset, pictures and report of a recording; add losses and errors against the truth to the steps."""
+def write_results(
+    experiment: str, folder: Path, steps: list[StepReport], *, exact: Reconstruct | None = None
+) -> RunReport:
+    """Write dataset, pictures and report of a recording; add losses and errors against the truth to the steps.
+
+    Parameters
+    ----------
+    exact
+        Makes surfaces of phases by the exact calibration of a virtual rig that was measured with another one; then the
+        errors of its heights are added as ``z_exact``.
+    """
     bag = folder / "bag"
     recorded = BagReader(bag)
     if not recorded.find_optional("camera/exposure"):
@@ -164,13 +176,14 @@ def write_results(experiment: str, folder: Path, steps: list[StepReport]) -> Run
         if truth_file.exists():
             with open_truth(truth_file) as truth:
                 pictures = save_pictures(dataset, folder, truth=truth)
+                heights = {} if exact is None else _heights(dataset, truth, exact)
         else:
-            pictures = save_pictures(dataset, folder)
+            pictures, heights = save_pictures(dataset, folder), {}
     write_report(bag, folder / "report.html", overwrite=True)
     for report in steps:
         report.dropped, report.missing = losses.get(report.step, (0, 0))
         if errors is not None and report.step in errors.step.values:
-            report.errors = _errors_of(errors, report.step)
+            report.errors = _errors_of(errors, report.step) | heights.get(report.step, {})
     return RunReport(experiment, folder, steps, pictures)
 
 
@@ -192,6 +205,24 @@ def frame_losses(bag: Path) -> dict[int, tuple[int, int]]:
         losses[step] = dropped - dropped_before, sum(record.stamp not in images for record in exposures)
         dropped_before = dropped
     return losses
+
+
+def _exact(rig: RigFile) -> Reconstruct | None:
+    """Return what makes surfaces of phases by the truth about a virtual rig that is not measured by it anyway."""
+    if rig.virtual_rig is None or rig.calibration in (None, VIRTUAL_RIG):
+        return None
+    model, finest = calibration_of(rig.virtual_configuration()), rig.projections()[-1]
+    return lambda phase: model.reconstruct(phase, finest.pitch, orientation=finest.orientation)
+
+
+def _heights(dataset: xr.Dataset, truth: xr.Dataset, exact: Reconstruct) -> dict[int, dict[str, float]]:
+    """Return the RMS error of z [µm] that the steps have with the exact calibration."""
+    errors = {}
+    for step in dataset.step.values:
+        measured = exact(dataset.phase.sel(step=step)).z.values
+        true = truth.z_deformed.isel(step=int(step)).sel(row=dataset.row.values, column=dataset.column.values).values
+        errors[int(step)] = {"z_exact": 1e6 * float(np.sqrt(np.nanmean((measured - true) ** 2)))}
+    return errors
 
 
 def _errors_of(errors: xr.Dataset, step: int) -> dict[str, float]:
