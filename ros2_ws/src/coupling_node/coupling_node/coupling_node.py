@@ -119,7 +119,8 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
             window=self._window[0],
             method=self._window[1],
         )
-        for publisher, fields in ((self._shape, result.shape), (self._displacement, result.displacement)):
+        # the displacement is what is waited for; the shape, at every pixel, is larger
+        for publisher, fields in ((self._displacement, result.displacement), (self._shape, result.shape)):
             publisher.publish(cloud_message(fields, stamp_ns=stamp, frame_id=FRAME))
         return Outcome(result.valid_fraction, result.rms, status.frames)
 

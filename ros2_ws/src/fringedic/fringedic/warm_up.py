@@ -65,9 +65,13 @@ def warm_up() -> None:
     shapes.set_calibration(_rig())
     for dtype in (np.uint8, np.uint16):
         with _Part(f"phase, displacement and coupling of {np.dtype(dtype).name} frames"):
-            for step in (0, 1):
+            for step in (0, 1, 2):
                 phase = phase_step(_stack(dtype, step), PhaseParameters())
+                # arrays of messages, which the nodes take, are read-only: kernels are compiled once more for them
+                phase.texture.setflags(write=step != 2)
                 found = tracker.step(np.dtype(dtype).name, step, 0, phase.texture)
+                for array in (phase.phase, phase.sigma, found.displacement, found.sigma):
+                    array.setflags(write=step != 2)
                 shapes.step(
                     np.dtype(dtype).name,
                     step,
@@ -80,6 +84,7 @@ def warm_up() -> None:
                     orientation=phase.orientation,
                     spacing=found.spacing,
                     origin=found.origin,
+                    window=DicParameters().window,
                 )
         with _Part(f"displacement of white {np.dtype(dtype).name} images"):
             white = _stack(dtype, 0).frames[0]
