@@ -225,6 +225,10 @@ class NotAnsweredError(FringedicError, TimeoutError):
     """Nodes did not appear or did not answer in time; the message names them."""
 
 
+class PadError(FringedicError, ValueError):
+    """A pad of a virtual extensometer lies where it cannot be followed."""
+
+
 class ParameterError(FringedicError, ValueError):
     """A node parameter has a value that is not allowed."""
 
@@ -271,6 +275,10 @@ class StepFailedError(FringedicError, RuntimeError):
 
 class StrainMeasureError(FringedicError, ValueError):
     """A measure of strain is unknown."""
+
+
+class TargetError(FringedicError, ValueError):
+    """A printable grid is asked for that no printer can make."""
 
 
 class TexturelessImageError(FringedicError, ValueError):

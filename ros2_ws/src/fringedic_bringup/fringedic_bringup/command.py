@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Mapping
 from datetime import UTC, datetime
@@ -112,6 +113,28 @@ def calibrate(
     if report.go:
         console.print(f"calibration: {report.file}; name it in the rig file", markup=False, highlight=False)
     else:
+        raise typer.Exit(1)
+
+
+@app.command(epilog="Example: fringedic check plate.yaml --distance-mm 5")
+def check(
+    rig: Annotated[Path, typer.Argument(help="Rig file with the calibration to check.")],
+    distance_mm: Annotated[
+        float, typer.Option(help="By how much the plane is lifted towards the camera: a gauge block, a stage, in mm.")
+    ] = 5.0,
+    output: Annotated[Path, typer.Option(help="Folder for the recording.")] = Path("check"),
+) -> None:
+    """Measure the reference plane and a known distance; exit code 1 when the rig does not hold its calibration."""
+    from fringedic.rig_file import load_rig_file
+    from fringedic_bringup.check import check as check_rig
+
+    path = _rig_path(rig)
+    with LiveProgress(console) as progress:
+        result = check_rig(
+            load_rig_file(path), path, _unused(output), progress, distance=1e-3 * distance_mm, ask=progress.ask
+        )
+    console.print(result.verdict, markup=False, highlight=False)
+    if not result.holds:
         raise typer.Exit(1)
 
 
@@ -275,6 +298,22 @@ def advise(
         strain_window=strain_window_points,
     )
     typer.echo(advice.report())
+
+
+@app.command(epilog="Example: fringedic target --pitch-mm 0.5 --output grid.pdf")
+def target(
+    pitch_mm: Annotated[float, typer.Option(help="Period of the lines in mm; 6 to 15 pixels of the camera are good.")],
+    output: Annotated[Path, typer.Option(help="File to write, .pdf or .svg.")] = Path("grid.pdf"),
+    page: Annotated[str, typer.Option(help="A4 or A3.")] = "A4",
+    turned_degree: Annotated[float, typer.Option(help="Turn of the grid on the page in degree.")] = 2.0,
+) -> None:
+    """Write the printable grid that measures the camera's distortion and gives the calibration its scale."""
+    from fringedic.camera.target import Target
+
+    Target(1e-3 * pitch_mm, page, math.radians(turned_degree)).save(output)
+    console.print(
+        f"grid: {output}; print it at 100 %, measure its ruler, and lay it flat", markup=False, highlight=False
+    )
 
 
 @app.command(epilog="Example: fringedic export recordings/plate-7/bag --to vtk --to csv --output plate-7")

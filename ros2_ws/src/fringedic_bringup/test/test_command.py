@@ -221,7 +221,7 @@ def test_errors_are_one_sentence_and_exit_code_1(words: tuple[str, ...], sentenc
 
 
 def test_every_command_helps_with_an_example() -> None:
-    for name in ("run", "demo", "replay", "process", "info", "recover", "measure", "export"):
+    for name in ("run", "demo", "replay", "process", "info", "recover", "measure", "target", "export"):
         shown = fringedic_command(name, "--help", COLUMNS="200")
         assert shown.returncode == 0 and f"Example: fringedic {name}" in shown.stdout, name
 
