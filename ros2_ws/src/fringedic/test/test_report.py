@@ -1,4 +1,4 @@
-"""The report: noise floors against known noise, what it says, what it names as missing, and that it needs no network."""
+"""The report: noise floors against known noise, what it says, what it names as missing, and that it needs no net."""
 
 import base64
 import io
