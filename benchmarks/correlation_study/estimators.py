@@ -11,7 +11,7 @@ import numpy as np
 from correlation_study.scenes import Task
 from fringedic.correlation import Reference, measure_displacement
 
-RIVAL_STEP = 13  # [px], shares no factor with the periods of the waves
+RIVAL_STEP = 17  # [px], shares no factor with the periods of the waves
 
 
 @dataclass(frozen=True)

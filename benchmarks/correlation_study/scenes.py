@@ -21,7 +21,7 @@ Speckle, camera = _EXACT["Speckle"], _EXACT["camera"]
 Motion = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 GREY_LEVELS = 31  # noise of the paper's Table 1, of 12 bits
-PERIODS = (150.0, 75.0, 66.0, 60.0, 55.0, 50.0, 46.0, 43.0, 40.0, 37.0, 34.0, 30.0, 25.0, 20.0)
+PERIODS = (150.0, 75.0, 66.0, 60.0, 55.0, 50.0, 46.0, 43.0, 40.0, 37.0, 33.0, 29.0, 25.0, 20.0)
 DIRECTIONS = {"x": (1.0, 0.0), "y": (0.0, 1.0), "45 degrees": (0.5**0.5, 0.5**0.5)}
 AMPLITUDE = 0.1  # [px] of the waves
 SHIFTS = np.linspace(-0.5, 0.5, 11)

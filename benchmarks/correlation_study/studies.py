@@ -36,7 +36,7 @@ ZONE = 32
 
 
 def table_1_tasks(surface: Speckle) -> tuple[Task, Task]:
-    """Ten shifts along both axes without and with noise, on a surface for more than 600 zones."""
+    """Ten shifts along both axes without and with noise, on a surface for 20 x 30 zones."""
     return tuple(
         Task(f"table 1, {noise} GL", task.images, task.pairs, task.truth)
         for noise in (0, GREY_LEVELS)
