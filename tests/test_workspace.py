@@ -34,7 +34,7 @@ WITHOUT_KEY = {
 EXECUTABLES = {
     "camera_node": ["camera"],
     "coupling_node": ["coupling"],
-    "dic_node": ["dic"],
+    "dic_node": ["dic", "extensometer"],
     "experiment_node": ["experiment", "player", "recorder"],
     "fringe_projector_node": ["projector"],
     "load_frame_node": ["load_frame", "stage"],

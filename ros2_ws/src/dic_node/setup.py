@@ -15,6 +15,7 @@ setup(
     entry_points={
         "console_scripts": [
             "dic = dic_node.dic_node:main",
+            "extensometer = dic_node.extensometer_node:main",
         ],
     },
 )

@@ -1,0 +1,119 @@
+"""The extensometer node in a process of its own, fed with frames as a camera sends them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+from scipy.ndimage import gaussian_filter, map_coordinates
+from sensor_msgs.msg import Image
+from std_msgs.msg import Bool, Float64
+from std_srvs.srv import Trigger
+
+from fringedic_ros.images import image_message
+from fringedic_ros.parameter_docs import documented
+from fringedic_ros.qos import IMAGES, STATE
+from fringedic_ros.testing import NodeProcess, Peer
+
+DOMAIN = 47
+ROWS, COLUMNS = 480, 640
+PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "extensometer.md"
+
+
+class Rig(Peer):
+    """Plays the camera, and the controller that reads the strain."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.strains = self.listen(Float64, "extensometer/strain", STATE)
+        self.sigmas = self.listen(Float64, "extensometer/sigma", STATE)
+        self.valid = self.listen(Bool, "extensometer/valid", STATE)
+        self._images = self.create_publisher(Image, "camera/image_raw", IMAGES)
+        self._zero = self.create_client(Trigger, "extensometer/zero")
+        self._texture = gaussian_filter(np.random.default_rng(1).normal(size=(ROWS, COLUMNS)), 1.4)
+        self._texture *= 40 / self._texture.std()
+
+    def ready(self) -> None:
+        self.wait(lambda: self._images.get_subscription_count() == 1, "the extensometer", 20)
+
+    def send(self, strain: float) -> None:
+        """One frame of the texture stretched along the columns about the middle of the image."""
+        row, column = np.mgrid[0:ROWS, 0:COLUMNS].astype(float)
+        material = (column - COLUMNS / 2) / (1 + strain) + COLUMNS / 2
+        image = np.clip(128 + map_coordinates(self._texture, [row, material], order=5, mode="reflect"), 0, 255)
+        now = self.get_clock().now().nanoseconds
+        self._images.publish(image_message(image.round().astype(np.uint8), stamp_ns=now, frame_id="camera"))
+
+    def read(self, strain: float) -> tuple[float, float]:
+        """Strain and sigma of one frame; what the node says of the silence before is NaN."""
+        self.forget()
+        self.send(strain)
+        self.wait(lambda: any(flag.data for flag in self.valid), "a valid strain", 10)
+        self.wait(lambda: self._numbers(self.strains) and self._numbers(self.sigmas), "its numbers", 10)
+        return self._numbers(self.strains)[-1], self._numbers(self.sigmas)[-1]
+
+    def _numbers(self, messages: list[Float64]) -> list[float]:
+        return [message.data for message in messages if not np.isnan(message.data)]
+
+    def zero(self) -> None:
+        future = self._zero.call_async(Trigger.Request())
+        self.wait(future.done, "the zero", 10)
+
+
+@pytest.fixture
+def rig(tmp_path: Path) -> Iterator[Rig]:
+    rclpy.init(domain_id=DOMAIN)
+    rig = Rig()
+    with NodeProcess("dic_node.extensometer_node", DOMAIN, tmp_path, {"frame_timeout_s": 0.3}):
+        rig.ready()
+        yield rig
+    rig.destroy_node()
+    rclpy.shutdown()
+
+
+def test_strain_beside_its_sigma_and_validity(rig: Rig) -> None:
+    assert rig.read(0.0)[0] == pytest.approx(0.0, abs=1e-5)
+    for strain in (0.002, 0.005, -0.003):
+        measured, sigma = rig.read(strain)
+        print(f"error {1e6 * (measured - strain):.1f} µstrain, sigma {1e6 * sigma:.1f} µstrain")
+        assert measured == pytest.approx(strain, abs=1e-4)
+        assert 0 < sigma < 1e-4
+    rig.zero()
+    rig.read(0.005)
+    assert rig.read(0.010)[0] == pytest.approx(1.010 / 1.005 - 1, abs=1e-4), "against the frame after the zero"
+
+
+def test_silence_is_told_once(rig: Rig) -> None:
+    rig.read(0.0)
+    rig.forget()
+    begin = time.monotonic()
+    rig.wait(lambda: rig.valid, "the word that frames stopped", 5)
+    assert time.monotonic() - begin < 2.0
+    assert not rig.valid[0].data
+    rig.wait(lambda: rig.strains, "its number", 5)
+    assert np.isnan(rig.strains[0].data)
+    rig.serve(0.6)
+    assert len(rig.valid) == 1
+    assert rig.read(0.001)[0] == pytest.approx(0.001, abs=1e-4)
+
+
+def test_every_frame_of_a_stream_is_answered_or_replaced_by_a_newer_one(rig: Rig) -> None:
+    """The last frame always counts: a controller never acts on an old strain while a newer frame waits."""
+    rig.read(0.0)
+    rig.forget()
+    for k in range(1, 11):
+        rig.send(0.0005 * k)
+        rig.serve(0.02)
+    rig.wait(lambda: rig.strains and abs(rig.strains[-1].data - 0.005) < 1e-4, "the strain of the last frame", 10)
+    read = [strain.data for strain in rig.strains if not np.isnan(strain.data)]
+    assert read == sorted(read)
+
+
+def test_page_is_up_to_date() -> None:
+    text = PAGE.read_text()
+    assert "<!-- parameters: dic_node.extensometer_node:ExtensometerParameters -->" in text
+    assert documented(text) == text, f"run python -m fringedic_ros.parameter_docs {PAGE}"
