@@ -18,11 +18,12 @@ from fringedic.calibration.calibrate import calibrate_rig
 from fringedic.calibration.planes import PlaneBlocks, check_different, plane_name, reduce_plane
 from fringedic.calibration.result import RigCalibration
 from fringedic.camera.grid import GridMeasurement, measure_distortion
-from fringedic.errors import CalibrationStateError
+from fringedic.errors import CalibrationFileError, CalibrationStateError, InvalidCalibrationError
 from fringedic.sequence import Projection
 
 DISTORTION_FILE = "distortion.yaml"
 REPORT_FILE = "report.html"
+CHECK_AFTER = 7 * 86400.0  # [s] after which temperature and hands have had time to move something
 _MM, _UM = 1e3, 1e6
 
 
@@ -54,6 +55,34 @@ def grid_in_words(grid: GridMeasurement) -> str:
         f"the grid, known to {grid.sigma:.4f} px. A pixel sees {_UM * plane.pixel_size:.4f} µm of the plane."
     )
     return " ".join([words, *grid.warnings])
+
+
+def in_force_words(file: Path, now: datetime) -> list[str]:
+    """Return what is to be said of a calibration before it is used: its age, what it lacks, and whether to check it.
+
+    Parameters
+    ----------
+    file
+        ``calibration.yaml`` with its companions beside it, or alone, when nothing is known about it.
+    now
+        The time.
+    """
+    try:
+        calibration = RigCalibration.load(file.parent)
+    except (CalibrationFileError, InvalidCalibrationError):
+        return [f"calibration {file}: nothing tells when and how well it was measured"]
+    age = calibration.age(now)
+    words = [f"calibration {calibration.model.identifier}, {_span_in_words(age)} old. {calibration.verdict}"]
+    if age > CHECK_AFTER:
+        words.append(f"it is older than {_span_in_words(CHECK_AFTER)}: `fringedic check` tells whether it still holds")
+    return [*words, *calibration.warnings]
+
+
+def _span_in_words(seconds: float) -> str:
+    for unit, length in (("days", 86400.0), ("hours", 3600.0), ("minutes", 60.0)):
+        if seconds >= 2 * length:
+            return f"{seconds / length:.0f} {unit}"
+    return f"{seconds:.0f} seconds"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -226,7 +255,8 @@ class CalibrationSession:
         """Write ``report.html``, and the files of the calibration when it may be used."""
         assert self.result is not None, "calibrate comes first"
         folder.mkdir(parents=True, exist_ok=True)
-        self.result.write_report(folder / REPORT_FILE)
+        if hasattr(self.result, "write_report"):
+            self.result.write_report(folder / REPORT_FILE)
         if self.result.go:
             self.result.save(folder)
 

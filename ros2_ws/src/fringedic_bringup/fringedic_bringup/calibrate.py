@@ -62,7 +62,7 @@ def calibrate(
         RigClient(graph.namespace, domain=domain, watch=running.check) as client,
     ):
         if "stage" not in graph.names:
-            client.serve_placing(lambda *place: _asked(ask, *place))
+            client.serve_placing(placing_by(ask))
         client.wait_until_ready(graph.names)
         camera = client.calibrate_distortion(
             grid_pitch, frames=plane.grid_frames, folder=folder, feedback=_Shown(progress)
@@ -120,8 +120,13 @@ def _failure(result: Any) -> str:
     return f"{result.error_message} (error {result.error_code})"
 
 
-def _asked(ask: Callable[[str], bool], kind: int, angle: float, height: float) -> str:
-    if kind == PlaneKind.SPECIMEN:
-        return ""  # the rig is free again; nothing waits for the specimen
-    words = place_in_words(kind, angle, height)
-    return "" if ask(words[:1].upper() + words[1:]) else "the operator stopped the calibration"
+def placing_by(ask: Callable[[str], bool]) -> Callable[[int, float, float], str]:
+    """Return what places the plane by asking an operator, see `RigClient.serve_placing`."""
+
+    def place(kind: int, angle: float, height: float) -> str:
+        if kind == PlaneKind.SPECIMEN:
+            return ""  # the rig is free again; nothing waits for the specimen
+        words = place_in_words(kind, angle, height)
+        return "" if ask(words[:1].upper() + words[1:]) else "the operator stopped"
+
+    return place

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
 from camera_node.drivers.files import SUFFIXES
+from fringedic.calibration_session import in_force_words
 from fringedic.errors import RigFileError, StepFailedError
 from fringedic.pictures import save_pictures
 from fringedic.recording import BagReader
@@ -99,6 +101,9 @@ def run_experiment(
     if (folder / "bag").exists():
         raise RigFileError(f"{folder} holds a recording already; choose another --output")
     graph = rig_graph(rig, rig_path, folder, experiment=programme.experiment)
+    if isinstance(rig.calibration, str) and rig.calibration != VIRTUAL_RIG:
+        for words in in_force_words(rig_path.parent / rig.calibration, datetime.now(UTC)):
+            progress.note(words)
     progress.stage(f"{programme.experiment}: starting {len(graph.nodes)} nodes")
     with RunningGraph(graph, folder / "logs", domain=domain) as running:
         steps = drive(graph, programme, running.check, progress, domain=domain)

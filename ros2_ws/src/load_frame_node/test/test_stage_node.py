@@ -1,0 +1,94 @@
+"""The stage: what it says, what it refuses, and that its answer follows its message."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+
+from fringedic_msgs.msg import ReferencePlane
+from fringedic_msgs.srv import PlaceReferencePlane
+from fringedic_ros.parameter_docs import documented
+from fringedic_ros.qos import LATCHED
+from fringedic_ros.spinning import Spinning
+from load_frame_node.stage_node import StageNode
+
+DOMAIN = 56
+PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "stage.md"
+Request = PlaceReferencePlane.Request
+
+
+class Rig:
+    """A stage, somebody who hears it, and somebody who has the plane placed."""
+
+    def __init__(self, spinning: Spinning) -> None:
+        self.stage = spinning.add(StageNode.started())
+        self.client = spinning.add(rclpy.create_node("operator"))
+        self.place_client = self.client.create_client(PlaceReferencePlane, "reference_plane/place")
+        self.states: list[ReferencePlane] = []
+        self.client.create_subscription(ReferencePlane, "reference_plane/state", self.states.append, LATCHED)
+        self._spinning = spinning
+        assert self.place_client.wait_for_service(10)
+        deadline = time.monotonic() + 10
+        while not self.states:  # connected when the latched state has come
+            assert time.monotonic() < deadline, "no state of the stage"
+            time.sleep(0.01)
+
+    def place(self, **request: Any) -> PlaceReferencePlane.Response:
+        async def ask() -> PlaceReferencePlane.Response:
+            return await self.place_client.call_async(Request(**request))
+
+        return self._spinning.run(ask)
+
+
+@pytest.fixture(scope="module")
+def rig() -> Iterator[Rig]:
+    rclpy.init(domain_id=DOMAIN)
+    with Spinning() as spinning:
+        yield Rig(spinning)
+    rclpy.try_shutdown()
+
+
+def test_begins_with_the_specimen_and_says_where_the_plane_stands(rig: Rig) -> None:
+    response = rig.place(kind=Request.PLANE, angle=0.2, height=-1e-3)
+    assert (response.success, response.message, response.angle, response.height) == (True, "", 0.2, -1e-3)
+    # the latched first state, and the new one that was heard before the answer came
+    assert [(state.kind, state.angle, state.height) for state in rig.states] == [
+        (ReferencePlane.SPECIMEN, 0.0, 0.0),
+        (ReferencePlane.PLANE, 0.2, -1e-3),
+    ]
+    assert rig.place(kind=Request.SPECIMEN).success and rig.states[-1].kind == ReferencePlane.SPECIMEN
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        ({"kind": 7}, "kind 7"),
+        ({"kind": Request.PLANE, "angle": math.radians(41)}, "40 degree"),
+        ({"kind": Request.PLANE, "angle": math.nan}, "40 degree"),
+        ({"kind": Request.PLANE, "height": 0.05}, "30 mm"),
+    ],
+)
+def test_refuses_what_it_cannot_do(rig: Rig, request_: dict[str, Any], words: str) -> None:
+    rig.place(kind=Request.GRID)
+    heard = len(rig.states)
+    response = rig.place(**request_)
+    assert not response.success and words in response.message
+    assert len(rig.states) == heard
+
+
+def test_an_inactive_stage_refuses(rig: Rig) -> None:
+    rig.stage.trigger_deactivate()
+    response = rig.place(kind=Request.PLANE)
+    rig.stage.trigger_activate()
+    assert not response.success and "not active" in response.message
+
+
+def test_page_lists_the_parameters() -> None:
+    text = PAGE.read_text()
+    assert documented(text) == text, f"run python -m fringedic_ros.parameter_docs {PAGE}"
