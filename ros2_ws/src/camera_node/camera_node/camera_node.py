@@ -25,9 +25,11 @@ from camera_node.drivers import (
 )
 from camera_node.drivers.virtual import TruthFile
 from fringedic.errors import CameraError, FringedicError, WaitTimeoutError
+from fringedic.rig import RigModel
 from fringedic.sequence import FrameRecord, PatternKind, Projection, projection_of
-from fringedic_msgs.msg import Exposure, LoadState, ReferencePlane
+from fringedic_msgs.msg import Exposure, LoadState, ReferencePlane, RigCalibration
 from fringedic_msgs.srv import CaptureFrame
+from fringedic_ros.camera_info import camera_info
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
 from fringedic_ros.main import run
@@ -42,6 +44,7 @@ FRAME_ID = "camera_optical_frame"
 Request = CaptureFrame.Request
 _TRUTH_TIMEOUT_S = 10.0
 _BUFFERS = 4  # exposures of the free run that may be under way, as in a camera driver
+_BROWN_RESIDUAL_PX = 0.05
 _LOST_CAMERA_PAUSE_S = 0.05  # between attempts to take a frame
 
 
@@ -131,6 +134,7 @@ class CameraNode(HardwareNode[CameraParameters]):
         self._pattern: Image | None = None
         self._load: LoadState | None = None
         self._plane: PlacedPlane | None = None
+        self._info = CameraInfo()
         self._scene_changed = Condition(self)
         self._images = self.create_publisher(Image, "camera/image_raw", IMAGES, qos_overriding_options=OVERRIDABLE)
         self._infos = self.create_publisher(CameraInfo, "camera/camera_info", IMAGES)
@@ -138,6 +142,7 @@ class CameraNode(HardwareNode[CameraParameters]):
         self.create_subscription(Image, "projector/image", self._take_pattern, LATCHED)
         self.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
         self.create_subscription(ReferencePlane, "reference_plane/state", self._take_plane, LATCHED)
+        self.create_subscription(RigCalibration, "calibration", self._take_calibration, LATCHED)
         # a capture waits for the scene: it needs a group of its own, which also serves one capture after the other
         self.create_service(
             CaptureFrame, "camera/capture", self._capture, callback_group=MutuallyExclusiveCallbackGroup()
@@ -196,6 +201,19 @@ class CameraNode(HardwareNode[CameraParameters]):
         """End the background thread, too."""
         super().destroy_node()
         self._worker.stop()
+
+    def _take_calibration(self, message: RigCalibration) -> None:
+        """Tell other tools of the lens from now on."""
+        try:
+            info, residual = camera_info(RigModel.from_message(message))
+        except FringedicError as error:
+            self.get_logger().error(f"calibration '{message.identifier}' refused: {error}")
+            return
+        self._info = info
+        if residual > _BROWN_RESIDUAL_PX:
+            self.get_logger().info(
+                f"camera/camera_info describes the lens to within {residual:.2f} px only; the calibration does better"
+            )
 
     # the scene of a virtual camera
 
@@ -322,9 +340,25 @@ class CameraNode(HardwareNode[CameraParameters]):
         exposure.exposure_time = self.parameters.value.exposure_time_s
         exposure.dropped = self._dropped + (0 if self._driver is None else self._driver.dropped)
         self._images.publish(image)
-        self._infos.publish(CameraInfo(header=image.header, height=image.height, width=image.width))
+        self._infos.publish(self._info_of(image))
         self._exposures.publish(exposure)
         return self._stamp_ns
+
+    def _info_of(self, image: Image) -> CameraInfo:
+        """Return what is known of the camera; nothing of one that was calibrated with another size of images."""
+        known = self._info
+        if (known.width, known.height) != (image.width, image.height):
+            return CameraInfo(header=image.header, height=image.height, width=image.width)
+        return CameraInfo(
+            header=image.header,
+            height=image.height,
+            width=image.width,
+            distortion_model=known.distortion_model,
+            d=known.d,
+            k=known.k,
+            r=known.r,
+            p=known.p,
+        )
 
     def _save_truth(self, request: CaptureFrame.Request, scene: Scene) -> None:
         """Write the truth of a step when its last frame is taken."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,14 +16,17 @@ import xarray as xr
 from builtin_interfaces.msg import Time
 from sensor_msgs.msg import CameraInfo, Image
 
+from fringedic.camera import DistortionMap
 from fringedic.patterns import render_pattern
+from fringedic.rig import RigModel
 from fringedic.sequence import PatternKind, Projection, frame_record
 from fringedic.virtual_rig import VirtualRig
-from fringedic_msgs.msg import Exposure, LoadState
+from fringedic_msgs.msg import Exposure, LoadState, RigCalibration
 from fringedic_msgs.srv import CaptureFrame
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.parameter_docs import documented
 from fringedic_ros.qos import IMAGES, LATCHED, STATE
+from fringedic_ros.records import calibration_message
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
 
@@ -94,6 +98,41 @@ def studio() -> Iterator[Studio]:
 
 def save(folder: Path, name: str, image: np.ndarray) -> None:
     assert cv2.imwrite(str(folder / name), image)
+
+
+def test_camera_info_tells_of_the_lens_once_calibrated(studio: Studio, tmp_path: Path) -> None:
+    # U = c r^2 (x, y) from the image's centre, 1 px at its corner: a cubic barrel in Chebyshev polynomials
+    half_width, half_height = 79.5, 59.5
+    c = 1 / np.hypot(half_width, half_height) ** 3
+    columns, rows = np.zeros((4, 4)), np.zeros((4, 4))
+    columns[0, [1, 3]] = c * half_width**3 * np.array([0.75, 0.25])
+    columns[[0, 2], 1] += c * half_width * half_height**2 * 0.5
+    rows[[1, 3], 0] = c * half_height**3 * np.array([0.75, 0.25])
+    rows[1, [0, 2]] += c * half_height * half_width**2 * 0.5
+    rig = RigModel(
+        **VirtualRig.from_preset("plate", size="tiny").optics(),
+        camera_distortion=DistortionMap(160, 120, columns, rows),
+    )
+    assert np.hypot(*(np.array(rig.camera_distortion.ideal(159.0, 119.0)) - [159, 119])) == pytest.approx(1.0)
+    publisher = studio.create_publisher(RigCalibration, "calibration", LATCHED)
+    with NodeProcess(MODULE, DOMAIN, tmp_path, {"virtual_rig": '"{preset: plate, size: tiny}"'}):
+        before = studio.frame(studio.capture().stamp)[1]
+        assert list(before.k) == [0.0] * 9
+        publisher.publish(calibration_message(rig, stamp_ns=1))
+        deadline = time.monotonic() + 10
+        after = before
+        while not any(after.k) and time.monotonic() < deadline:
+            after = studio.frame(studio.capture().stamp)[1]
+    assert after.distortion_model == "plumb_bob"
+    focal = rig.camera_distance / rig.pixel_size
+    assert after.p[0] == pytest.approx(focal * rig.pixel_aspect)
+    # what the image shows at (159, 40) belongs to the pixel p_u of the undistorted image
+    seen = np.array([[[159.0, 40.0]]])
+    projection = np.array(after.p).reshape(3, 4)[:, :3]
+    ideal = cv2.undistortPoints(seen, np.array(after.k).reshape(3, 3), np.array(after.d), None, np.eye(3), projection)
+    expected = rig.camera_distortion.ideal(159.0, 40.0)
+    print(f"{ideal.ravel()} by camera_info, {np.ravel(expected)} by the calibration")
+    assert ideal.ravel() == pytest.approx(np.ravel(expected), abs=0.005)
 
 
 def test_virtual_frames_are_those_of_the_twin(studio: Studio, tmp_path: Path) -> None:
