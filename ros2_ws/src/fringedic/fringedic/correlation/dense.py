@@ -39,7 +39,8 @@ ORDER = 6
 NARROWER = 0.75  # the Gaussian of S against that of W
 # Displacement errors [px] that may be left at each warp of the finest, a middle and the coarsest level.
 EXPECTED = ((0.2, 0.05, 0.05, 0.05), (0.3, 0.1, 0.1), (0.5, 0.3, 0.1, 0.1, 0.1, 0.1))
-SETTLED = 0.02  # [px], root mean square change after which a level is left
+# [px], root mean square change after which the finest level, or a coarser one, is left.
+SETTLED = (0.02, 0.05)
 
 
 @dataclass(frozen=True)
@@ -127,11 +128,31 @@ class _Scratch:
         self.counts = node_counts(shape, cell)
         rows, columns = self.counts
         self.lines = np.empty((4, rows + 4, shape[1]), f4)
-        self.residual = np.empty(shape, f4)
-        self.mean = np.empty((-(-rows // 2), columns), f4)
         self.cells = np.empty((kernels.CHANNELS, rows, columns), f4)
         self.sums = np.empty((kernels.GXE, rows, columns), f4)
         self.seen = np.empty(self.counts, f4)
+
+
+def noise_of(level: Level, spline: np.ndarray, lines: np.ndarray, cell: int) -> float:
+    """Standard deviation of a pixel's residual: the median over cells of what their mean absolute residuals tell.
+
+    Raises
+    ------
+    NoCorrelationError
+        No pixel is seen in both images.
+    """
+    rows, columns = node_counts(level.shape, cell)
+    # Every eighth row of cells knows the noise; of a narrow strip of surface all are asked.
+    for every in (max(1, min(8, rows // 16)), 1):
+        mean = np.empty((-(-rows // every), columns), f4)
+        kernels.residual_means(level.values, spline, WEIGHTS, lines, cell, every, mean)
+        seen = mean[np.isfinite(mean)]
+        if 4 * seen.size > mean.size:
+            break
+    if seen.size == 0:
+        raise NoCorrelationError("no pixel of the reference is seen in the deformed image: nothing can be measured")
+    middle = seen.size // 2
+    return float(np.partition(seen, middle)[middle]) * float(1.4826 if cell == 1 else np.sqrt(np.pi / 2))
 
 
 def _summed(
@@ -143,17 +164,13 @@ def _summed(
     """
     cell = window.cell
     kernels.spread_out(nodes, cell, scratch.lines)
-    kernels.residuals(level.values, spline, WEIGHTS, scratch.lines, cell, scratch.residual, scratch.mean)
-    mean = scratch.mean
-    seen = mean[np.isfinite(mean)]
-    if seen.size == 0:
-        raise NoCorrelationError("no pixel of the reference is seen in the deformed image: nothing can be measured")
-    middle = seen.size // 2
-    noise = float(np.partition(seen, middle)[middle]) * (1.4826 if cell == 1 else np.sqrt(np.pi / 2))
+    noise = noise_of(level, spline, scratch.lines, cell)
     limit = 3 * np.hypot(noise, expected * level.slope)
-    kernels.accumulated(level.values, level.along_x, level.along_y, scratch.residual, limit, cell, scratch.cells)
+    kernels.summed(
+        level.values, level.along_x, level.along_y, spline, WEIGHTS, scratch.lines, cell, limit, scratch.cells
+    )
     node_kernels.windowed(scratch.cells, window.taps, scratch.sums)
-    return float(noise)
+    return noise
 
 
 def _planes(field: np.ndarray, weight: np.ndarray) -> np.ndarray:
@@ -204,9 +221,8 @@ TEXTURE = 1.5  # gradient energy of a texture over that of noise alone
 
 def textured_cells(level: Level, cell: int) -> int:
     """Cells of a reference with a tenth of the gradient energy of its richest parts: where a match can be expected."""
-    cells = np.empty((kernels.CHANNELS, *node_counts(level.shape, cell)), f4)
-    still = np.where(np.isnan(level.values), f4(np.nan), f4(0))
-    kernels.accumulated(level.values, level.along_x, level.along_y, still, 1.0, cell, cells)
+    cells = np.empty((kernels.GYY + 1, *node_counts(level.shape, cell)), f4)
+    kernels.gradient_sums(level.along_x, level.along_y, cell, cells)
     energy = np.empty(cells.shape[1:], f4)
     node_kernels.gradient_energy(cells, energy)
     return int(np.count_nonzero(energy > 0.1 * np.quantile(energy, 0.95)))
@@ -272,7 +288,7 @@ def displacement_nodes(
         least = steps[-1]
         for expected in steps:
             change = _refine(levels[k], spline, nodes, window, expected, scratch)
-            if change < SETTLED and (k or expected == least):
+            if change < SETTLED[min(k, 1)] and (k or expected == least):
                 break
         if k:
             smooth = np.empty_like(nodes[:2])

@@ -415,70 +415,87 @@ def _interpolated(
         )
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy", fastmath={"contract"})
-def residuals(
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _residual(
     values: np.ndarray,
     coefficients: np.ndarray,
     weights: np.ndarray,
     lines: np.ndarray,
     cell: int,
+    r: int,
+    begin: int,
+    scratch: np.ndarray,
+    keys: np.ndarray,
     out: np.ndarray,
-    mean: np.ndarray,
 ) -> None:
-    """e(p) = f(p) - gain(p) g(p + d(p)) - offset(p), and the mean of abs(e) in cells (NaN where nothing is seen).
+    """e(p) = f(p) - gain(p) g(p + d(p)) - offset(p) in row r from column `begin` on, as many pixels as `out` has.
 
-    `mean` (half the node rows, rounded up, node column) is that of every second row of cells: enough to know the noise.
     `lines` (4, 2 + node row + 2, column) holds d_x, d_y, gain and offset widened to the columns of the image; g is
     interpolated with `coefficients` and `weights`. A pixel that any of its 36 coefficients does not cover is NaN.
+    `scratch` (7, at least GROUP more than `out`) and `keys` hold what passes between the loops.
     """
     rows, columns = values.shape
-    block = BLOCK // cell * cell
+    size = out.size
+    whole = -(-size // GROUP) * GROUP
+    position = (r - 0.5 * (cell - 1)) / cell
+    for channel in range(4):
+        _row_between(lines[channel], position, begin, scratch[channel, :size])
+    dx, dy, gain, offset = scratch[0, :whole], scratch[1, :whole], scratch[2, :whole], scratch[3, :whole]
+    along_x, along_y, grey = scratch[4, :whole], scratch[5, :whole], scratch[6, :whole]
+    key = keys[:whole]
     lowest, leftmost = f4(-4), f4(-4)
     highest, rightmost = f4(rows + 3), f4(columns + 3)
-    for node in prange(-(-rows // cell)):
-        field = np.zeros((4, block + GROUP), f4)
-        along_x, along_y, grey = np.empty(block + GROUP, f4), np.empty(block + GROUP, f4), np.empty(block + GROUP, f4)
-        keys = np.empty(block + GROUP, np.int32)
-        total, count, numbers = np.empty(block, f4), np.empty(block, f4), np.empty(block // cell, f4)
+    for c in range(whole):
+        y = min(max(dy[c] + f4(r), lowest), highest)
+        fy = np.floor(y)
+        along_y[c] = y - fy - f4(0.5)
+        key[c] = (np.int32(fy) - np.int32(r) + np.int32(16384)) << 15
+    for c in range(whole):
+        x = min(max(dx[c] + f4(begin + c), leftmost), rightmost)
+        fx = np.floor(x)
+        along_x[c] = x - fx - f4(0.5)
+        key[c] += np.int32(fx) - np.int32(begin + c) + np.int32(16384)
+    key[size:] = key[size - 1]
+    _interpolated(coefficients, weights, r, begin, along_x, along_y, key, grey)
+    source = values[r, begin : begin + size]
+    for c in range(size):
+        out[c] = source[c] - gain[c] * grey[c] - offset[c]
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy", fastmath={"contract"})
+def residual_means(
+    values: np.ndarray,
+    coefficients: np.ndarray,
+    weights: np.ndarray,
+    lines: np.ndarray,
+    cell: int,
+    every: int,
+    out: np.ndarray,
+) -> None:
+    """Mean of abs(e), see `_residual`, in each cell of every `every`-th node row; NaN where nothing is seen."""
+    rows, columns = values.shape
+    block = BLOCK // cell * cell
+    for line in prange(out.shape[0]):
+        scratch, keys = np.zeros((7, block + GROUP), f4), np.empty(block + GROUP, np.int32)
+        residual, numbers = np.empty(block, f4), np.empty(block // cell, f4)
+        total, count = np.empty(block, f4), np.empty(block, f4)
+        first = line * every * cell
         for begin in range(0, columns, block):
             size = min(block, columns - begin)
-            whole = -(-size // GROUP) * GROUP
             total[:] = f4(0)
             count[:] = f4(0)
-            for r in range(node * cell, min(node * cell + cell, rows)):
-                position = (r - 0.5 * (cell - 1)) / cell
-                for channel in range(4):
-                    _row_between(lines[channel], position, begin, field[channel, :size])
-                dx, dy, gain, offset = field[0], field[1], field[2], field[3]
-                for c in range(whole):
-                    y = min(max(dy[c] + f4(r), lowest), highest)
-                    fy = np.floor(y)
-                    along_y[c] = y - fy - f4(0.5)
-                    keys[c] = (np.int32(fy) - np.int32(r) + np.int32(16384)) << 15
-                for c in range(whole):
-                    x = min(max(dx[c] + f4(begin + c), leftmost), rightmost)
-                    fx = np.floor(x)
-                    along_x[c] = x - fx - f4(0.5)
-                    keys[c] += np.int32(fx) - np.int32(begin + c) + np.int32(16384)
-                keys[size:whole] = keys[size - 1]
-                _interpolated(
-                    coefficients, weights, r, begin, along_x[:whole], along_y[:whole], keys[:whole], grey[:whole]
-                )
-                source, target = values[r, begin : begin + size], out[r, begin : begin + size]
+            e = residual[:size]
+            for r in range(first, min(first + cell, rows)):
+                _residual(values, coefficients, weights, lines, cell, r, begin, scratch, keys, e)
                 for c in range(size):
-                    target[c] = source[c] - gain[c] * grey[c] - offset[c]
-                if node % 2 == 0:
-                    for c in range(size):
-                        good = target[c] == target[c]
-                        total[c] += abs(target[c]) if good else f4(0)
-                        count[c] += f4(1) if good else f4(0)
-            if node % 2 == 1:
-                continue
-            means = mean[node // 2, begin // cell : begin // cell + -(-size // cell)]
+                    good = e[c] == e[c]
+                    total[c] += abs(e[c]) if good else f4(0)
+                    count[c] += f4(1) if good else f4(0)
+            means = out[line, begin // cell : begin // cell + -(-size // cell)]
             _add_up(total[:size], cell, means)
             _add_up(count[:size], cell, numbers[: means.size])
-            for j in range(means.size):
-                means[j] = means[j] / numbers[j] if numbers[j] > f4(0) else f4(np.nan)
+            for k in range(means.size):
+                means[k] = means[k] / numbers[k] if numbers[k] > f4(0) else f4(np.nan)
 
 
 # Channels of the sums of each cell.
@@ -498,62 +515,79 @@ def _add_products(
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy", fastmath={"contract"})
-def accumulated(
+def summed(
     values: np.ndarray,
     along_x: np.ndarray,
     along_y: np.ndarray,
-    residual: np.ndarray,
-    limit: float,
+    coefficients: np.ndarray,
+    weights: np.ndarray,
+    lines: np.ndarray,
     cell: int,
+    limit: float,
     out: np.ndarray,
 ) -> None:
-    """Weighted sums over each cell, out (CHANNELS, node row, node column).
+    """Weighted sums of f, its gradient and the residual e over each cell, out (CHANNELS, node row, node column).
 
-    Weights are one up to abs(e) = limit, fall as Tukey's biweight and are zero from twice the limit on: noise keeps
-    its full weight, glare and decorrelated pixels have none.
+    See `_residual` for e. Weights are one up to abs(e) = limit, fall as Tukey's biweight and are zero from twice the
+    limit on: noise keeps its full weight, glare and decorrelated pixels have none.
     """
     rows, columns = values.shape
     inverse = f4(1.0 / limit)
     block = BLOCK // cell * cell
     for node in prange(out.shape[1]):
-        scratch = np.empty((CHANNELS + 3, block), f4)
+        sums = np.empty((CHANNELS, block), f4)
+        scratch, keys = np.zeros((7, block + GROUP), f4), np.empty(block + GROUP, np.int32)
+        residual, kept, clean_f, clean_e = (
+            np.empty(block, f4),
+            np.empty(block, f4),
+            np.empty(block, f4),
+            np.empty(block, f4),
+        )
         for begin in range(0, columns, block):
             size = min(block, columns - begin)
             end = begin + size
-            scratch[:CHANNELS] = f4(0)
-            gxx, gxy, gyy, gxe, gye = (
-                scratch[GXX, :size], scratch[GXY, :size], scratch[GYY, :size], scratch[GXE, :size], scratch[GYE, :size],
-            )  # fmt: skip
-            w, wf, wff = scratch[W, :size], scratch[WF, :size], scratch[WFF, :size]
-            we, wef, wee = scratch[WE, :size], scratch[WEF, :size], scratch[WEE, :size]
-            weight, clean_f, clean_e = (
-                scratch[CHANNELS, :size], scratch[CHANNELS + 1, :size], scratch[CHANNELS + 2, :size],
-            )  # fmt: skip
+            sums[:] = f4(0)
+            e, weight, grey, rest = residual[:size], kept[:size], clean_f[:size], clean_e[:size]
+            w, wf, we = sums[W, :size], sums[WF, :size], sums[WE, :size]
             for r in range(node * cell, min(node * cell + cell, rows)):
-                f, e = values[r, begin:end], residual[r, begin:end]
-                gx, gy = along_x[r, begin:end], along_y[r, begin:end]
+                _residual(values, coefficients, weights, lines, cell, r, begin, scratch, keys, e)
+                f, gx, gy = values[r, begin:end], along_x[r, begin:end], along_y[r, begin:end]
                 for c in range(size):
                     good = e[c] == e[c]
-                    clean_e[c] = e[c] if good else f4(0)
-                    clean_f[c] = f[c] if good else f4(0)
+                    rest[c] = e[c] if good else f4(0)
+                    grey[c] = f[c] if good else f4(0)
                 for c in range(size):
-                    over = min(max(abs(clean_e[c]) * inverse - f4(1), f4(0)), f4(1))
-                    kept = f4(1) - over * over
-                    weight[c] = kept * kept if e[c] == e[c] else f4(0)
+                    over = min(max(abs(rest[c]) * inverse - f4(1), f4(0)), f4(1))
+                    share = f4(1) - over * over
+                    weight[c] = share * share if e[c] == e[c] else f4(0)
                 # Two sums at a time: compilers vectorise loops that write to few arrays.
-                _add_products(weight, gx, gx, gy, gxx, gxy)
-                _add_products(weight, gy, gy, clean_e, gyy, gye)
-                _add_products(weight, clean_e, gx, clean_e, gxe, wee)
-                _add_products(weight, clean_f, clean_f, clean_e, wff, wef)
+                _add_products(weight, gx, gx, gy, sums[GXX, :size], sums[GXY, :size])
+                _add_products(weight, gy, gy, rest, sums[GYY, :size], sums[GYE, :size])
+                _add_products(weight, rest, gx, rest, sums[GXE, :size], sums[WEE, :size])
+                _add_products(weight, grey, grey, rest, sums[WFF, :size], sums[WEF, :size])
                 for c in range(size):
                     w[c] += weight[c]
-                    wf[c] += weight[c] * clean_f[c]
+                    wf[c] += weight[c] * grey[c]
                 for c in range(size):
-                    we[c] += weight[c] * clean_e[c]
+                    we[c] += weight[c] * rest[c]
             for channel in range(CHANNELS):
                 _add_up(
-                    scratch[channel, :size], cell, out[channel, node, begin // cell : begin // cell + -(-size // cell)]
+                    sums[channel, :size], cell, out[channel, node, begin // cell : begin // cell + -(-size // cell)]
                 )
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def gradient_sums(along_x: np.ndarray, along_y: np.ndarray, cell: int, out: np.ndarray) -> None:
+    """Sums of the products of the gradient over each cell, out (GYY + 1, node row, node column)."""
+    rows, columns = along_x.shape
+    for node in prange(out.shape[1]):
+        sums, one = np.zeros((GYY + 1, columns), f4), np.ones(columns, f4)
+        unused = np.empty(columns, f4)
+        for r in range(node * cell, min(node * cell + cell, rows)):
+            _add_products(one, along_x[r], along_x[r], along_y[r], sums[GXX], sums[GXY])
+            _add_products(one, along_y[r], along_y[r], along_x[r], sums[GYY], unused)
+        for channel in range(GYY + 1):
+            _add_up(sums[channel], cell, out[channel, node])
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")

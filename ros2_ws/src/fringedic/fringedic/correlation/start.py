@@ -70,12 +70,12 @@ def _refined(level: Level, spline: np.ndarray, k: int, affine: np.ndarray, passe
     ones = np.ones(counts)
     basis = np.stack([ones, ones * columns, ones * rows[:, None]]) / scale
     lines = np.empty((4, counts[0] + 4, shape[1]), f4)
-    residual, mean = np.empty(shape, f4), np.empty((-(-counts[0] // 2), counts[1]), f4)
+    mean = np.empty(counts, f4)
     sums = np.empty((kernels.CHANNELS, *counts), f4)
     correlation = -1.0
     for _ in range(passes):
         kernels.spread_out(affine_field(affine, k, shape, CELL, 1.0, 0.0), CELL, lines)
-        kernels.residuals(level.values, spline, WEIGHTS, lines, CELL, residual, mean)
+        kernels.residual_means(level.values, spline, WEIGHTS, lines, CELL, 1, mean)
         if not np.isfinite(mean).any():
             return affine, -1.0
         # flattened images are zero where nothing is known: no residual there, and nothing about the noise either
@@ -83,7 +83,7 @@ def _refined(level: Level, spline: np.ndarray, k: int, affine: np.ndarray, passe
         if not known.size:
             return affine, 1.0
         limit = 4 * float(np.median(known))
-        kernels.accumulated(level.values, level.along_x, level.along_y, residual, limit, CELL, sums)
+        kernels.summed(level.values, level.along_x, level.along_y, spline, WEIGHTS, lines, CELL, limit, sums)
         s = sums.astype(np.float64)
         normal = np.empty((6, 6))
         for a, b, channel in ((0, 0, kernels.GXX), (0, 1, kernels.GXY), (1, 0, kernels.GXY), (1, 1, kernels.GYY)):
