@@ -139,6 +139,15 @@ def test_tension_along_y_has_the_right_signs(experiment: RunReport) -> None:
     assert strain > 0
 
 
+def test_the_run_ends_with_its_report(experiment: RunReport) -> None:
+    page = (experiment.folder / "report.html").read_text("utf-8")
+    assert "virtual rig (simulated)" in page and "64 x 48 mm" in page
+    assert "100, 20, 5 projector px" in page and "12 frames per step" in page
+    assert "the noise floor is not measured" in page
+    assert page.count("data:image/png;base64") == 2 and page.count("data:image/gif;base64") == 1
+    assert 3e6 < len(page) < 15e6
+
+
 def test_process_without_ros_gives_the_arrays_of_the_nodes(experiment: RunReport, tmp_path: Path) -> None:
     """In a process that cannot import rclpy."""
     target = tmp_path / "desk.nc"

@@ -208,6 +208,8 @@ def test_a_programme_can_be_written_out(tmp_path):
     assert (second.position, second.mode, second.hold_s) == (pytest.approx(0.5e-3), "white", 2.0)
     assert (third.position, third.set_reference) == (None, True)
     assert Programme(ramp={"from_mm": 1.0, "to_mm": 0.0, "steps": 3}).load_steps()[1].position_mm == 0.5
+    repeated = Programme(ramp={"from_mm": 1.0, "to_mm": 2.0, "steps": 3, "repeats_at_rest": 2}).load_steps()
+    assert [step.position_mm for step in repeated] == [1.0, 1.0, 1.0, 1.5, 2.0]
 
 
 def test_a_wrong_step_is_named(tmp_path):

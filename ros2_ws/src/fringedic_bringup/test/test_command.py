@@ -57,7 +57,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_a_run_leaves_recording_dataset_truth_and_pictures(recorded: Path) -> None:
     names = {path.name for path in recorded.iterdir()}
-    assert {"bag", "results.nc", "truth.nc", "calibration.yaml", "logs"} <= names
+    assert {"bag", "results.nc", "report.html", "truth.nc", "calibration.yaml", "logs"} <= names
     assert {"step_002.png", "step_002_errors.png"} <= names
     counts = {name.removeprefix("/rig/"): count for name, count in BagReader(recorded / "bag").counts.items()}
     assert counts["camera/image_raw"] == counts["camera/exposure"] == 3 * 12
@@ -78,10 +78,34 @@ def test_info_export_and_recover(recorded: Path, tmp_path: Path) -> None:
     assert shown.returncode == 0 and "/rig/camera/image_raw" in shown.stdout and "36" in shown.stdout
     exported = fringedic_command("export", recorded / "bag", "--output", tmp_path / "exported")
     assert exported.returncode == 0, exported.stderr
-    assert (tmp_path / "exported" / "bag.nc").exists() and (tmp_path / "exported" / "step_001.png").exists()
+    assert (tmp_path / "exported" / "tiny.nc").exists()
+    assert (tmp_path / "exported" / "tiny_png" / "step_001.png").exists()
+    words = ("export", recorded / "results.nc", "--to", "csv", "--to", "netcdf", "--step", 1)
+    again = fringedic_command(*words, "--output", tmp_path / "exported")
+    assert again.returncode == 1 and "tiny.nc exists already" in again.stdout and "1 of 2 formats" in again.stderr
+    assert (tmp_path / "exported" / "tiny_csv" / "step_001.csv").exists()
     saved = fringedic_command("recover", recorded / "bag", "--output", tmp_path / "saved")
     assert saved.returncode == 0, saved.stderr
     assert BagReader(tmp_path / "saved").counts == BagReader(recorded / "bag").counts
+
+
+@pytest.mark.slow
+def test_several_recordings_are_processed_and_the_bad_one_is_named(recorded: Path, tmp_path: Path) -> None:
+    words = ("process", tmp_path / "nowhere", recorded / "bag", "--step", "1", "--reference", "2")
+    done = fringedic_command(*words, "--output", tmp_path / "desk")
+    assert done.returncode == 1
+    assert "nowhere: no such recording" in done.stdout and done.stderr.strip() == f"not done: {tmp_path / 'nowhere'}"
+    with fringedic.open_experiment(tmp_path / "desk" / "tiny.nc") as dataset:
+        assert dataset.step.values.tolist() == [1, 2] and set(dataset.reference_step.values.tolist()) == {2}
+        desk = dataset.load()
+    words = ("replay", recorded / "bag", "--step", "1", "--reference", "2", "--output", tmp_path / "again")
+    replayed = fringedic_command(*words)
+    assert replayed.returncode == 0, replayed.stdout + replayed.stderr
+    assert "2 steps, 24 frames, 0 problems" in replayed.stdout
+    with fringedic.open_experiment(tmp_path / "again" / "bag") as dataset:
+        for name in ("phase", "displacement_y", "w", "reference_step"):
+            assert np.array_equal(dataset[name].values, desk[name].values, equal_nan=True), name
+    assert fringedic_command(*words[:4], "--reference", "7", "--output", tmp_path / "x").returncode == 1
 
 
 @pytest.mark.slow
@@ -221,7 +245,7 @@ def test_errors_are_one_sentence_and_exit_code_1(words: tuple[str, ...], sentenc
 
 
 def test_every_command_helps_with_an_example() -> None:
-    for name in ("run", "demo", "replay", "process", "info", "recover", "measure", "target", "export"):
+    for name in ("run", "demo", "replay", "process", "info", "recover", "measure", "target", "export", "report"):
         shown = fringedic_command(name, "--help", COLUMNS="200")
         assert shown.returncode == 0 and f"Example: fringedic {name}" in shown.stdout, name
 
