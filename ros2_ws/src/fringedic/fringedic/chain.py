@@ -640,6 +640,7 @@ class ShapeTracker:
             displacement_dataset(displacement, displacement_sigma, spacing, origin, window, method),
             calibration=calibration,
             z_filter=parameters.z_filter_px,
+            orientation=orientation,
         )
         names = ["x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w"]
         fields = {name: cloud[name] for name in names}

@@ -10,6 +10,8 @@ from numba import njit, prange
 
 from fringedic.errors import InvalidWindowError, ShapeMismatchError
 from fringedic.rig import RigModel, pixel_positions
+from fringedic.sequence import Orientation
+from fringedic.surface.calibration_error import calibration_covariance
 from fringedic.surface.prepared import PreparedShape, gaussian
 
 _GAIN_STEPS = 64  # of a pixel, in which the noise of interpolated values is tabulated
@@ -27,8 +29,8 @@ _FIELDS = {
     "cov_uv": ("m2", "covariance of the errors of u and v"),
     "cov_uw": ("m2", "covariance of the errors of u and w"),
     "cov_vw": ("m2", "covariance of the errors of v and w"),
-    "sigma_z": ("m", "standard deviation of the reference height at this pixel"),
-    "sigma_z_deformed": ("m", "standard deviation of the deformed height at the pixel of this point"),
+    "noise_z": ("m", "noise of the reference height at this pixel"),
+    "noise_z_deformed": ("m", "noise of the deformed height at the pixel of this point"),
 }
 
 
@@ -39,6 +41,7 @@ def couple(
     *,
     calibration: RigModel | None = None,
     z_filter: float = 0.0,
+    orientation: Orientation = Orientation.VERTICAL,
 ) -> xr.Dataset:
     """Subtract the positions of the same material points before and after deformation (eq. 12).
 
@@ -55,7 +58,7 @@ def couple(
     ----------
     reference_shape, deformed_shape
         From `RigModel.reconstruct`, whole images or equal crops with unit steps of ``row`` and ``column``; used are
-        ``x``, ``y``, ``z`` and ``sigma_z`` [m]. A `PreparedShape` keeps the preparation for many couplings.
+        ``x``, ``y``, ``z`` and ``noise_z`` [m]. A `PreparedShape` keeps the preparation for many couplings.
     displacement
         ``displacement_x``, ``displacement_y``, ``sigma_x``, ``sigma_y`` [px] at points of the reference image whose
         pixel positions are the coordinates ``row`` and ``column``.
@@ -66,6 +69,8 @@ def couple(
         Standard deviation [px] of a Gaussian that smooths both z first; 0 for none. Its weights are divided by the
         variances of z, and it takes only pairs of points on opposite sides of a pixel, as far as both are measured:
         so it neither shifts slopes nor crosses tears.
+    orientation
+        Direction of the fringes, which the uncertainty of the calibration depends on.
 
     Returns
     -------
@@ -73,7 +78,7 @@ def couple(
         Reference positions ``x``, ``y``, ``z``, displacement ``u``, ``v``, ``w`` and its standard deviations
         ``sigma_u``, ``sigma_v``, ``sigma_w`` [m] with the covariances ``cov_uv``, ``cov_uw``, ``cov_vw`` [m^2] at the
         points of `displacement`; float32. With a filter z is the smoothed one, and x and y are those of its lines of
-        sight. ``sigma_z``, ``sigma_z_deformed`` [m] and ``displacement_sigma_x``, ``displacement_sigma_y`` [px] are
+        sight. ``noise_z``, ``noise_z_deformed`` [m] and ``displacement_sigma_x``, ``displacement_sigma_y`` [px] are
         the independent errors that all these come from.
 
     Raises
@@ -126,6 +131,8 @@ def couple(
         after.camera_distance,
         result,
     )
+    if calibration is not None and calibration.parameter_names:
+        _add_calibration(calibration, orientation, rows, columns, d_x, d_y, result)
     kept = {name: displacement.attrs[name] for name in ("window_px", "method") if name in displacement.attrs}
     fields = {
         name: (("row", "column"), values, {"units": units, "long_name": long_name})
@@ -146,6 +153,25 @@ def couple(
             **{f"displacement_{name}": value for name, value in kept.items()},
         },
     )
+
+
+def _add_calibration(
+    calibration: RigModel,
+    orientation: Orientation,
+    rows: np.ndarray,
+    columns: np.ndarray,
+    d_x: np.ndarray,
+    d_y: np.ndarray,
+    result: np.ndarray,
+) -> None:
+    """Add the errors that the calibration causes to sigmas and covariances."""
+    column, row = np.meshgrid(columns, rows)
+    before = (column, row, result[2])
+    after = (column + d_x, row + d_y, result[2] + result[5])
+    added = calibration_covariance(calibration, before, after, orientation)
+    for sigma, variance in zip(result[6:9], added[:3], strict=True):
+        np.sqrt(sigma**2 + variance, out=sigma)
+    result[9:12] += added[3:]
 
 
 def _noise_gain(kernel: np.ndarray) -> np.ndarray:

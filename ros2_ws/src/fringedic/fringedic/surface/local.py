@@ -56,8 +56,8 @@ def to_local_frame(displacement_3d: xr.Dataset, *, window: int = 21) -> xr.Datas
     InvalidWindowError
         When the window holds fewer than 3 x 3 points.
     """
-    known_errors = all(name in displacement_3d for name in ("sigma_z", *_COVARIANCE))
-    planes = fit_planes(displacement_3d, ("z",), window, ("sigma_z",) if known_errors else ())
+    known_errors = all(name in displacement_3d for name in ("noise_z", *_COVARIANCE))
+    planes = fit_planes(displacement_3d, ("z",), window, ("noise_z",) if known_errors else ())
     z_x, z_y = planes.slopes[0]
     kind = z_x.dtype
     moved = np.stack([np.asarray(displacement_3d[name], kind) for name in "uvw"])

@@ -22,7 +22,7 @@ class PreparedShape:
     ----------
     shape
         From `RigModel.reconstruct`, whole image or crop with unit steps of ``row`` and ``column``; used are ``x``,
-        ``y``, ``z`` and ``sigma_z`` [m].
+        ``y``, ``z`` and ``noise_z`` [m], the part of sigma_z that differs from pixel to pixel.
     z_filter
         As in `couple`.
     calibration
@@ -48,7 +48,7 @@ class PreparedShape:
     RaysMissingError
         When neither a calibration nor the attributes tell the camera's distance.
     ShapeMismatchError
-        When x, y or sigma_z differ in size from z.
+        When x, y or noise_z differ in size from z.
     InvalidWindowError
         When the filter is negative or no number.
     """
@@ -59,8 +59,8 @@ class PreparedShape:
         self.camera_distance = _camera_distance(shape, calibration)
         self.rows, self.columns = pixel_positions(shape, shape["z"].shape)
         z = np.ascontiguousarray(shape["z"], np.float32)
-        x, y, sigma = (np.ascontiguousarray(shape[name], np.float32) for name in ("x", "y", "sigma_z"))
-        for name, each in (("x", x), ("y", y), ("sigma_z", sigma)):
+        x, y, sigma = (np.ascontiguousarray(shape[name], np.float32) for name in ("x", "y", "noise_z"))
+        for name, each in (("x", x), ("y", y), ("noise_z", sigma)):
             if each.shape != z.shape:
                 raise ShapeMismatchError(f"{name} of shape {each.shape} for z of shape {z.shape}")
         self.rays = np.empty((2, *z.shape), np.float32)

@@ -13,7 +13,7 @@ from fringedic.errors import StrainMeasureError
 from fringedic.surface.correlated import displacement_gains, height_gains
 from fringedic.surface.planes import Planes, fit_planes
 
-_ERRORS = ("sigma_z", "sigma_z_deformed", "displacement_sigma_x", "displacement_sigma_y")
+_ERRORS = ("noise_z", "noise_z_deformed", "displacement_sigma_x", "displacement_sigma_y")
 _STRAIN = {
     "e_11": ("1", "strain along t1"),
     "e_22": ("1", "strain along t2"),
