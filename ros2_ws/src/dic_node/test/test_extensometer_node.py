@@ -38,7 +38,7 @@ class Rig(Peer):
         self._texture *= 40 / self._texture.std()
 
     def ready(self) -> None:
-        self.wait(lambda: self._images.get_subscription_count() == 1, "the extensometer", 20)
+        self.wait(lambda: self._images.get_subscription_count() == 1, "the extensometer")
 
     def send(self, strain: float) -> None:
         """One frame of the texture stretched along the columns about the middle of the image."""

@@ -132,7 +132,7 @@ def test_node_shows_on_the_display(display: VirtualDisplay, tmp_path: Path) -> N
     parameters = {"screen": "display", "width_px": WIDTH, "height_px": HEIGHT}
     try:
         with NodeProcess("fringe_projector_node.projector_node", DOMAIN, tmp_path, parameters):
-            operator.wait(show.service_is_ready, "the projector's service", 20)
+            operator.wait(show.service_is_ready, "the projector's service")
             for request, name in (
                 (ShowPattern.Request(kind=1, pitch=20.0, shift=2, shifts=4), ""),
                 (ShowPattern.Request(kind=2, name="crosshair"), "crosshair"),

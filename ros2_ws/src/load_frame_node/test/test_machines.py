@@ -280,7 +280,7 @@ class Operator(Peer):
 
     def until(self, mode: int) -> LoadState:
         self.states.clear()
-        self.wait(lambda: self.states and self.states[-1].mode == mode, f"mode {mode}", 20)
+        self.wait(lambda: self.states and self.states[-1].mode == mode, f"mode {mode}")
         return self.states[-1]
 
 

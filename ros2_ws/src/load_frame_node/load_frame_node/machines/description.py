@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
@@ -101,6 +101,11 @@ class MachineSection(Section):
     timeout_s: float = Field(0.5, gt=0, le=60, description="For one answer.")
     motion: MotionSection = MotionSection()
     limits: Limits | None = Field(None, description="Moves beyond are refused here already; needed for moves.")
+
+    # what a protocol makes of these is its own
+    status: Any = None
+    move: Any = None
+    hold: Any = None
 
 
 NumberType = Literal["int16", "uint16", "int32", "uint32", "float32", "float64"]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections import deque
@@ -178,16 +177,3 @@ class Link:
         self._close_connection()
         self._next_attempt = time.monotonic() + self._pause
         self._pause = min(2 * self._pause, _LONGEST_PAUSE_S)
-
-
-def finite(what: str, value: float) -> float:
-    """Return a number that the machine sent.
-
-    Raises
-    ------
-    MachineError
-        It is NaN or infinite.
-    """
-    if not math.isfinite(value):
-        raise MachineError(f"{what} is {value}, which is no number")
-    return value

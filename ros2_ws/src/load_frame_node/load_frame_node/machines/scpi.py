@@ -7,75 +7,21 @@ from typing import Any
 
 import pyvisa
 
-from fringedic.errors import MachineError, MachineGoneError
+from fringedic.errors import MachineGoneError
+from load_frame_node.machines.described import DescribedMachine, Reading
 from load_frame_node.machines.description import Query, ScpiDescription
-from load_frame_node.machines.limits import check_move
-from load_frame_node.machines.machine import Link, Motion, Sample, finite
 
 
-class ScpiMachine:
-    """Questions and commands of a machine, as its description words them.
-
-    Raises
-    ------
-    MachineError
-        The machine does not answer.
-    """
+class ScpiMachine(DescribedMachine[ScpiDescription]):
+    """Questions and commands of a machine, as its description words them."""
 
     def __init__(self, description: ScpiDescription) -> None:
-        self._description = description
         self._resource: Any = None
-        self._link = Link(f"{description.name} at {description.resource}", self._open, self._disconnect)
-        self._motion = Motion(1e-3 * description.motion.slowest_mm_per_s, description.motion.span_s)
-        try:
-            self.sample()
-        except MachineError:
-            self.close()
-            raise
+        super().__init__(description, description.resource)
 
-    def sample(self) -> Sample:
-        """Ask for force, position and status, in this order; the stamp is the middle of the three.
-
-        Raises
-        ------
-        MachineError
-            The machine does not answer in time, or answers with something that is no number.
-        """
-        return self._link.ask("sample", self._read_sample)
-
-    def move_to(self, position: float, speed: float) -> None:
-        """Send the commands of a move.
-
-        Raises
-        ------
-        CrossheadRangeError
-            The description's limits do not allow it.
-        MachineError
-            The description has no move, or the machine does not take it.
-        """
-        check_move(self._description, position, speed)
-        move = self._description.move
-        assert move is not None, "checked with the limits"
-        self._link.ask("move", lambda: self._send(move.texts(position, speed)))
-
-    def hold(self) -> None:
-        """Send the commands that stop the machine.
-
-        Raises
-        ------
-        MachineError
-            The description has no hold, or the machine does not take it.
-        """
-        if not self._description.hold:
-            raise MachineError(f"{self._description.name}: its description has no hold; stop it at the machine")
-        self._link.ask("hold", lambda: self._send(self._description.hold))
-
-    def close(self) -> None:
-        """Disconnect."""
-        self._link.close()
-
-    def _open(self) -> None:
-        description = self._description
+    def connect(self) -> None:
+        """Open the resource and send the commands of the start."""
+        description = self.description
         try:
             self._resource = pyvisa.ResourceManager(description.backend).open_resource(
                 description.resource,
@@ -88,7 +34,8 @@ class ScpiMachine:
             raise MachineGoneError(f"no connection: {error}") from error
         self._send(description.start)
 
-    def _disconnect(self) -> None:
+    def disconnect(self) -> None:
+        """Close the resource."""
         resource, self._resource = self._resource, None
         if resource is not None:
             try:
@@ -96,28 +43,35 @@ class ScpiMachine:
             except (pyvisa.Error, OSError):
                 return  # it was lost already
 
-    def _read_sample(self) -> Sample:
-        description = self._description
+    def read(self) -> Reading:
+        """Ask for force, position and status, in this order; the stamp is the middle of the three."""
+        description = self.description
         before = time.time_ns()
         force = self._number("force", description.force)
         position = self._number("position", description.position)
         status = None if description.status is None else self._answer(description.status.query)
         stamp = (before + time.time_ns()) // 2
-        if description.status is None or status is None:
-            return Sample(stamp, self._motion.mode(stamp, position), force, position)
-        word: int | str = int(status) if status.lstrip("+-").isdigit() else status
-        return Sample(stamp, description.status.mode(word), force, position)
+        is_number = status is not None and status.lstrip("+-").isdigit()
+        return Reading(stamp, force, position, int(status) if status is not None and is_number else status)
+
+    def send_move(self, position: float, speed: float) -> None:
+        """Send the commands of a move."""
+        assert self.description.move is not None, "asked for only when described"
+        self._send(self.description.move.texts(position, speed))
+
+    def send_hold(self) -> None:
+        """Send the commands that stop the machine."""
+        self._send(self.description.hold)
 
     def _number(self, what: str, query: Query) -> float:
         answer = self._answer(query.query)
         try:
-            number = float(answer)
+            return query.si(float(answer))
         except ValueError:
             # perhaps the late answer to an earlier question: a new connection begins afresh
             raise MachineGoneError(
                 f"{what}: '{query.query}' was answered with '{answer}', which is no number"
             ) from None
-        return query.si(finite(what, number))
 
     def _answer(self, query: str) -> str:
         try:

@@ -1,0 +1,127 @@
+"""What machines of every protocol do the same way, once a file describes them."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import Generic, NamedTuple, TypeVar
+
+from fringedic.errors import CrossheadRangeError, MachineError
+from load_frame_node.machines.description import MachineSection
+from load_frame_node.machines.machine import Link, Motion, Sample
+
+DescriptionT = TypeVar("DescriptionT", bound=MachineSection)
+
+
+class Reading(NamedTuple):
+    """What one question brought: stamp [ns], force [N], position [m], and the status where the machine tells it."""
+
+    stamp_ns: int
+    force: float
+    position: float
+    status: int | str | None
+
+
+class DescribedMachine(ABC, Generic[DescriptionT]):
+    """A machine behind a connection that may be lost and found.
+
+    Parameters
+    ----------
+    description
+        Its section of the machine file.
+    place
+        Where it is reached, for messages.
+
+    Raises
+    ------
+    MachineError
+        The machine does not answer.
+    """
+
+    def __init__(self, description: DescriptionT, place: str) -> None:
+        self.description = description
+        self._link = Link(f"{description.name} at {place}", self.connect, self.disconnect)
+        self._motion = Motion(1e-3 * description.motion.slowest_mm_per_s, description.motion.span_s)
+        try:
+            self.sample()
+        except MachineError:
+            self.close()
+            raise
+
+    def sample(self) -> Sample:
+        """Read force, position and status.
+
+        Raises
+        ------
+        MachineError
+            The machine does not answer, or answers with something that is no number.
+        """
+        read = self._link.ask("sample", self.read)
+        for what, value in (("force", read.force), ("position", read.position)):
+            if not math.isfinite(value):
+                raise MachineError(f"{self.description.name}: sample: {what} is {value}, which is no number")
+        if self.description.status is None or read.status is None:
+            mode = self._motion.mode(read.stamp_ns, read.position)
+        else:
+            mode = self.description.status.mode(read.status)
+        return Sample(read.stamp_ns, mode, read.force, read.position)
+
+    def move_to(self, position: float, speed: float) -> None:
+        """Ask for a move to `position` [m] at `speed` [m/s].
+
+        Raises
+        ------
+        CrossheadRangeError
+            The description's limits do not allow it. The machine's own limits are in charge; these only keep a slip of
+            the keyboard from reaching it.
+        MachineError
+            The description has no move, or the machine refuses it.
+        """
+        limits = self.description.limits
+        if self.description.move is None or limits is None:
+            raise MachineError(f"{self.description.name}: its description has no move; move it at the machine")
+        if not (math.isfinite(position) and limits.lowest_mm <= 1e3 * position <= limits.highest_mm):
+            raise CrossheadRangeError(
+                f"crosshead position {1e3 * position:g} mm is outside {limits.lowest_mm:g} to {limits.highest_mm:g} mm"
+            )
+        if not (math.isfinite(speed) and 0 < 1e3 * speed <= limits.fastest_mm_per_s):
+            raise CrossheadRangeError(
+                f"crosshead speed {1e3 * speed:g} mm/s is outside 0 to {limits.fastest_mm_per_s:g} mm/s"
+            )
+        self._link.ask("move", lambda: self.send_move(position, speed))
+
+    def hold(self) -> None:
+        """Ask the machine to stop and hold.
+
+        Raises
+        ------
+        MachineError
+            The description has no hold, or the machine does not take it.
+        """
+        if not self.description.hold:
+            raise MachineError(f"{self.description.name}: its description has no hold; stop it at the machine")
+        self._link.ask("hold", self.send_hold)
+
+    def close(self) -> None:
+        """Disconnect."""
+        self._link.close()
+
+    @abstractmethod
+    def connect(self) -> None:
+        """Connect, or raise `MachineGoneError`."""
+
+    @abstractmethod
+    def disconnect(self) -> None:
+        """End the connection, whatever state it is in."""
+
+    @abstractmethod
+    def read(self) -> Reading:
+        """Ask for what a sample needs."""
+
+    @abstractmethod
+    def send_move(self, position: float, speed: float) -> None:
+        """Pass a move on that the description allows."""
+
+    @abstractmethod
+    def send_hold(self) -> None:
+        """Pass a hold on; the description has one."""
