@@ -48,11 +48,22 @@ class HardwareFacts(_Entries):
     calibration_target: str = Field("", description="Maker, kind and dimensions.")
 
 
+class CalibrationFacts(_Entries):
+    """When and how well the rig was calibrated; not entered, but read from the files of the calibration."""
+
+    created: str = Field("", description="Time of the calibration.")
+    residual_um: float | None = Field(None, description="RMS of the planes about the model, as height.")
+    predicted_um: float | None = Field(None, description="What the noise of the phase alone would leave.")
+    held_out_um: float | None = Field(None, description="RMS of the planes kept out of the fit, as height.")
+    verdict: str = Field("", description="The calibration's own judgement.")
+
+
 class Facts(_Entries):
-    """Specimen and hardware of one experiment."""
+    """Specimen, hardware and calibration of one experiment."""
 
     specimen: SpecimenFacts = SpecimenFacts()
     hardware: HardwareFacts = HardwareFacts()
+    calibration: CalibrationFacts = CalibrationFacts()
 
     def to_text(self) -> str:
         """Return what was entered as one line of YAML, empty when nothing was."""

@@ -17,10 +17,11 @@ import yaml
 from numpy.polynomial import chebyshev
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
+from fringedic.calibration.result import RigCalibration
 from fringedic.camera import DistortionMap
 from fringedic.chain import CouplingParameters, DicParameters, PhaseParameters
-from fringedic.errors import FringedicError, RigFileError
-from fringedic.facts import Facts, HardwareFacts, SpecimenFacts
+from fringedic.errors import CalibrationFileError, FringedicError, InvalidCalibrationError, RigFileError
+from fringedic.facts import CalibrationFacts, Facts, HardwareFacts, SpecimenFacts
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation, PatternKind, Projection
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
@@ -435,9 +436,12 @@ class RigFile(Section):
             for shift in range(1, shifts + 1)
         ]
 
-    def facts(self) -> Facts:
-        """Return what is known of specimen and hardware."""
-        return Facts(specimen=self.specimen, hardware=self.hardware)
+    def facts(self, path: str | os.PathLike[str]) -> Facts:
+        """Return what is known of specimen, hardware and calibration; `path` is where this file was read."""
+        known = CalibrationFacts()
+        if isinstance(self.calibration, str) and self.calibration != VIRTUAL_RIG:
+            known = _calibration_facts(Path(path).parent / self.calibration)
+        return Facts(specimen=self.specimen, hardware=self.hardware, calibration=known)
 
     def _size(self, section: CameraSection | ProjectorSection, name: str) -> tuple[int, int] | None:
         if section.source == "virtual":
@@ -509,6 +513,21 @@ def load_calibration(rig: RigFile, path: str | os.PathLike[str]) -> RigModel | N
     if not file.is_file():
         raise RigFileError(f"calibration: there is no file {file}")
     return RigModel.from_yaml(file)
+
+
+def _calibration_facts(file: Path) -> CalibrationFacts:
+    """Return what lies beside a calibration file about its making; nothing where it lies alone."""
+    try:
+        found = RigCalibration.load(file.parent)
+    except (CalibrationFileError, InvalidCalibrationError):
+        return CalibrationFacts()
+    return CalibrationFacts(
+        created=found.created.isoformat(timespec="seconds"),
+        residual_um=found.residual * 1e6,
+        predicted_um=found.predicted * 1e6,
+        held_out_um=None if math.isnan(found.held_out) else found.held_out * 1e6,
+        verdict=found.verdict,
+    )
 
 
 def calibration_of(virtual_rig: VirtualRigConfiguration) -> RigModel:

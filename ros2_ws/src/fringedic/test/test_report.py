@@ -148,6 +148,15 @@ def test_conditions_are_known_or_named_as_missing(dataset):
     assert notes["filters"] == "enter hardware.filters in the rig file"
 
 
+def test_the_calibration_tells_its_date_and_residual_when_they_were_recorded(dataset):
+    facts = json.loads(dataset.facts)
+    facts["calibration"] = {"created": "2023-11-14T20:13:20+00:00", "residual_um": 6.5, "predicted_um": 6.25, "verdict": "go"}
+    listed = {item.name: item for item in fringe_items(Known(dataset.assign_attrs(facts=json.dumps(facts)), None, None))}
+    assert listed["plane residual"].value == "6.5 µm RMS" and "6.25 µm" in listed["plane residual"].note
+    assert listed["date of the calibration"].note == "2.0 hours before the test"
+    assert listed["calibration"].note == "go"
+
+
 def test_base_and_angle_are_those_of_the_pin_holes():
     base, angle = base_and_angle({"camera_distance": 0.3, "projector_position": (0.3, 0.0, 0.3)})
     assert base == pytest.approx(0.3) and np.degrees(angle) == pytest.approx(45)

@@ -81,6 +81,7 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
     if rig.load_frame is not None and rig.load_frame.source != "external":
         nodes.append(NodeEntry("load_frame", "load_frame_node", "load_frame", _load_frame(rig, rig_path)))
     settings = _experiment(rig, experiment) | {
+        "facts": rig.facts(rig_path).to_text(),
         "calibration_file": calibration_file,
         "calibration_folder": str((folder / "calibrations").absolute()),
     }
@@ -238,7 +239,6 @@ def _experiment(rig: RigFile, experiment: str) -> dict[str, Any]:
         "experiment": experiment,
         "projector": rig.projector is not None,
         "recording_required": True,
-        "facts": rig.facts().to_text(),
     }
     if rig.virtual_rig is not None:
         parameters["camera_timeout_s"] = RENDERING_TIMEOUT_S

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -262,25 +263,37 @@ def fringe_items(known: Known) -> list[Item]:
     beyond = "" if threshold is None else f"{threshold:g} grey levels beyond what the noise of the pixel asks for"
     items.append(Item("modulation threshold", beyond or None))
     items.append(Item("phase noise", _phase_noise(known.dataset), "median of the stated standard deviation"))
-    return [*items, *_calibration_items(rig)]
+    return [*items, *_calibration_items(known, rig)]
 
 
-def _calibration_items(rig: dict[str, Any]) -> list[Item]:
+def _calibration_items(known: Known, rig: dict[str, Any]) -> list[Item]:
     if not rig:
         return [Item("calibration", None, "the recording holds none")]
+    facts = known.attribute("facts").get("calibration", {})
     exact = rig.get("source") == "virtual_rig"
     given = "the exact parameters of the virtual rig, no calibration was made" if exact else ""
-    hint = given or "in the report of the calibration, not in the recording"
+    hint = given or "nothing was found beside the calibration file"
+    source = f"{rig.get('identifier') or 'without name'}, from {rig.get('source') or 'an unknown source'}"
+    created, residual = facts.get("created"), facts.get("residual_um")
+    items = [Item("calibration", source, facts.get("verdict", "")), Item("date of the calibration", created or None, hint)]
+    if residual is None:
+        items.append(Item("plane residual", None, hint))
+    else:
+        held_out = facts.get("held_out_um")
+        kept = "" if held_out is None else f"; planes kept out of the fit: {held_out:.3g} µm"
+        noise = f"noise alone would leave {facts['predicted_um']:.3g} µm{kept}"
+        items[-1] = Item("date of the calibration", created, _age(known.dataset, created))
+        items.append(Item("plane residual", f"{residual:.3g} µm RMS", noise))
     return [
-        Item(
-            "calibration", f"{rig.get('identifier') or 'without name'}, from {rig.get('source') or 'an unknown source'}"
-        ),
-        *(
-            Item(name, None, hint)
-            for name in ("plane residual", "response (gamma) residual", "date of the calibration")
-        ),
+        *items,
+        Item("response (gamma) residual", None, "not measured"),
         Item("known-distance check", None, "not measured"),
     ]
+
+
+def _age(dataset: xr.Dataset, created: str) -> str:
+    begin = datetime.fromisoformat(str(np.datetime_as_string(dataset["time"].values.min(), unit="s"))).replace(tzinfo=UTC)
+    return f"{(begin - datetime.fromisoformat(created)).total_seconds() / 3600:.1f} hours before the test"
 
 
 def base_and_angle(rig: dict[str, Any]) -> tuple[float, float]:
