@@ -2,6 +2,7 @@
 
 from fringedic.phase.blur import correct_lens_blur
 from fringedic.phase.exposures import merge_exposures
+from fringedic.phase.faults import check_stack
 from fringedic.phase.noise import CameraNoise, estimate_noise
 from fringedic.phase.one_image import one_image_phase
 from fringedic.phase.order import assign_orders, unwrap_hierarchical, unwrap_spatial
@@ -11,6 +12,7 @@ __all__ = [
     "CameraNoise",
     "absolute_phase",
     "assign_orders",
+    "check_stack",
     "correct_lens_blur",
     "demodulate",
     "estimate_noise",

@@ -79,7 +79,7 @@ def one_image_phase(
     camera = noise if noise is not None else CameraNoise(ROUNDING_NOISE)
     levels = image.astype(np.float32)
     measured = levels < saturation_level(image, saturation)
-    relief = levels
+    relief: np.ndarray = levels
     if white is not None:
         light = white.astype(np.float32)
         measured &= (light < saturation_level(white, saturation)) & (
