@@ -150,8 +150,15 @@ def test_conditions_are_known_or_named_as_missing(dataset):
 
 def test_the_calibration_tells_its_date_and_residual_when_they_were_recorded(dataset):
     facts = json.loads(dataset.facts)
-    facts["calibration"] = {"created": "2023-11-14T20:13:20+00:00", "residual_um": 6.5, "predicted_um": 6.25, "verdict": "go"}
-    listed = {item.name: item for item in fringe_items(Known(dataset.assign_attrs(facts=json.dumps(facts)), None, None))}
+    facts["calibration"] = {
+        "created": "2023-11-14T20:13:20+00:00",
+        "residual_um": 6.5,
+        "predicted_um": 6.25,
+        "verdict": "go",
+    }
+    listed = {
+        item.name: item for item in fringe_items(Known(dataset.assign_attrs(facts=json.dumps(facts)), None, None))
+    }
     assert listed["plane residual"].value == "6.5 µm RMS" and "6.25 µm" in listed["plane residual"].note
     assert listed["date of the calibration"].note == "2.0 hours before the test"
     assert listed["calibration"].note == "go"

@@ -275,7 +275,10 @@ def _calibration_items(known: Known, rig: dict[str, Any]) -> list[Item]:
     hint = given or "nothing was found beside the calibration file"
     source = f"{rig.get('identifier') or 'without name'}, from {rig.get('source') or 'an unknown source'}"
     created, residual = facts.get("created"), facts.get("residual_um")
-    items = [Item("calibration", source, facts.get("verdict", "")), Item("date of the calibration", created or None, hint)]
+    items = [
+        Item("calibration", source, facts.get("verdict", "")),
+        Item("date of the calibration", created or None, hint),
+    ]
     if residual is None:
         items.append(Item("plane residual", None, hint))
     else:
@@ -287,12 +290,14 @@ def _calibration_items(known: Known, rig: dict[str, Any]) -> list[Item]:
     return [
         *items,
         Item("response (gamma) residual", None, "not measured"),
-        Item("known-distance check", None, "not measured"),
+        Item("known-distance check", None, "not in the recording; `fringedic check` measures it"),
     ]
 
 
 def _age(dataset: xr.Dataset, created: str) -> str:
-    begin = datetime.fromisoformat(str(np.datetime_as_string(dataset["time"].values.min(), unit="s"))).replace(tzinfo=UTC)
+    begin = datetime.fromisoformat(str(np.datetime_as_string(dataset["time"].values.min(), unit="s"))).replace(
+        tzinfo=UTC
+    )
     return f"{(begin - datetime.fromisoformat(created)).total_seconds() / 3600:.1f} hours before the test"
 
 
