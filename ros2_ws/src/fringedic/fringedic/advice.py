@@ -15,12 +15,13 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import correlate1d
 
+from fringedic.advice_report import report
 from fringedic.correlation import Reference, measure_displacement
+from fringedic.correlation.dense import NARROWER, ORDER, window_of
 from fringedic.correlation.images import SMALLEST_WINDOW, checked_image, checked_mask
 from fringedic.errors import AdviceError, ShapeMismatchError
 
-# Period with 10 % amplitude loss over the window (docs/validation/correlation.md): the filter keeps its form.
-CUT_OFF = 1.18
+KEPT = 0.9  # of the amplitude of the shortest displacement wave that counts as resolved
 FIRST_WINDOW = 32  # [px], what the noise is measured with before a window is recommended
 WIDEST_WINDOW = 256
 FEWEST_FEATURES, USUAL_FEATURES = 3, 5  # per subset
@@ -104,7 +105,7 @@ class Advice:
 
     def report(self) -> str:
         """The advice as text for people."""
-        return _report(self)
+        return report(self)
 
 
 def advise_settings(
@@ -121,7 +122,7 @@ def advise_settings(
 ) -> Advice:
     """Recommend subset and step, and tell the noise floors, from three images of the specimen at rest.
 
-    The noise of the displacement falls as 1 / (window - 1), the shortest period that passes grows with the window:
+    The noise of the displacement falls as 1 / (window - 1), the shortest period that passes grows as window - 1:
     what is wanted of one decides about the other.
 
     Parameters
@@ -213,17 +214,30 @@ def advise_settings(
         window=window,
         spacing=spacing,
         strain_window=int(strain_window),
-        period=CUT_OFF * window,
+        period=shortest_period(window),
         noise=floor.spatial,
         noise_predicted=floor.predicted,
         noise_temporal=floor.temporal,
         bias=floor.bias,
         strain_noise=floor.strain,
         pixel_size=pixel_size,
-        table=tuple((w, scale / (w - 1), CUT_OFF * w) for w in TABLE_WINDOWS if w <= limit),
+        table=tuple((w, scale / (w - 1), shortest_period(w)) for w in TABLE_WINDOWS if w <= limit),
         warnings=(),
     )
     return replace(advice, warnings=(*warnings, *_warnings(advice)))
+
+
+def shortest_period(window: int) -> float:
+    """Period [px] of the displacement wave that keeps 90 % of its amplitude in a window [px] of the dense method.
+
+    The transfer of that method is h / (h + (1 - h) (1 - v)^ORDER) with Gaussians h = exp(-q^2) of standard deviation s
+    and v = exp(-(NARROWER q)^2), q = sqrt(2) pi s / period. As s grows with window - 1, so does the period.
+    """
+    q2 = np.linspace(1e-3, 10, 100_000)
+    h, v = np.exp(-q2), np.exp(-q2 * NARROWER**2)
+    passed = h / (h + (1 - h) * (1 - v) ** ORDER)
+    q = math.sqrt(q2[np.argmax(passed < KEPT)])
+    return math.sqrt(2) * math.pi * window_of(window).deviation / q
 
 
 def _full_scale(images: list[np.ndarray]) -> float:
@@ -382,13 +396,14 @@ def _window(
 ) -> tuple[int, list[str]]:
     """Recommended window [px] and what of the wishes it does not fulfil; the noise is scale / (window - 1)."""
     warnings = []
+    slope = shortest_period(FIRST_WINDOW) / (FIRST_WINDOW - 1)
     fewest = max(SMALLEST_WINDOW, math.ceil(FEWEST_FEATURES * feature) if math.isfinite(feature) else SMALLEST_WINDOW)
     usual = max(fewest, 2 * SMALLEST_WINDOW, math.ceil(USUAL_FEATURES * feature) if math.isfinite(feature) else 0)
     widest = min(limit, WIDEST_WINDOW)
     if wanted_noise is not None:
         wanted = 1 + math.ceil(scale / wanted_noise)
     elif wanted_period is not None:
-        wanted = math.floor(wanted_period / CUT_OFF)
+        wanted = 1 + math.floor(wanted_period / slope)
     else:
         wanted = usual
     window = min(max(wanted, fewest), widest)
@@ -397,8 +412,8 @@ def _window(
             f"a noise of {wanted_noise:g} px needs a subset of {wanted} px, more than these images allow: "
             f"{scale / (window - 1):.2g} px are to be expected; average several images or light the surface better"
         )
-    if wanted_period is not None and CUT_OFF * window > wanted_period * (1 + 1e-9):
-        reached = scale / max(wanted_period / CUT_OFF - 1, 1)
+    if wanted_period is not None and slope * (window - 1) > wanted_period * (1 + 1e-9):
+        reached = scale * slope / wanted_period
         reason = f"fewer than {FEWEST_FEATURES} features would be left in the subset"
         if wanted_noise is not None and wanted > fewest:
             reason = f"it would have a noise of {reached:.2g} px, and {wanted_noise:g} px are wanted"
@@ -438,60 +453,3 @@ def _warnings(advice: Advice) -> list[str]:
     if moved > 5 * max(measured, 0.002):
         found.append(f"the specimen or the camera has moved by {moved:.2g} px: the images are not static")
     return found
-
-
-def _report(advice: Advice) -> str:
-    size = advice.pixel_size
-
-    def length(pixels: float, digits: int = 1) -> str:
-        return f"{pixels:.{digits}f} px" + ("" if size is None else f" ({1e3 * size * pixels:.3g} mm)")
-
-    def displacement(values: tuple[float, float]) -> str:
-        text = " / ".join(f"{value:z.4f}" for value in values) + " px"
-        return text + ("" if size is None else " (" + " / ".join(f"{1e6 * size * v:.3g}" for v in values) + " µm)")
-
-    known = math.isfinite(advice.full_scale)
-
-    def percent(value: float) -> str:
-        return f" ({100 * value / advice.full_scale:.1f} %)" if known else ""
-
-    low, high = advice.grey_range
-    features = advice.window / math.sqrt(advice.feature_size[0] * advice.feature_size[1])
-    lines = [
-        ("", "Images (x / y: along columns / rows)"),
-        ("image resolution", f"{advice.shape[1]} x {advice.shape[0]} px"),
-        ("full scale", f"{advice.full_scale:g} in steps of {advice.quantisation:g}" if known else "not known"),
-        ("grey levels, 1 % to 99 %", f"{low:.0f}{percent(low)} to {high:.0f}{percent(high)}"),
-        ("saturated, black", f"{100 * advice.saturated:.2f} %, {100 * advice.dark:.2f} % of the pixels"),
-        ("dark coverage", f"{100 * advice.coverage:.0f} % (about 50 % is best)"),
-        ("image noise", f"{advice.image_noise:.2f} grey levels{percent(advice.image_noise)}"),
-        ("contrast", f"{advice.contrast:.1f} grey levels{percent(advice.contrast)}"),
-        ("feature size", f"{advice.feature_size[0]:.2f} / {advice.feature_size[1]:.2f} px (3 to 5 px are best)"),
-        ("mean intensity gradient", f"{advice.mean_gradient:.1f} grey levels/px"),
-        ("", "Settings"),
-        ("subset size", f"{length(advice.window, 0)}, {features:.1f} features"),
-        ("step size", length(advice.spacing, 0)),
-        ("spatial resolution", f"{length(advice.period, 0)}: shortest period that keeps 90 % of its amplitude"),
-        ("strain window", f"{advice.strain_window} points ({(advice.strain_window - 1) * advice.spacing + 1} px)"),
-        ("virtual strain gauge", f"{length(advice.gauge_length, 0)}: (window - 1) step + subset"),
-        ("", "Noise floors of these settings (x / y)"),
-        ("displacement, spatial", displacement(advice.noise)),
-        ("  predicted from the images", displacement(advice.noise_predicted)),
-        ("displacement, temporal", displacement(advice.noise_temporal)),
-        ("displacement, bias", displacement(advice.bias)),
-        ("strain e_xx / e_yy / e_xy", " / ".join(f"{1e6 * value:.0f}" for value in advice.strain_noise) + " µstrain"),
-        ("  which is", "that of the in-plane displacement alone: planes over the strain window"),
-        ("method", "two static images against the reference; spatial: over the points, averaged over both images;"),
-        ("  ", "temporal: between both images, averaged over the points"),
-    ]
-    return _laid_out(lines, advice)
-
-
-def _laid_out(lines: list[tuple[str, str]], advice: Advice) -> str:
-    """Lines of (name, text), where an empty name begins a section, then the table and the warnings."""
-    out = [f"  {name:28s} {text}" if name else f"\n{text}" for name, text in lines]
-    out.append("\nOther subsets: noise and spatial resolution to be expected")
-    out += [f"  {w:4d} px   {noise:.4f} px   {period:4.0f} px" for w, noise, period in advice.table]
-    if advice.warnings:
-        out += ["\nBefore the test", *(f"  - {warning}" for warning in advice.warnings)]
-    return "\n".join(out).lstrip("\n")
