@@ -235,6 +235,21 @@ class RigCalibration:
         except (OSError, KeyError, TypeError, ValueError, yaml.YAMLError) as error:
             raise CalibrationFileError(f"{folder} does not hold a calibration of the rig: {error!r}") from error
 
+    def write_report(self, path: str | Path) -> Path:
+        """Write one HTML file for people, pictures inside; return its path.
+
+        Raises
+        ------
+        OSError
+            When the file cannot be written.
+        """
+        from fringedic.calibration.report import report_html  # pictures take time to load, most users need none
+
+        path = Path(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(report_html(self), encoding="utf-8")
+        return path
+
 
 _PLANE_UNITS: dict[str, tuple[str, float]] = {
     "angle": ("angle_degree", math.radians(1)),
