@@ -1,0 +1,349 @@
+"""3D displacement, strain, increments and their uncertainties beside their targets; time of each step.
+
+Frames come from the digital twin at 1280x960 (50 µm/pixel, 8 bits, 1 grey level and shot noise, misaligned rig), with a
+seed that no test uses; the displacement is measured in their texture. Exact surfaces with the noise of such frames tell
+the floor. ``--page docs/validation/coupling.md`` writes the figures and two pictures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numba
+import numpy as np
+import xarray as xr
+from scipy.ndimage import binary_erosion
+
+from fringedic.chain import (
+    CouplingParameters,
+    CouplingResult,
+    DicParameters,
+    DicResult,
+    DisplacementTracker,
+    PhaseParameters,
+    PhaseResult,
+    ShapeTracker,
+    displacement_dataset,
+    phase_step,
+)
+from fringedic.increments import accumulate
+from fringedic.patterns import fringe_sequence
+from fringedic.rig import RigModel
+from fringedic.sequence import FrameRecord, Stack
+from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
+from fringedic.virtual_rig import VirtualRig
+
+RUNS = 5
+SEED = 4021
+PITCH = 10.0
+SPACING = 4
+STRAIN_WINDOW = 85
+FRINGE, PIXEL = 0.002, 0.0026  # noise of phase and displacement of such frames
+Row = tuple[str, float, float | None]
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.nanmean(np.square(values, dtype=float))))
+
+
+@dataclass
+class Rendered:
+    """Two steps of a specimen of the twin, as measured from its frames."""
+
+    twin: VirtualRig
+    rig: RigModel
+    stacks: list[Stack]
+    phases: list[PhaseResult]
+    displacement: list[np.ndarray]
+    sigma: list[np.ndarray]
+    truth: xr.Dataset
+
+    def shapes(self) -> list[xr.Dataset]:
+        return [self.rig.reconstruct(each.phase, PITCH, each.sigma) for each in self.phases]
+
+    def in_plane(self) -> xr.Dataset:
+        return displacement_dataset(self.displacement[1], self.sigma[1], SPACING, (0, 0), DicParameters().window)
+
+
+def render(specimen: str) -> Rendered:
+    """Expose, demodulate and correlate two steps."""
+    twin = VirtualRig.from_preset(specimen, seed=SEED)
+    rig = RigModel(**twin.optics())
+    sequence = fringe_sequence(rig.projector_width, rig.projector_height, [800, 160, 40, PITCH], [4, 4, 4, 8])
+    position = 0.2 * twin.maximum_position
+    tracker = DisplacementTracker(DicParameters(spacing=SPACING))
+    stacks, phases, found = [], [], []
+    for step, crosshead in enumerate((0.0, position)):
+        frames = np.array([twin.expose(image, crosshead, 100 * step + k) for k, image in enumerate(sequence)])
+        records = [
+            FrameRecord("bench", step, k, len(frames), projection, k, 0.01, 0)
+            for k, projection in enumerate(sequence.projections)
+        ]
+        stacks.append(Stack("bench", step, records, frames, step))
+        phases.append(phase_step(stacks[-1], PhaseParameters()))
+        found.append(tracker.step("bench", step, step, phases[-1].texture))
+    grid = slice(None, None, SPACING)
+    return Rendered(
+        twin,
+        rig,
+        stacks,
+        phases,
+        [each.displacement for each in found],
+        [each.sigma for each in found],
+        twin.truth(position).isel(row=grid, column=grid),
+    )
+
+
+def twin_rows(rendered: Rendered, maps: dict[str, np.ndarray]) -> list[Row]:
+    """Errors of what is measured in rendered frames, 48 px away from the edges of what both images see."""
+    truth = rendered.truth
+    visible = (truth.valid & truth.lit).values
+    inner = binary_erosion(visible, iterations=48 // SPACING)
+    shapes, in_plane = rendered.shapes(), rendered.in_plane()
+    targets = {0.0: (0.40, 0.31, 9.5), 2.0: (0.15, 0.15, 1.4)}
+    rows: list[Row] = []
+    for z_filter, limits in targets.items():
+        cloud = couple(*shapes, in_plane, calibration=rendered.rig, z_filter=z_filter)
+        words = f"z filtered {z_filter:g} px" if z_filter else "raw z"
+        for name, target in zip("uvw", limits, strict=True):
+            error = np.where(inner, cloud[name].values - truth[name].values, np.nan)
+            rows.append((f"{name}, {words}: RMS error [µm]", 1e6 * rms(error), target))
+            sigma = cloud[f"sigma_{name}"].where(inner)
+            rows.append((f"{name}, {words}: median sigma [µm]", 1e6 * float(sigma.median()), target))
+            rows.append((f"{name}, {words}: z-score (.9 to 1.1)", float(np.nanstd(error / sigma.values)), None))
+            if z_filter:
+                maps[f"error of {name} [µm]"] = 1e6 * error
+    measured = np.isfinite(cloud.w.values)
+    exact = xr.Dataset(
+        {name: (("row", "column"), np.where(measured, truth[name].values, np.nan)) for name in "xyzuvw"},
+        cloud.coords,
+    )
+    found, true = (surface_strain(each, window=STRAIN_WINDOW) for each in (cloud, exact))
+    for name, target in (("e_11", 40), ("e_12", 20), ("e_22", 28)):
+        error = np.where(inner, found[name].values - true[name].values, np.nan)
+        rows.append((f"{name} over {STRAIN_WINDOW} px, filtered: RMS error [µstrain]", 1e6 * rms(error), target))
+        score = float(np.nanstd(error / found[f"sigma_{name}"].values))
+        rows.append((f"{name}: z-score (.9 to 1.1)", score, None))
+        maps[f"error of {name} [µstrain]"] = 1e6 * error
+    in_plane_errors = [
+        np.where(inner, in_plane[f"displacement_{axis}"].values - truth[f"displacement_{axis}"].values, np.nan)
+        for axis in "xy"
+    ]
+    for axis, error in zip("xy", in_plane_errors, strict=True):
+        score = float(np.nanstd(error / in_plane[f"sigma_{axis}"].values))
+        rows.append((f"displacement_{axis} that it rests on: RMS error [px]", rms(error), None))
+        rows.append((f"displacement_{axis}: z-score", score, None))
+    return rows
+
+
+def exact_rows(rendered: Rendered) -> list[Row]:
+    """Errors on the exact surfaces of the same steps with white noise of .002 fringe and .0026 px at every pixel."""
+    rig, twin = rendered.rig, rendered.twin
+    position = 0.2 * twin.maximum_position
+    truth = twin.truth(position)
+    rng = np.random.default_rng(SEED)
+    sigma = np.full(twin.shape, 2 * np.pi * FRINGE, np.float32)
+    shapes = []
+    for each in (twin.truth(0.0), truth):
+        heights = each.z_deformed.values
+        column, row = np.meshgrid(np.arange(twin.shape[1]), np.arange(twin.shape[0]))
+        rays = np.stack([column, row, np.ones_like(row)], axis=-1) @ rig.ray_matrix.T
+        along = (heights - rig.camera_distance) / rays[..., 2]
+        phase = rig.phase(along * rays[..., 0], along * rays[..., 1], heights, PITCH)
+        noisy = (phase + sigma * rng.normal(size=phase.shape)).astype(np.float32)
+        shapes.append(rig.reconstruct(noisy, PITCH, sigma))
+    fields = {f"sigma_{axis}": np.full(twin.shape, PIXEL, np.float32) for axis in "xy"}
+    for axis in "xy":
+        exact = truth[f"displacement_{axis}"].values
+        fields[f"displacement_{axis}"] = (exact + PIXEL * rng.normal(size=exact.shape)).astype(np.float32)
+    displacement = xr.Dataset({name: (("row", "column"), each) for name, each in fields.items()}, truth.coords)
+    inner = binary_erosion((truth.valid & truth.lit).values, iterations=16)
+    rows: list[Row] = []
+    for z_filter, limits in ((0.0, (0.40, 0.31, 9.5)), (2.0, (0.15, 0.15, 1.4))):
+        cloud = couple(*shapes, displacement, z_filter=z_filter)
+        words = f"z filtered {z_filter:g} px" if z_filter else "raw z"
+        for name, target in zip("uvw", limits, strict=True):
+            error = np.where(inner, cloud[name].values - truth[name].values, np.nan)
+            rows.append((f"{name}, {words}: RMS error [µm]", 1e6 * rms(error), target))
+            score = float(np.nanstd(error / cloud[f"sigma_{name}"].values))
+            rows.append((f"{name}, {words}: z-score (.9 to 1.1)", score, None))
+    return rows
+
+
+def increment_rows() -> list[Row]:
+    """Twenty increments to 10 % with waves of 8 and 5 px, on points every 4 px of 1280x960."""
+    rows, columns = np.arange(0.0, 960, 4), np.arange(0.0, 1280, 4)
+    row, column = np.meshgrid(rows, columns, indexing="ij")
+    steps = 20
+
+    def motion(row: np.ndarray, column: np.ndarray) -> np.ndarray:
+        waves = 8 * np.sin(2 * np.pi * column / 640) * np.cos(2 * np.pi * row / 700)
+        across = 5 * np.sin(2 * np.pi * (column + row) / 800)
+        return np.stack([0.10 * (column - 200) + waves, -0.03 * (row - 480) + across])
+
+    exact = []
+    for step in range(steps):
+        from_row, from_column = row.copy(), column.copy()
+        for _ in range(40):
+            d_x, d_y = motion(from_row, from_column) * step / steps
+            from_row, from_column = row - d_y, column - d_x
+        exact.append(motion(from_row, from_column) / steps)
+    total = motion(row, column)
+    found: list[Row] = [("naive sums, no noise: RMS error [px]", rms(np.sum(exact, axis=0) - total), None)]
+    for noise in (0.0, 0.01):
+        rng = np.random.default_rng(SEED)
+        parts = []
+        for each in exact:
+            noisy = each + noise * rng.normal(size=each.shape)
+            fields = dict(zip(("displacement_x", "displacement_y"), noisy, strict=True))
+            fields |= {f"sigma_{axis}": np.full(row.shape, noise) for axis in "xy"}
+            dimensions, coordinates = ("row", "column"), {"row": rows, "column": columns}
+            parts.append(xr.Dataset({name: (dimensions, each) for name, each in fields.items()}, coordinates))
+        words = f"noise of {noise:g} px per point and increment" if noise else "no noise"
+        target = 0.045 if noise else 0.005
+        for label, method, element, limit in (
+            ("spline", "spline", 20.0, target),
+            ("mesh of 20 px", "mesh", 20.0, target),
+            ("mesh of 80 px", "mesh", 80.0, None),
+        ):
+            result = accumulate(parts, method=method, element=element)
+            error = np.stack([result.displacement_x.values, result.displacement_y.values]) - total
+            found.append((f"{label}, {words}: RMS error [px]", rms(error), limit))
+            if noise and method == "spline":
+                score = float(np.nanstd(error[0] / result.sigma_x.values))
+                found.append((f"{label}, {words}: z-score", score, None))
+    return found
+
+
+def milliseconds(work: Callable[[], object]) -> float:
+    """Return the best time of several runs [ms]."""
+    work()
+    times = []
+    for _ in range(RUNS):
+        begin = time.perf_counter()
+        work()
+        times.append(time.perf_counter() - begin)
+    return 1e3 * min(times)
+
+
+def time_rows(rendered: Rendered) -> list[Row]:
+    """Best times of the steps, from the last frame to the cloud with strain and all sigmas, without the nodes."""
+    stack = rendered.stacks[1]
+    shape = rendered.shapes()[1]
+    rows: list[Row] = [
+        ("phase of 20 frames", milliseconds(lambda: phase_step(stack, PhaseParameters())), None),
+        ("reconstruction", milliseconds(lambda: rendered.rig.reconstruct(rendered.phases[1].phase, PITCH)), 25),
+        ("preparing a shape, filter of 2 px", milliseconds(lambda: PreparedShape(shape, z_filter=2.0)), None),
+    ]
+    return rows + [row for spacing in (SPACING, 1) for row in spacing_rows(rendered, spacing)]
+
+
+def spacing_rows(rendered: Rendered, spacing: int) -> list[Row]:
+    """Best times of what depends on the distance of the points."""
+    dic, coupling = DisplacementTracker(DicParameters(spacing=spacing)), ShapeTracker(CouplingParameters())
+    coupling.set_calibration(rendered.rig)
+    numbers = iter(range(10**6))
+
+    def correlate(k: int) -> DicResult:
+        return dic.step("bench", next(numbers), 0, rendered.phases[k].texture)
+
+    def couple_step(k: int, found: DicResult) -> CouplingResult:
+        phase, window = rendered.phases[k], DicParameters().window
+        fields = (phase.phase, phase.sigma, found.displacement, found.sigma)
+        return coupling.step("bench", next(numbers), 0, *fields, pitch=PITCH, spacing=spacing, window=window)
+
+    couple_step(0, correlate(0))
+    found = correlate(1)
+    in_plane = displacement_dataset(found.displacement, found.sigma, spacing, (0, 0), DicParameters().window)
+    prepared = [PreparedShape(each, z_filter=2.0) for each in rendered.shapes()]
+    cloud = couple(*prepared, in_plane, z_filter=2.0)
+    return [
+        (f"every {spacing} px: displacement in the image", milliseconds(lambda: correlate(1)), None),
+        (f"every {spacing} px: coupling", milliseconds(lambda: couple(*prepared, in_plane, z_filter=2.0)), None),
+        (f"every {spacing} px: local frame with sigmas", milliseconds(lambda: to_local_frame(cloud)), None),
+        (
+            f"every {spacing} px: strain with sigmas",
+            milliseconds(lambda: surface_strain(cloud, window=STRAIN_WINDOW)),
+            None,
+        ),
+        (f"every {spacing} px: whole coupling step", milliseconds(lambda: couple_step(1, found)), None),
+    ]
+
+
+def window_figure(rendered: Rendered, path: Path) -> None:
+    """Noise of the strain, measured and predicted, over the virtual strain gauge."""
+    truth = rendered.truth
+    cloud = couple(*rendered.shapes(), rendered.in_plane(), z_filter=2.0)
+    measured = np.isfinite(cloud.w.values)
+    exact = xr.Dataset(
+        {name: (("row", "column"), np.where(measured, truth[name].values, np.nan)) for name in "xyzuvw"},
+        cloud.coords,
+    )
+    figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
+    windows = (21, 29, 41, 61, 85, 121)
+    for colour, name in zip(("C0", "C1", "C2"), ("e_11", "e_22", "e_12"), strict=True):
+        errors, sigmas, lengths = [], [], []
+        for window in windows:
+            found, true = (surface_strain(each, window=window) for each in (cloud, exact))
+            inner = binary_erosion((truth.valid & truth.lit).values, iterations=(32 + window // 2) // SPACING)
+            errors.append(1e6 * rms(np.where(inner, (found[name] - true[name]).values, np.nan)))
+            sigmas.append(1e6 * rms(found[f"sigma_{name}"].where(inner).values))
+            lengths.append(found.attrs["virtual_strain_gauge_px"])
+        axes.loglog(lengths, errors, "o", color=colour, label=f"{name}, RMS error")
+        axes.loglog(lengths, sigmas, "-", color=colour, label=f"{name}, predicted sigma")
+    axes.set(xlabel="virtual strain gauge [px]", ylabel="noise of the strain [µstrain]")
+    axes.grid(True, which="both", alpha=0.3)
+    axes.legend(ncols=2, fontsize=8)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def error_figure(maps: dict[str, np.ndarray], path: Path) -> None:
+    """Maps of the errors against the twin's truth."""
+    figure, axes = plt.subplots(2, 3, figsize=(10, 5), layout="constrained")
+    for each, (name, values) in zip(axes.flat, maps.items(), strict=True):
+        limit = 3 * rms(values)
+        shown = each.imshow(values, cmap="RdBu_r", vmin=-limit, vmax=limit, extent=(0, 1280, 960, 0))
+        each.set_title(name, fontsize=9)
+        each.tick_params(labelsize=7)
+        figure.colorbar(shown, ax=each, shrink=0.8)
+    figure.savefig(path, dpi=100)
+    plt.close(figure)
+
+
+def shown(title: str, rows: list[Row]) -> str:
+    lines = [f"### {title}", "", "| figure | measured | target |", "|---|---:|---:|"]
+    for name, value, target in rows:
+        lines.append(f"| {name.strip()} | {value:.3g} | {'' if target is None else f'≤ {target:g}'} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure and print the tables, and write the page when asked to."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--page", type=Path, help="Markdown page to write the figures into, between its marks")
+    page = parser.parse_args().page
+    rendered, maps = render("plate"), dict[str, np.ndarray]()
+    tables = {
+        "Rendered frames of a plate": twin_rows(rendered, maps),
+        "Exact surfaces with white noise of .002 fringe and .0026 px": exact_rows(rendered),
+        "Twenty increments to 10 %": increment_rows(),
+        f"Best times [ms], 1280x960, {numba.get_num_threads()} threads": time_rows(rendered),
+    }
+    text = "\n\n".join(shown(title, rows) for title, rows in tables.items())
+    print(text)
+    if page is not None:
+        before, mark, rest = page.read_text(encoding="utf-8").partition("<!-- figures -->\n")
+        _, end, after = rest.partition("<!-- end of figures -->")
+        page.write_text(f"{before}{mark}\n{text}\n\n{end}{after}", encoding="utf-8")
+        error_figure(maps, page.with_name("coupling_errors.png"))
+        window_figure(rendered, page.with_name("coupling_strain.png"))
+
+
+if __name__ == "__main__":
+    main()
