@@ -211,7 +211,7 @@ def _unmeasured(experiment: str, step: int, failure: StepFailure | None) -> Meas
 
 def _fill_in(result: MeasureStep.Result, step: RunningStep) -> None:
     """Fill in the figures of a step that succeeded."""
-    measured = step.statuses.get("coupling" if step.projections[0].kind == PatternKind.FRINGES else "dic")
+    measured = step.statuses.get("coupling" if step.projections[-1].kind == PatternKind.FRINGES else "dic")
     if measured is not None:
         result.valid_fraction, result.rms_displacement = measured.valid_fraction, measured.rms
     result.processing_time = step.processing_time

@@ -23,10 +23,11 @@ from fringedic.errors import (
     FrameMismatchError,
     NoCorrelationError,
     ReferenceMissingError,
+    StepError,
     TooFewValidError,
 )
 from fringedic.increments import PixelGrid, Total, compose, interpolation_noise
-from fringedic.phase import CameraNoise, absolute_phase
+from fringedic.phase import CameraNoise, measure_phase
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation, PatternKind, Stack
 from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
@@ -71,6 +72,37 @@ class PhaseParameters(Parameters):
     )
     minimum_valid_fraction: float = Field(
         0.05, ge=0, le=1, description="The step fails when a smaller part of the image has a phase [0 to 1]."
+    )
+    method: Literal["auto", "steps", "one_image"] = Field(
+        "auto",
+        description="steps: phase stepping; one_image: the last fringe image alone, for fast events, divided by the "
+        "step's grey frame where there is one; auto: one_image when the step has one fringe image only.",
+    )
+    relative_phase: Literal["refuse", "accept"] = Field(
+        "refuse",
+        description="Whether a phase true up to whole fringes only is a result: that of one image, or of one pitch "
+        "that repeats in view. Shapes made from it are wrong by an unknown height.",
+    )
+    lens_blur_px: float = Field(
+        0.0,
+        ge=0,
+        le=5,
+        description="Blur of the camera's lens, standard deviation [px], that the phase of a textured surface is "
+        "corrected for; 0 corrects nothing.",
+    )
+    maximum_error_fringe: float = Field(
+        0.003,
+        gt=0,
+        le=1,
+        description="The step fails when flicker, or motion of the surface along the light while its frames are taken, "
+        "bends the phase by more than this RMS [fringe].",
+    )
+    maximum_motion_px: float = Field(
+        0.2,
+        gt=0,
+        le=100,
+        description="The step fails when the surface moves farther than this across the image while its frames are "
+        "taken [px].",
     )
 
 
@@ -148,6 +180,10 @@ class PhaseResult:
         The finest pitch [projector pixel], to which the phase belongs, and the direction of the fringes.
     rms
         Median of ``sigma`` [rad].
+    relative
+        The phase is true up to whole fringes only.
+    remarks
+        What should be known about this result.
     """
 
     experiment: str
@@ -161,6 +197,8 @@ class PhaseResult:
     pitch: float
     orientation: Orientation
     rms: float
+    relative: bool = False
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass
@@ -231,29 +269,40 @@ class CouplingResult:
 
 
 def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
-    """Demodulate and unwrap the fringes of one step (eq. 11).
+    """Measure the phase of one step (eq. 11), having looked for faults of its frames.
 
     Raises
     ------
     FrameMismatchError
-        The stack holds no fringes.
+        The stack holds no fringes, or is faulty: `WrongPatternError`, `FramesOutOfOrderError`, `FlickerError`,
+        `MovedSurfaceError`.
+    InvalidSequenceError
+        Its frames give no phase, or a relative one that the parameters do not accept.
     TooFewValidError
-        Less of the image has a phase than ``parameters.minimum_valid_fraction``.
+        Less of the image has a phase than ``parameters.minimum_valid_fraction``; `SaturatedStackError` and
+        `DarkStackError` where that is why.
     """
+    where = f"experiment '{stack.experiment}', step {stack.step}"
     if stack.kind != PatternKind.FRINGES:
         raise FrameMismatchError(
-            f"experiment '{stack.experiment}', step {stack.step}: shows {stack.kind.name}, a phase needs fringes",
-            experiment=stack.experiment,
-            step=stack.step,
+            f"{where}: shows {stack.kind.name}, a phase needs fringes", experiment=stack.experiment, step=stack.step
         )
     read_noise = parameters.read_noise_grey_level
-    measured = absolute_phase(
-        stack.frames,
-        stack.projections,
-        noise=CameraNoise(read_noise, parameters.shot_noise_grey_level) if read_noise else None,
-        saturation=parameters.saturation_grey_level or None,
-        minimum_modulation=parameters.minimum_modulation_grey_level,
-    )
+    try:
+        measured, remarks = measure_phase(
+            stack.frames,
+            stack.projections,
+            method=parameters.method,
+            accept_relative=parameters.relative_phase == "accept",
+            noise=CameraNoise(read_noise, parameters.shot_noise_grey_level) if read_noise else None,
+            saturation=parameters.saturation_grey_level or None,
+            minimum_modulation=parameters.minimum_modulation_grey_level,
+            lens_blur=parameters.lens_blur_px,
+            largest_error=parameters.maximum_error_fringe,
+            largest_motion=parameters.maximum_motion_px,
+        )
+    except StepError as error:
+        raise type(error)(f"{where}: {error}", experiment=stack.experiment, step=stack.step) from error
     fraction = float(measured.valid.mean())
     _check_fraction("a phase", fraction, parameters.minimum_valid_fraction, stack.experiment, stack.step)
     sigma = measured.sigma.values
@@ -269,6 +318,8 @@ def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
         pitch=stack.projections[-1].pitch,
         orientation=stack.projections[-1].orientation,
         rms=float(np.nanmedian(sigma)),
+        relative=bool(measured.phase.attrs["relative"]),
+        remarks=tuple(remarks),
     )
 
 

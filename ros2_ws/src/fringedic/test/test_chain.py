@@ -20,12 +20,18 @@ from fringedic.chain import (
 from fringedic.errors import (
     CalibrationMissingError,
     FrameMismatchError,
+    FramesOutOfOrderError,
     FringedicError,
+    InvalidSequenceError,
     ReferenceMissingError,
+    SaturatedStackError,
     TooFewValidError,
+    WrongPatternError,
 )
+from fringedic.patterns import fringe_sequence, gray_code_sequence, one_image_sequence
 from fringedic.rig import RigModel
 from fringedic.sequence import FrameRecord, Orientation, PatternKind, Projection, Stack
+from fringedic.virtual_rig import VirtualRig
 
 MODELS = (PhaseParameters, DicParameters, CouplingParameters)
 PITCHES = (80.0, 20.0)
@@ -96,13 +102,90 @@ def test_phase_parameters_have_an_effect():
     assert known.rms == pytest.approx(np.sqrt(2 / 4) * 3.0 / 60, rel=0.02)
     shot = phase_step(whole, PhaseParameters(read_noise_grey_level=3.0, shot_noise_grey_level=0.16))
     assert shot.rms == pytest.approx(np.sqrt(2 / 4) * 5.0 / 60, rel=0.02)
-    with pytest.raises(TooFewValidError, match=r"step 0: only 0\.0% of the image has a phase"):
+    with pytest.raises(SaturatedStackError, match=r"step 0: 100% of the image saturates") as caught:
         phase_step(whole, PhaseParameters(saturation_grey_level=90.0))
+    assert isinstance(caught.value, TooFewValidError) and caught.value.step == 0
     with pytest.raises(TooFewValidError):
         phase_step(whole, PhaseParameters(minimum_modulation_grey_level=65.0))
     half = stack(amplitude=np.where(np.arange(72) < 36, 0.0, 60.0))
     with pytest.raises(TooFewValidError, match=r"only 50\.0% .* asks for 60\.0%"):
         phase_step(half, PhaseParameters(minimum_valid_fraction=0.6))
+
+
+def frames_of(rig, sequence, **changes):
+    """A stack of the virtual rig's unloaded surface."""
+    records = [FrameRecord("e", 7, i, len(sequence), each, i, 0.01) for i, each in enumerate(sequence.projections)]
+    frames = np.array([rig.expose(image, 0.0, index, **changes) for index, image in enumerate(sequence)])
+    return Stack("e", 7, records, frames, records[-1].stamp)
+
+
+@pytest.fixture(scope="module")
+def small_rig():
+    return VirtualRig.from_preset("sphere", size="small")
+
+
+def turns_off(result, rig):
+    """What the phase errs by [turn]."""
+    column = rig.view(0.0).projector_column - (rig.projector_shape[1] - 1) / 2
+    return result.phase / (2 * np.pi) - column / result.pitch
+
+
+def test_a_gray_code_gives_the_orders_of_a_step(small_rig):
+    rows, columns = small_rig.projector_shape
+    sequence = gray_code_sequence(columns, rows, 8, 4)
+    whole = frames_of(small_rig, sequence)
+    result = phase_step(whole, PhaseParameters())
+    assert np.nanmax(np.abs(turns_off(result, small_rig))) < 0.1
+    assert (result.relative, result.remarks, result.pitch) == (False, (), 8.0)
+    for first, second in ((1, 2), (0, 4)):
+        faulty = frames_of(small_rig, sequence)
+        faulty.frames[[first, second]] = faulty.frames[[second, first]]
+        with pytest.raises(FramesOutOfOrderError, match=f"step 7: the orders .* frames {first} and {second} inter"):
+            phase_step(faulty, PhaseParameters())
+
+
+def test_one_pitch_is_relative_and_has_to_be_accepted(small_rig):
+    rows, columns = small_rig.projector_shape
+    whole = frames_of(small_rig, fringe_sequence(columns, rows, [8], 4))
+    with pytest.raises(InvalidSequenceError, match="one pitch of 8 px repeat in view"):
+        phase_step(whole, PhaseParameters())
+    result = phase_step(whole, PhaseParameters(relative_phase="accept"))
+    assert result.relative and "wrong behind steps" in result.remarks[0]
+    error = turns_off(result, small_rig)
+    offset = np.nanmedian(error)
+    assert np.nanmax(np.abs(error - offset)) < 0.1
+    assert abs(offset - round(offset)) < 1e-3
+    covering = phase_step(frames_of(small_rig, fringe_sequence(columns, rows, [columns], 4)), PhaseParameters())
+    assert not covering.relative, "one fringe over the whole view is absolute"
+
+
+@pytest.mark.parametrize("grey", [False, True])
+def test_one_image_is_measured_when_there_is_no_more(small_rig, grey):
+    rows, columns = small_rig.projector_shape
+    whole = frames_of(small_rig, one_image_sequence(columns, rows, 10, grey=grey))
+    with pytest.raises(InvalidSequenceError, match="one fringe image"):
+        phase_step(whole, PhaseParameters())
+    result = phase_step(whole, PhaseParameters(relative_phase="accept"))
+    error = turns_off(result, small_rig)
+    assert result.relative and result.valid_fraction > 0.9
+    spread = np.nanstd(error[20:-20, 20:-20])
+    assert spread < (0.01 if grey else 0.06), spread
+    stepped = frames_of(small_rig, fringe_sequence(columns, rows, [columns, 10], 4))
+    chosen = phase_step(stepped, PhaseParameters(method="one_image", relative_phase="accept"))
+    assert chosen.relative and not phase_step(stepped, PhaseParameters()).relative
+    dull = frames_of(small_rig, one_image_sequence(columns, rows, 10, grey=grey))
+    dull.frames[-1] = 60
+    with pytest.raises(WrongPatternError, match="step 7: no fringes"):
+        phase_step(dull, PhaseParameters(relative_phase="accept"))
+
+
+def test_lens_blur_is_corrected_on_request(small_rig):
+    rows, columns = small_rig.projector_shape
+    whole = frames_of(small_rig, fringe_sequence(columns, rows, [columns, 40, 10], 4))
+    plain, corrected = (phase_step(whole, PhaseParameters(lens_blur_px=blur)) for blur in (0.0, 0.8))
+    difference = corrected.phase - plain.phase
+    assert 0 < np.nanstd(difference) < 0.5 and not corrected.relative
+    assert np.array_equal(np.isnan(corrected.phase), np.isnan(plain.phase))
 
 
 def test_a_phase_needs_fringes():

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from sensor_msgs.msg import Image
 
-from fringedic.sequence import FrameCollector, PatternKind, Stack, frame_record
+from fringedic.sequence import PHASE_KINDS, FrameCollector, PatternKind, Stack, frame_record
 from fringedic_msgs.msg import Exposure
 from fringedic_ros.images import image_array
 from fringedic_ros.pairing import ImageExposurePairs
@@ -22,7 +22,8 @@ class FrameSteps:
     node
         Answers the steps that fail.
     kind
-        What the frames have to show; others are passed over.
+        What the frames have to show, FRINGES with the Gray code and grey light that belong to them; others are passed
+        over.
     on_stack
         Called with each complete step.
     on_other
@@ -37,7 +38,7 @@ class FrameSteps:
         on_other: Callable[[Exposure], None] = lambda _: None,
     ) -> None:
         self._node = node
-        self._kind = kind
+        self._kinds = PHASE_KINDS if kind == PatternKind.FRINGES else {kind}
         self._on_stack = on_stack
         self._on_other = on_other
         self._collector = FrameCollector()
@@ -55,7 +56,7 @@ class FrameSteps:
 
     def _take(self, image: Image, exposure: Exposure) -> None:
         experiment, step, stamp = exposure.experiment, exposure.step, to_nanoseconds(exposure.header.stamp)
-        if exposure.kind != self._kind:
+        if exposure.kind not in self._kinds:
             self._on_other(exposure)
             return
         if self._node.answered(experiment, step):

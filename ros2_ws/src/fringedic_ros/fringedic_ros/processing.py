@@ -65,11 +65,14 @@ class Outcome:
         Median 1-sigma of the phase [rad], or rms displacement [px] or [m].
     frames
         Frames used.
+    remark
+        What should be known about a good result; the status' message, and a warning in the log.
     """
 
     valid_fraction: float = nan
     rms: float = nan
     frames: int = 0
+    remark: str = ""
 
 
 class StampJoin:
@@ -209,6 +212,7 @@ class ProcessingNode(Node, Generic[ModelT]):
         outcome, code, message = Outcome(), NodeStatus.NONE, ""
         try:
             outcome = work()
+            message = outcome.remark
         except Exception as error:
             code, message = _code_and_message(error)
         self._publish(experiment, step, stamp, outcome, time.monotonic() - began, code, message)
@@ -230,6 +234,8 @@ class ProcessingNode(Node, Generic[ModelT]):
         status.header.stamp = to_msg(stamp)
         if code == NodeStatus.NONE:
             self.diagnostics.success(duration)
+            if message:
+                self.get_logger().warning(f"experiment '{experiment}', step {step}: {message}")
         else:
             self.get_logger().error(f"experiment '{experiment}', step {step}: {message}")
             self.diagnostics.failure(message)

@@ -11,8 +11,9 @@ import rclpy
 from sensor_msgs.msg import Image
 
 from fringedic.chain import PhaseParameters, PhaseResult, phase_step
+from fringedic.patterns import one_image_sequence
 from fringedic.pictures import phase_preview
-from fringedic.sequence import FrameCollector
+from fringedic.sequence import FrameCollector, FrameRecord
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import NodeStatus
 from fringedic_ros.images import image_array, image_message
@@ -172,6 +173,53 @@ def test_unreadable_image_ends_its_step(bench: PhaseBench, name: str) -> None:
     assert status.error_code == NodeStatus.FRAME_MISMATCH and "yuv422" in status.error_message
     bench.send(fringe_step(bench.rig, 0.0, name, 1))
     assert bench.status_of(name, 1).error_code == NodeStatus.NONE
+
+
+def swapped(frames: Frames) -> Frames:
+    images = [image for _, image in frames]
+    images[9], images[10] = images[10], images[9]
+    return [(record, image) for (record, _), image in zip(frames, images, strict=True)]
+
+
+def frozen(frames: Frames) -> Frames:
+    return [(record, frames[0][1]) for record, _ in frames]
+
+
+def overexposed(frames: Frames) -> Frames:
+    return [(record, np.full_like(image, 255)) for record, image in frames]
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "words"),
+    [
+        (swapped, NodeStatus.FRAME_MISMATCH, "frames 9 and 10 are interchanged"),
+        (frozen, NodeStatus.FRAME_MISMATCH, "the projector does not change its pattern"),
+        (overexposed, NodeStatus.TOO_FEW_VALID, "100% of the image saturates: shorten the exposure"),
+    ],
+)
+def test_faulty_stacks_are_named(bench: PhaseBench, name: str, fault: object, code: int, words: str) -> None:
+    bench.send(fault(fringe_step(bench.rig, 0.0, name, 0)))  # type: ignore[operator]
+    status = bench.status_of(name, 0)
+    assert status.error_code == code
+    assert words in status.error_message and "step 0" in status.error_message
+
+
+def test_one_image_is_measured_and_said_to_be_relative(bench: PhaseBench, name: str) -> None:
+    rows, columns = bench.rig.projector_shape
+    sequence = one_image_sequence(columns, rows, 10.0, grey=True)
+    frames = [
+        (
+            FrameRecord(name, 0, index, 2, projection, 77_000_000_000 + index, 0.005),
+            bench.rig.expose(sequence.frame(index), 0.0, frame=index),
+        )
+        for index, projection in enumerate(sequence.projections)
+    ]
+    bench.change(relative_phase="accept")
+    bench.send(frames)
+    status = bench.status_of(name, 0)
+    bench.change(relative_phase="refuse")
+    assert status.error_code == NodeStatus.NONE and "is relative" in status.error_message
+    assert_identical(bench, expected(frames, PhaseParameters(relative_phase="accept")))
 
 
 def test_dark_frames_have_too_little_phase(bench: PhaseBench, name: str) -> None:

@@ -41,6 +41,7 @@ _EXPLAINED = 0.3  # of the misfit remains when the right explanation is found
 _NOTICED = 0.2  # part of the error allowed from which the operator is told
 _NOTICED_FLICKER = 0.02  # change of the light from which the operator is told
 _CUT_FRINGES = 0.02  # what C/A keeps of the fringes when they do not cover all phases equally
+_FEWEST_FRINGES = 5.0  # in view, for a statement about single frames
 _SPREAD = 0.35  # largest mean of exp(i phi) over the pixels for which frames can be told apart
 
 
@@ -55,10 +56,19 @@ class _Sample:
     above: np.ndarray
     x: np.ndarray  # position in the image, -1 to 1
     y: np.ndarray
+    size: tuple[int, int]  # rows and columns of the image
 
     def only(self, which: np.ndarray) -> _Sample:
-        neighbours = (each[:, which] for each in (self.levels, self.right, self.left, self.below, self.above))
-        return _Sample(*neighbours, self.x[which], self.y[which])
+        return _Sample(
+            levels=self.levels[:, which],
+            right=self.right[:, which],
+            left=self.left[:, which],
+            below=self.below[:, which],
+            above=self.above[:, which],
+            x=self.x[which],
+            y=self.y[which],
+            size=self.size,
+        )
 
 
 def check_stack(
@@ -132,7 +142,7 @@ def _sample(frames: np.ndarray) -> _Sample:
         return part.reshape(len(frames), -1).astype(np.float32)
 
     y, x = np.meshgrid(np.linspace(-1, 1, height)[::skip], np.linspace(-1, 1, width)[::skip], indexing="ij")
-    return _Sample(at(0, 0), at(0, 1), at(0, -1), at(1, 0), at(-1, 0), x.ravel(), y.ravel())
+    return _Sample(at(0, 0), at(0, 1), at(0, -1), at(1, 0), at(-1, 0), x.ravel(), y.ravel(), (rows, columns))
 
 
 def _fit(levels: np.ndarray, angles: np.ndarray) -> np.ndarray:
@@ -363,7 +373,9 @@ def _frames_alike(
     fit = _fit(levels, angles)
     strength = np.hypot(fit[1], fit[2])
     phase = np.arctan2(fit[2], fit[1])
-    if any(abs(np.mean(np.exp(1j * order * phase))) > _SPREAD for order in (1, 2, 3)):
+    if _fringes_in_view(sample, layout) < _FEWEST_FRINGES or any(
+        abs(np.mean(np.exp(1j * order * phase))) > _SPREAD for order in (1, 2, 3)
+    ):
         return []
     model = _model(fit, angles)
     wave = strength * np.sin(phase - angles[:, None])
@@ -435,6 +447,16 @@ def _frames_alike(
             raise kind(f"{words}; {limit:g} is allowed")
         remarks.append(words)
     return remarks
+
+
+def _fringes_in_view(sample: _Sample, layout: Layout) -> float:
+    """Return how many of the finest fringes lie between the outermost pixels that are looked at."""
+    vertical = layout.periods[0][0].orientation == Orientation.VERTICAL
+    reach = (
+        0.5 * float(np.ptp(sample.x)) * sample.size[1] if vertical else 0.5 * float(np.ptp(sample.y)) * sample.size[0]
+    )
+    per_pixel = 0.5 * float(np.median(np.abs(np.angle(_slopes(sample, layout, len(layout.pitches) - 1))))) / (2 * np.pi)
+    return reach * per_pixel
 
 
 def _significant(found: np.ndarray, covariance: np.ndarray) -> bool:

@@ -179,7 +179,7 @@ def _carrier(relief: np.ndarray, weight: np.ndarray, orientation: Orientation) -
     peak = np.unravel_index(np.argmax(np.where(allowed, spectrum, 0)), spectrum.shape)
     ring = np.hypot(along, across)
     alike = allowed & (np.abs(ring - ring[peak]) < 0.3 * ring[peak])
-    if not spectrum[peak] > _CONTRAST * np.median(spectrum[alike]):
+    if not (alike.any() and spectrum[peak] > _CONTRAST * np.median(spectrum[alike])):
         raise NoFringesError("no fringes: no period stands out of the image; is the projector on, and the pitch fine?")
     return float(vertical[peak[0], 0]), float(horizontal[0, peak[1]])
 
