@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import rclpy
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from fringedic.chain import (
@@ -25,7 +26,7 @@ from fringedic.chain import (
 from fringedic.rig import RigModel
 from fringedic.sequence import FrameCollector, FrameRecord
 from fringedic.virtual_rig import VirtualRig
-from fringedic_msgs.msg import Exposure, NodeStatus, Reference, RigCalibration
+from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, Reference, RigCalibration
 from fringedic_ros.clouds import cloud_arrays
 from fringedic_ros.images import image_message
 from fringedic_ros.qos import DERIVED, EVENTS, LATCHED
@@ -76,6 +77,7 @@ class CouplingBench(Bench):
         self.inputs = {name: self.create_publisher(NodeStatus, f"{name}/status", EVENTS) for name in ("phase", "dic")}
         self.calibrations = self.create_publisher(RigCalibration, "calibration", LATCHED)
         self.references = self.create_publisher(Reference, "experiment/reference", LATCHED)
+        self.dic_parameters = self.create_publisher(NodeParameters, "node_parameters", LATCHED)
         self.shape = self.listen(PointCloud2, "coupling/shape", DERIVED)
         self.displacement = self.listen(PointCloud2, "coupling/displacement", DERIVED)
 
@@ -151,7 +153,9 @@ def name(bench: CouplingBench, request: pytest.FixtureRequest) -> str:
     return request.node.name
 
 
-def expected(bench: CouplingBench, tracker: ShapeTracker, experiment: str, step: int) -> CouplingResult:
+def expected(
+    bench: CouplingBench, tracker: ShapeTracker, experiment: str, step: int, window: int | None = None
+) -> CouplingResult:
     phase, dic = bench.measured[step].phase, bench.measured[step].dic
     return tracker.step(
         experiment,
@@ -165,6 +169,7 @@ def expected(bench: CouplingBench, tracker: ShapeTracker, experiment: str, step:
         orientation=phase.orientation,
         spacing=dic.spacing,
         origin=dic.origin,
+        window=window,
     )
 
 
@@ -195,6 +200,30 @@ def test_clouds_are_those_of_the_library_bit_by_bit(bench: CouplingBench, name: 
         assert list(result.displacement) == FIELDS
     assert (bench.shape[-1].height, bench.shape[-1].width) == (120, 160)
     assert np.nanmax(np.abs(result.displacement["u"])) > 1e-6, "the plate has moved"
+
+
+def test_the_window_of_the_dic_node_gives_the_strain_its_sigma(bench: CouplingBench, name: str) -> None:
+    bench.publish_calibration()
+    parameters = [
+        Parameter("window", value=32).to_parameter_msg(),
+        Parameter("method", value="dense").to_parameter_msg(),
+    ]
+    for node, sent in (("phase", [Parameter("window", value=8).to_parameter_msg()]), ("dic", parameters)):
+        bench.dic_parameters.publish(NodeParameters(node=node, parameters=sent))
+    bench.serve(0.3)
+    tracker = tracker_of(bench, strain_window_px=41)
+    bench.change(strain_window_px=41)
+    try:
+        for step in range(2):
+            assert bench.send_step(name, step).error_code == NodeStatus.NONE
+            result = expected(bench, tracker, name, step, window=32)
+            bench.assert_identical(result)
+    finally:
+        bench.change(strain_window_px=CouplingParameters().strain_window_px)
+        bench.dic_parameters.publish(NodeParameters(node="dic"))
+        bench.serve(0.3)
+    assert list(result.displacement) == [*FIELDS, "sigma_e_11", "sigma_e_22", "sigma_e_12"]
+    assert 1e-7 < np.nanmedian(result.displacement["sigma_e_11"]) < 1e-2
 
 
 def test_fields_that_nobody_asks_for_are_left_out(bench: CouplingBench, name: str) -> None:
