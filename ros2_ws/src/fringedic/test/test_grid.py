@@ -78,7 +78,10 @@ def untouched(twin: VirtualRig) -> DistortionMap:
     return DistortionMap(twin.shape[1], twin.shape[0], np.zeros((1, 1)), np.zeros((1, 1)))
 
 
-@pytest.mark.parametrize(("lens", "target"), [(BROWN, 5e-4), (ODD, 5e-3)], ids=["brown", "odd"])
+@pytest.mark.parametrize(
+    ("lens", "target"),
+    [pytest.param(BROWN, 5e-4, id="brown"), pytest.param(ODD, 5e-3, id="odd", marks=pytest.mark.slow)],
+)
 def test_what_one_noisy_image_leaves_of_a_lens(lens: dict[str, Any], target: float) -> None:
     twin = twin_with(lens)
     found = measure_distortion(image_of(twin), pitch=PITCH_MM * 1e-3)
@@ -91,6 +94,16 @@ def test_what_one_noisy_image_leaves_of_a_lens(lens: dict[str, Any], target: flo
     assert found.magnitude == pytest.approx(raw, rel=0.05)
     assert found.warnings == ()
     assert found.valid_fraction > 0.99
+
+
+def test_a_lens_without_a_name_on_a_small_image() -> None:
+    twin = half_size({**ODD, "k1": -1.0})
+    found = measure_distortion(image_of(twin), pitch=PITCH_MM * 1e-3)
+    left = left_by(found.distortion, twin)[0]
+    brown = found.distortion.brown().residual
+    print(f"{left:.5f} px left, order {found.order}; the nearest Brown model would leave {brown:.3f} px")
+    assert left < 5e-3
+    assert brown > 10 * left
 
 
 def test_signs_on_a_lens_that_pushes_one_side() -> None:
@@ -169,7 +182,7 @@ def test_plane_view_agrees_with_the_rig_model() -> None:
 def test_noise_of_the_field_is_foretold() -> None:
     twin = half_size({})
     sigma, errors = [], []
-    for frame in range(6):
+    for frame in range(4):
         found = measure_distortion(image_of(twin, frame), pitch=PITCH_MM * 1e-3, order=5)
         sigma.append(found.sigma)
         row, column = np.mgrid[0:480:8, 0:640:8]
@@ -180,8 +193,8 @@ def test_noise_of_the_field_is_foretold() -> None:
     for each in errors:
         points = each.reshape(2, -1).T
         spread.append(np.sum((apply_homography(fit_homography(points, mean), points) - mean) ** 2, axis=1).mean())
-    scatter = float(np.sqrt(np.sum(spread) / 5 / np.mean(np.square(sigma))))
-    print(f"scatter of the field over 6 images: {scatter:.2f} of what is foretold, for 13 of 21 terms")
+    scatter = float(np.sqrt(np.sum(spread) / 3 / np.mean(np.square(sigma))))
+    print(f"scatter of the field over 4 images: {scatter:.2f} of what is foretold, for 13 of 21 terms")
     assert 0.5 < scatter < 1.1
 
 

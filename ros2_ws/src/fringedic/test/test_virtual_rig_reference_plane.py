@@ -99,15 +99,16 @@ def test_the_truth_knows_the_lens():
 
 
 def test_the_grid_is_printed_with_its_pitch_and_turn():
-    white = np.full((600, 800), 255, np.uint8)
-    entries = {"sensor": {"bits": 16, "background": 0.0}, "ideal": True, "size": "full"}
+    white = np.full((150, 200), 255, np.uint8)
+    entries = {"sensor": {"bits": 16, "background": 0.0}, "ideal": True, "size": "small"}
     for kind in ("lines", "cosine"):
-        stage = {"grid_kind": kind, "grid_pitch_mm": 2.0, "grid_turned_degree": 3.0}
+        stage = {"grid_kind": kind, "grid_pitch_mm": 8.0, "grid_turned_degree": 3.0}
         rig = rig_of(**entries, stage=stage, specimen={"surface": "grid"})
         plain = rig.with_specimen({"kind": "reference_plane"})
         ratio = rig.expose(white, 0.0, 0).astype(float) / plain.expose(white, 0.0, 0)
         truth = rig.truth(0.0)
-        x, y, turn = truth.x.values * 1e3, truth.y.values * 1e3, math.radians(3.0)
+        # the axes of the grid in half pitches
+        x, y, turn = truth.x.values * 250, truth.y.values * 250, math.radians(3.0)
         a, b = math.cos(turn) * x + math.sin(turn) * y, math.cos(turn) * y - math.sin(turn) * x
         amplitudes = [abs(np.mean(ratio * np.exp(-1j * np.pi * axis))) for axis in (a, b)]
         crossing = (np.abs((a + 1) % 2 - 1) < 0.1) & (np.abs((b + 1) % 2 - 1) < 0.1)

@@ -158,9 +158,10 @@ def measure_distortion(
     seen, shift, weights = seen[kept], shift[kept], weights[kept]
     left = shift - basis.evaluate(coefficients)
     residual = float(np.sqrt(np.average(np.sum(left**2, axis=1), weights=weights)))
-    if residual > _NOISIEST:
+    if min(errors) > _NOISIEST:
         raise GridContrastError(
-            f"the points of the grid scatter by {residual:.2f} px: too much noise or blur, or the surface is not flat"
+            f"the points of the grid scatter by {min(errors):.2f} px: too much noise or blur, or a surface that is not "
+            "flat"
         )
 
     field = np.stack([square(each, chosen) for each in coefficients.T])
