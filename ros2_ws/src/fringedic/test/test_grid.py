@@ -274,8 +274,9 @@ def test_covered_parts_are_named() -> None:
 
 def test_bad_exposures_are_named() -> None:
     white = np.clip(good_image().astype(float) * 2.5, 0, 255).astype(np.uint8)
-    with pytest.raises(GridContrastError, match="saturated"):
-        measure_distortion(white, pitch=4e-4)
+    for given in (white, white.astype(float)):
+        with pytest.raises(GridContrastError, match="saturated"):
+            measure_distortion(given, pitch=4e-4)
     blurred = gaussian_filter(good_image().astype(float), 4.5) + np.random.default_rng(1).normal(0, 0.1, (480, 640))
     with pytest.raises(GridContrastError, match="focus"):
         measure_distortion(blurred, pitch=4e-4)

@@ -210,7 +210,8 @@ def _checked(
         raise GridCoveredError("no pixel of the image may be used")
     warnings = []
     brightest = float(image[usable].max())
-    if np.issubdtype(given.dtype, np.integer) and brightest in _FULL_SCALES:
+    # means of several frames count too: a pixel that is saturated in all of them is exactly so in the mean
+    if brightest in _FULL_SCALES:
         saturated = float(np.mean(image[usable] == brightest))
         text = f"{saturated:.0%} of the grid image is saturated: expose less"
         if saturated > _SATURATED_ERROR:
