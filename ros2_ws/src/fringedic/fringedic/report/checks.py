@@ -36,6 +36,8 @@ def warnings(known: Known, static: Sequence[int], floors: Sequence[NoiseFloor]) 
         ratio = floor.spatial / floor.predicted if floor.predicted else np.nan
         if np.isfinite(ratio) and not _EXPLAINED[0] <= ratio <= _EXPLAINED[1]:
             found.append(f"the noise of {floor.name} at rest is {ratio:.2f} times the one that its uncertainty states")
+    if known.parameters.get("phase", {}).get("relative_phase") == "accept":
+        found.append("relative phases were accepted: heights may be wrong by an unknown, constant number of fringes")
     if known.advice is not None:
         found += known.advice.warnings
     commit = str(dataset.attrs.get("commit", UNKNOWN))

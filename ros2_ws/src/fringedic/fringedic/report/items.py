@@ -210,6 +210,7 @@ def analysis_items(known: Known) -> list[Item]:
         Item("step (spacing)", f"{step} px{_length(known, step)}"),
         *(Item(name, value) for name, value in _CORRELATION.get(method, {}).items()),
         Item("regularisation", "none beyond the window"),
+        *_rereferencing(dic.get("rereference_fraction")),
     ]
     z_filter = coupling.get("z_filter_px")
     if z_filter is not None:
@@ -233,6 +234,13 @@ def analysis_items(known: Known) -> list[Item]:
     return [*items, Item("camera model", model)]
 
 
+def _rereferencing(fraction: float | None) -> list[Item]:
+    if fraction is None:
+        return []
+    below = f"when fewer than {100 * fraction:g} % of the usual points agree with the reference" if fraction else "never"
+    return [Item("new reference image", below, "displacements are then composed in the initial configuration")]
+
+
 def fringe_items(known: Known) -> list[Item]:
     """Return projector, fringes and calibration."""
     rig, exposures, phase = known.attribute("calibration"), known.exposures, known.parameters.get("phase", {})
@@ -247,7 +255,8 @@ def fringe_items(known: Known) -> list[Item]:
         items += [
             Item("pitches", ", ".join(f"{pitch:g}" for pitch in exposures.pitches) + " projector px"),
             Item("frames per pitch", ", ".join(map(str, exposures.shifts)), f"{exposures.orientation} fringes"),
-            Item("unwrapping", "hierarchical, from coarse to fine" if len(exposures.pitches) > 1 else "none"),
+            Item("phase method", _phase_method(phase.get("method", "steps"), sum(exposures.shifts))),
+            Item("unwrapping", _unwrapping(phase, len(exposures.pitches))),
         ]
     if rig:
         base, angle = base_and_angle(rig)
@@ -264,6 +273,19 @@ def fringe_items(known: Known) -> list[Item]:
     items.append(Item("modulation threshold", beyond or None))
     items.append(Item("phase noise", _phase_noise(known.dataset), "median of the stated standard deviation"))
     return [*items, *_calibration_items(known, rig)]
+
+
+def _phase_method(method: str, fringe_images: int) -> str:
+    one_image = method == "one_image" or (method == "auto" and fringe_images == 1)
+    return "last fringe image alone" if one_image else "phase stepping"
+
+
+def _unwrapping(phase: dict[str, Any], pitches: int) -> str:
+    if pitches > 1:
+        return "hierarchical, from coarse to fine"
+    if phase.get("relative_phase") == "accept":
+        return "spatial: the phase is true up to whole fringes only"
+    return "none: one fringe covers the view"
 
 
 def _calibration_items(known: Known, rig: dict[str, Any]) -> list[Item]:
