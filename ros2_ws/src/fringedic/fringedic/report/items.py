@@ -237,7 +237,9 @@ def analysis_items(known: Known) -> list[Item]:
 def _rereferencing(fraction: float | None) -> list[Item]:
     if fraction is None:
         return []
-    below = f"when fewer than {100 * fraction:g} % of the usual points agree with the reference" if fraction else "never"
+    below = (
+        f"when fewer than {100 * fraction:g} % of the usual points agree with the reference" if fraction else "never"
+    )
     return [Item("new reference image", below, "displacements are then composed in the initial configuration")]
 
 
