@@ -66,7 +66,7 @@ def warm_up() -> None:
     for dtype in (np.uint8, np.uint16):
         with _Part(f"phase, displacement and coupling of {np.dtype(dtype).name} frames"):
             for step in (0, 1, 2):
-                phase = phase_step(_stack(dtype, step), PhaseParameters())
+                phase = phase_step(_stack(dtype, step), PhaseParameters(lens_blur_px=0.5))
                 # arrays of messages, which the nodes take, are read-only: kernels are compiled once more for them
                 phase.texture.setflags(write=step != 2)
                 found = tracker.step(np.dtype(dtype).name, step, 0, phase.texture)

@@ -14,7 +14,7 @@ from fringedic.phase.layout import check_frames, layout_of, shift_angles
 from fringedic.sequence import Projection
 
 ROUNDING_NOISE = 1 / math.sqrt(12)  # of a grey level; no camera is better
-_SAMPLES = 30_000  # pixels that the noise is estimated from
+_SAMPLES = 15_000  # pixels that the noise is estimated from
 _LEVELS = 16  # brightness classes of that estimate
 
 
