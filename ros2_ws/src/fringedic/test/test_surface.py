@@ -258,6 +258,21 @@ def test_result_does_not_depend_on_the_number_of_threads(case: Case) -> None:
         xr.testing.assert_identical(one, many)
 
 
+def test_nothing_measured_gives_nothing(case: Case) -> None:
+    """No phase at all, or a displacement that leaves the image everywhere: NaN, without a complaint on the way."""
+    shape, after, displacement = case.measured(0.002, 0.0026)
+    displacement.attrs.update(window_px=24, method="dense")
+    away = displacement.copy(deep=True)
+    away["displacement_x"] += 500
+    nothing = xr.full_like(shape, np.nan)
+    for inputs in ((shape, nothing, displacement), (nothing, after, displacement), (shape, after, away)):
+        cloud = couple(*inputs, calibration=RIG, z_filter=2.0)
+        assert bool(cloud.w.isnull().all()) and bool(cloud.sigma_w.isnull().all())
+        strain, local = surface_strain(cloud, window=31), to_local_frame(cloud)
+        assert bool(strain.e_11.isnull().all()) and bool(strain.sigma_e_11.isnull().all())
+        assert bool(local.u_t.isnull().all())
+
+
 def test_bad_input_is_refused(case: Case) -> None:
     shape, after, displacement = case.measured(0, 0)
     with pytest.raises(ShapeMismatchError, match="same pixels"):

@@ -68,14 +68,17 @@ def fit_planes(cloud: xr.Dataset, names: tuple[str, ...], window: int, averaged:
     for target, name in zip(squared, averaged, strict=True):
         np.square(np.asarray(cloud[name], kind), out=target)
     # sums of squares keep their digits around the middle; slopes do not depend on it
-    with np.errstate(invalid="ignore"):
-        middle = np.array([np.nanmean(each[::8, ::8].astype(float)) if each.size else 0.0 for each in fields])
-    middle[~np.isfinite(middle)] = 0.0
+    middle = np.array([_middle(each[::8, ::8]) for each in fields])
     slopes = np.empty((len(names), 2, *fields.shape[1:]), kind)
     white = np.empty((3, *fields.shape[1:]), kind)
     means = np.empty((len(averaged), *fields.shape[1:]), kind)
     _fit(fields, squared, middle, half[0], half[1], slopes, white, means)
     return Planes(slopes, white, means, half, spacing)
+
+
+def _middle(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean(dtype=float)) if known.size else 0.0
 
 
 def _half_width(window: int, positions: np.ndarray) -> tuple[int, float]:
