@@ -21,9 +21,14 @@ from numpy.typing import ArrayLike
 
 from fringedic.camera.distortion import DistortionMap
 from fringedic.errors import InvalidCalibrationError, InvalidDistortionError, ShapeMismatchError
+from fringedic.rig_uncertainty import GRID, HEIGHT_POWERS, check_names, variance_map
 from fringedic.sequence import Orientation
 
-_NEWTON_STEPS = 4  # from the undistorted plane, quadratic: below 1e-12 m for any distortion that a lens has
+_NO_VARIANCES = (np.empty((0, 0, 3, HEIGHT_POWERS)), 1.0)
+_NO_FIELD = np.empty((2, 0, 0), np.float32)
+_NO_FIELD.setflags(write=False)  # like the field of a lens: another type would be compiled for
+_NEWTON_STEPS = 6  # from the undistorted plane; two or three are taken
+_NEWTON_ENDS = 1e-7  # relative size of the last step: the next would be its square
 
 
 @dataclass(frozen=True)
@@ -62,7 +67,8 @@ class RigModel:
     identifier, model, source
         Name of this calibration, "paper" or "general", and where it comes from.
     parameter_names, covariance
-        Fitted parameters and their covariance, row-major (SI); empty when unknown.
+        Fitted parameters, names out of `fringedic.rig_uncertainty.PARAMETERS`, and their covariance, row-major (SI and
+        px); empty when unknown.
 
     Raises
     ------
@@ -113,6 +119,7 @@ class RigModel:
             raise InvalidCalibrationError(
                 f"covariance has {len(self.covariance)} numbers for {len(self.parameter_names)} parameters"
             )
+        check_names(self.parameter_names)
         distortion = self.camera_distortion
         if distortion is not None and (distortion.width, distortion.height) != (self.camera_width, self.camera_height):
             raise InvalidCalibrationError(
@@ -180,9 +187,12 @@ class RigModel:
         Returns
         -------
         Dataset
-            ``x``, ``y``, ``z`` and their standard deviations ``sigma_x``, ``sigma_y``, ``sigma_z`` [m], ``dz_dphi``
-            along the line of sight [m/rad]; of the phase's float type, NaN where the phase is NaN. The attributes
-            ``camera_distance`` [m] and ``ray_matrix`` (row-major) tell the lines of sight of ideal pixels.
+            ``x``, ``y``, ``z`` and their standard deviations ``sigma_x``, ``sigma_y``, ``sigma_z`` [m] from the noise
+            of the phase and the covariance of the calibration, |dX/dphi|^2 sigma_phi^2 + J Sigma_p J^T; ``noise_z``
+            [m], the part of sigma_z that is the phase's noise; ``dz_dphi`` along the line of sight [m/rad]. All have
+            the phase's float type and are NaN where the phase is NaN. The attributes ``camera_distance`` [m] and
+            ``ray_matrix`` (row-major) tell the lines of sight of ideal pixels. Errors of the calibration are nearly the
+            same for neighbouring pixels; for displacements see `fringedic.rig_uncertainty.displacement_variance`.
 
         Raises
         ------
@@ -203,13 +213,14 @@ class RigModel:
         ray_matrix = self.ray_matrix
         scale, axis = self._fringes(pitch, orientation)
         distortion = self.camera_distortion
-        result = np.empty((7, *image.shape), image.dtype)
+        variances, height = variance_map(self, orientation) if self.covariance else _NO_VARIANCES
+        result = np.empty((8, *image.shape), image.dtype)
         _reconstruct(
             np.ascontiguousarray(image),
             np.broadcast_to(sigma, image.shape),
             row,
             column,
-            np.empty((2, 0, 0), np.float32) if distortion is None else distortion.field(row, column),
+            _NO_FIELD if distortion is None else distortion.field(row, column),
             ray_matrix,
             axes @ ray_matrix,
             axes @ (np.array([0.0, 0.0, self.camera_distance]) - self.projector_position),
@@ -217,9 +228,15 @@ class RigModel:
             scale,
             axis,
             self.projector_k1,
+            variances,
+            height,
+            np.clip(row / (self.camera_height - 1), 0, 1) * GRID,
+            np.searchsorted(column, np.linspace(0, self.camera_width - 1, GRID + 1)[1:-1]),
+            (np.clip(column / (self.camera_width - 1), 0, 1) * GRID).astype(image.dtype),
             result,
         )
-        units = dict.fromkeys(("x", "y", "z", "sigma_x", "sigma_y", "sigma_z"), "m") | {"dz_dphi": "m/rad"}
+        names = ("x", "y", "z", "sigma_x", "sigma_y", "sigma_z", "noise_z")
+        units = dict.fromkeys(names, "m") | {"dz_dphi": "m/rad"}
         return xr.Dataset(
             {
                 name: (("row", "column"), values, {"units": unit})
@@ -432,11 +449,18 @@ def _reconstruct(
     scale: float,
     axis: float,
     k1: float,
+    variances: np.ndarray,
+    height: float,
+    places: np.ndarray,
+    borders: np.ndarray,
+    along_row: np.ndarray,
     result: np.ndarray,
 ) -> None:
     """Meet the line of sight, camera + t direction, with the fringe ``m (1 + k1 (m^2 + n^2)) = scale phi + axis``.
 
-    ``to_ideal`` is the field from the pixels to ideal ones, or empty.
+    ``to_ideal`` is the field from the pixels to ideal ones, or empty. ``variances`` and ``height`` are those of
+    `fringedic.rig_uncertainty.variance_map`, or empty: ``places`` and ``along_row`` are the rows and columns in steps
+    of its grid, ``borders`` the indices of the columns at which its cells begin.
     """
     camera_m, camera_n, camera_back = camera_in_projector
     distorted = to_ideal.size > 0
@@ -464,16 +488,62 @@ def _reconstruct(
                     m_t = (g_m + m * g_back) * inverse
                     n_t = (g_n + n * g_back) * inverse
                     slope = m_t * (1.0 + k1 * (3.0 * m * m + n * n)) + 2.0 * k1 * m * n * n_t
-                    t -= (m * (1.0 + k1 * (m * m + n * n)) - target) / slope
+                    step = (m * (1.0 + k1 * (m * m + n * n)) - target) / slope
+                    t -= step
+                    if abs(step) < _NEWTON_ENDS * abs(t):
+                        break
             growth = scale / slope
             noise = abs(growth) * sigma[i, j]
+            z = camera_distance + t * dz
             result[0, i, j] = t * dx
             result[1, i, j] = t * dy
-            result[2, i, j] = camera_distance + t * dz
+            result[2, i, j] = z
             result[3, i, j] = abs(dx) * noise
             result[4, i, j] = abs(dy) * noise
             result[5, i, j] = abs(dz) * noise
-            result[6, i, j] = dz * growth
+            result[6, i, j] = abs(dz) * noise
+            result[7, i, j] = dz * growth
+        if variances.size > 0:
+            _add_variances(result, i, places[i], borders, along_row, variances, height)
+
+
+@njit(cache=True, nogil=True)
+def _add_variances(
+    result: np.ndarray,
+    i: int,
+    place: float,
+    borders: np.ndarray,
+    where: np.ndarray,
+    variances: np.ndarray,
+    height: float,
+) -> None:
+    """Add the calibration's variances to the sigmas of one row, cell by cell: plain loops that run as vectors."""
+    zero, one = result.dtype.type(0.0), result.dtype.type(1.0)
+    per_height = result.dtype.type(1.0 / height)
+    above = min(int(place), variances.shape[0] - 2)
+    share = place - above
+    cells = variances.shape[1] - 1
+    at = ((1.0 - share) * variances[above] + share * variances[above + 1]).astype(result.dtype)
+    to = at[1:] - at[:-1]
+    heights = result[2, i]
+    for k in range(3):
+        sigmas = result[3 + k, i]
+        for cell in range(cells):
+            first = 0 if cell == 0 else borders[cell - 1]
+            end = result.shape[2] if cell == cells - 1 else borders[cell]
+            a0, a1, a2, a3, a4 = at[cell, k, 0], at[cell, k, 1], at[cell, k, 2], at[cell, k, 3], at[cell, k, 4]
+            b0, b1, b2, b3, b4 = to[cell, k, 0], to[cell, k, 1], to[cell, k, 2], to[cell, k, 3], to[cell, k, 4]
+            begin = result.dtype.type(cell)  # an integer would turn all into 64 bits
+            for j in range(first, end):
+                along = where[j] - begin
+                z = heights[j] * per_height
+                z = z if z < one else one
+                z = z if z > -one else -one
+                at_left = a0 + z * (a1 + z * (a2 + z * (a3 + z * a4)))
+                growth = b0 + z * (b1 + z * (b2 + z * (b3 + z * b4)))
+                variance = at_left + along * growth
+                variance = variance if variance > zero else zero
+                sigmas[j] = np.sqrt(sigmas[j] * sigmas[j] + variance)
 
 
 def _rotation_x(angle: float) -> np.ndarray:

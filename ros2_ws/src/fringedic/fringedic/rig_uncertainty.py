@@ -43,11 +43,25 @@ PARAMETERS: dict[str, tuple[str, int | None]] = {
     "projector_k1": ("projector_k1", None),
 }
 GRID = 48  # intervals of the map of variances along each side of the image
-HEIGHT_RANGE = 0.25  # of the camera's distance, to both sides of the reference plane
-_HEIGHTS = 5  # a variance grows with the fourth power of the height at most
+HEIGHT_RANGE = 0.1  # of the camera's distance, to both sides of the reference plane; beyond, that at the end is taken
+HEIGHT_POWERS = 5  # a variance grows with about the fourth power of the height
+_HEIGHTS = 9
+_SMALLEST = 1e-30  # [m^2]
 _NEGLIGIBLE = 1e-13  # part of the largest variance among the directions
 _NEWTON_STEPS = 4
 _PITCH = 1.0  # any: phases are made and used with the same one
+
+
+def check_names(names: Sequence[str]) -> None:
+    """Raise an error when a covariance names a parameter that a rig has not.
+
+    Raises
+    ------
+    InvalidCalibrationError
+        Names the unknown one and those that are known.
+    """
+    for name in names:
+        _place(name)
 
 
 def parameter_values(model: RigModel, names: Sequence[str]) -> np.ndarray:
@@ -173,8 +187,13 @@ def variance_map(model: RigModel, orientation: Orientation) -> tuple[np.ndarray,
         indexing="ij",
     )
     variances = np.sum(position_errors(model, column, row, z, orientation) ** 2, axis=0)
-    powers = np.linalg.inv(np.vander(heights / scale, increasing=True))
-    return np.ascontiguousarray(np.einsum("crsh,ph->rscp", variances, powers)), scale
+    # every height counts by its relative error: variances differ by powers of ten
+    powers = np.vander(heights / scale, HEIGHT_POWERS, increasing=True)
+    weights = 1 / np.maximum(variances, _SMALLEST) ** 2
+    normal = np.einsum("hp,crsh,hq->crspq", powers, weights, powers)
+    right = np.einsum("hp,crsh->crsp", powers, weights * variances)
+    coefficients = np.linalg.solve(normal, right[..., None])[..., 0]
+    return np.ascontiguousarray(np.moveaxis(coefficients, 0, 2)), scale
 
 
 def _place(name: str) -> tuple[str, int | None]:

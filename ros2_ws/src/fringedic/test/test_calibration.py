@@ -23,7 +23,7 @@ from fringedic.errors import (
     InvalidCalibrationError,
     ShapeMismatchError,
 )
-from fringedic.rig_uncertainty import parameter_values
+from fringedic.rig_uncertainty import displacement_variance, parameter_values, position_errors
 from fringedic.sequence import Orientation
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
@@ -375,3 +375,54 @@ def test_the_bad_image_is_named(misaligned: tuple[Bench, list[np.ndarray]], chan
     assert calibration.verdict.startswith("NO-GO. image 5 (angle +5 degree)")
     assert re.search(says, calibration.verdict), calibration.verdict
     assert bench.sphere_error(calibration) < 1e-6, "the model is that of the other images"
+
+
+def test_sigmas_hold_over_repeated_calibrations() -> None:
+    """Whole calibrations with other noise: errors of x, y, z on a sphere in units of the sigmas that they tell."""
+    bench = Bench(DISTORTED)
+    phases, sphere = bench.planes(ANGLES[:7]), bench.phase(SPHERE)
+    truth = bench.twin.with_specimen(SPHERE).truth(0.0)
+    view = bench.view()
+    squares: dict[str, list[float]] = {name: [] for name in ("x", "y", "z", "with noise", "step")}
+    generator = np.random.default_rng(99)
+    for trial in range(12):
+        calibration = bench.calibrate(noisy(phases, 100 + trial), ANGLES[:7], plane=view)
+        exact = calibration.reconstruct(sphere, np.zeros_like(sphere))
+        for name in "xyz":
+            squares[name].append(float((((exact[name] - truth[name]) / exact[f"sigma_{name}"]) ** 2).mean()))
+        noise = NOISE * generator.standard_normal(sphere.shape)
+        seen = calibration.reconstruct(sphere + noise, np.full_like(sphere, NOISE))
+        squares["with noise"].append(float((((seen.z - truth.z) / seen.sigma_z) ** 2).mean()))
+        # from the left to the right of the sphere: most of the error is common
+        places = [(column, 60.0, float(truth.z[60, column])) for column in (20, 140)]
+        measured = float(exact.z[60, 140] - exact.z[60, 20]) - (places[1][2] - places[0][2])
+        squares["step"].append(measured**2 / float(displacement_variance(calibration.model, *places)[2]))
+    scores = {name: math.sqrt(sum(each) / len(each)) for name, each in squares.items()}
+    print("z-scores", {name: round(score, 2) for name, score in scores.items()}, "(0.9 to 1.1 over many calibrations)")
+    # 12 calibrations of 12 parameters: three standard deviations of each figure
+    for name in ("x", "y", "z"):
+        assert 0.7 < scores[name] < 1.3, (name, scores[name])
+    assert 0.97 < scores["with noise"] < 1.03, scores["with noise"]
+    assert 0.4 < scores["step"] < 1.6, scores["step"]
+
+
+def test_sigma_of_float32_images_and_crops() -> None:
+    bench = Bench(DISTORTED)
+    calibration = bench.calibrate(noisy(bench.planes(ANGLES[:7]), 1), ANGLES[:7])
+    sphere = bench.phase(SPHERE)
+    whole = calibration.reconstruct(sphere, np.full_like(sphere, NOISE))
+    column, row = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
+    exact = np.sqrt(np.sum(position_errors(calibration.model, column, row, whole.z) ** 2, axis=0))
+    calibrated = np.sqrt(whole.sigma_z**2 - whole.noise_z**2)
+    error = float(np.abs(calibrated / exact[2] - 1).max())
+    print(f"interpolated sigma against the one of each pixel: {100 * error:.2f} %, sigma {1e6 * exact[2].max():.3f} µm")
+    assert error < 0.02, error
+    single = calibration.reconstruct(sphere.astype(np.float32), np.full(sphere.shape, NOISE, np.float32))
+    assert single.sigma_z.dtype == np.float32
+    assert np.allclose(single.sigma_z, whole.sigma_z, rtol=1e-5)
+    crop = whole.z.copy(data=sphere)[30:70, 40:110]
+    part = calibration.reconstruct(crop, np.full(crop.shape, NOISE))
+    for name in ("sigma_x", "sigma_y", "sigma_z"):
+        assert np.allclose(part[name], whole[name][30:70, 40:110], rtol=1e-12), name
+    unknown = calibration.reconstruct(sphere)
+    assert bool(unknown.sigma_z.isnull().all())

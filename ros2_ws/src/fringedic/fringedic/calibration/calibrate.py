@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -79,6 +80,7 @@ def calibrate_rig(
     sigma_pixel_size: float = 0.0,
     camera_distance: float | None = None,
     sigma_camera_distance: float = 1e-3,
+    model: Literal["paper", "general"] | None = None,
     identifier: str = "",
     source: str = "",
     created: datetime | None = None,
@@ -127,6 +129,8 @@ def calibrate_rig(
         Standard deviation of the pixel size [m].
     camera_distance, sigma_camera_distance
         h0 [m] when it was measured otherwise, and how well.
+    model
+        The paper's six parameters, for comparison, or the general model, whatever the data say; None: the data decide.
     identifier, source, created
         Name of the calibration, where it comes from and when; by default the time.
 
@@ -184,7 +188,7 @@ def calibrate_rig(
     used = [i for i in chosen if i not in problems]
     trials = fitter.trials(used)
     created = created or datetime.now(UTC)
-    name = fitter.best(trials)
+    name = fitter.best({name: trials[name] for name in trials if model is None or name.startswith(model)})
     return judge(
         camera=camera,
         placement=fitter.placement,
