@@ -134,6 +134,7 @@ class CameraNode(HardwareNode[CameraParameters]):
         self._pattern: Image | None = None
         self._load: LoadState | None = None
         self._plane: PlacedPlane | None = None
+        self._placed_ns = 0
         self._info = CameraInfo()
         self._scene_changed = Condition(self)
         self._images = self.create_publisher(Image, "camera/image_raw", IMAGES, qos_overriding_options=OVERRIDABLE)
@@ -226,12 +227,13 @@ class CameraNode(HardwareNode[CameraParameters]):
         self._scene_changed.notify()
 
     def _take_plane(self, message: ReferencePlane) -> None:
-        # the stage answers whoever had the plane placed when this message is here, and captures follow that answer
         surface: Literal["plain", "grid"] = "grid" if message.kind == ReferencePlane.GRID else "plain"
         there = message.kind != ReferencePlane.SPECIMEN
         self._plane = PlacedPlane(surface, message.angle, message.height) if there else None
+        self._placed_ns = to_nanoseconds(message.header.stamp)
+        self._scene_changed.notify()
 
-    async def _scene(self, shown_ns: int) -> Scene:
+    async def _scene(self, shown_ns: int, placed_ns: int) -> Scene:
         """What the camera sees now: the pattern that was shown and the specimen at the middle of the exposure."""
         timeout = self.parameters.value.timeout_s
         stamp = self.get_clock().now().nanoseconds + round(self.parameters.value.exposure_time_s * 1e9 / 2)
@@ -245,6 +247,10 @@ class CameraNode(HardwareNode[CameraParameters]):
             )
         if shown_ns and self._pattern is not None and to_nanoseconds(self._pattern.header.stamp) != shown_ns:
             raise CameraError(f"the projector shows another pattern already than that of {shown_ns} ns")
+        if placed_ns > self._placed_ns:
+            await self._scene_changed.wait(
+                lambda: self._placed_ns >= placed_ns, timeout, "reference_plane/state of what was placed"
+            )
         if self.count_publishers("load_frame/state"):
             await self._scene_changed.wait(
                 lambda: self._load is not None and to_nanoseconds(self._load.header.stamp) >= stamp,
@@ -265,7 +271,7 @@ class CameraNode(HardwareNode[CameraParameters]):
             self._check(request)
             await self._await_subscribers(request.image_subscribers, request.exposure_subscribers)
             await self._settle(to_nanoseconds(request.shown))
-            scene = await self._scene(to_nanoseconds(request.shown))
+            scene = await self._scene(to_nanoseconds(request.shown), to_nanoseconds(request.placed))
             frame = await self._expose(scene)
             response.stamp = to_msg(self._publish(frame, _record(request)))
             self._save_truth(request, scene)

@@ -113,7 +113,8 @@ class CalibrationServer:
         if self._place.service_is_ready():
             request = PlaceReferencePlane.Request(kind=PlaceReferencePlane.Request.SPECIMEN)
             with suppress(WaitTimeoutError):
-                await call(self._node, self._place, request, GIVING_BACK_TIMEOUT)
+                placed = await call(self._node, self._place, request, GIVING_BACK_TIMEOUT)
+                self._node.runner.placed = placed.placed
 
     # the grid
 
@@ -219,6 +220,7 @@ class CalibrationServer:
         placed = await turn.call(self._place, request, parameters.placing_timeout_s, result.PLACING_TIMEOUT, what)
         if not placed.success:
             raise StepFailure(result.PLACING_FAILED, f"{what}: {placed.message or 'refused without a reason'}")
+        self._node.runner.placed = placed.placed
         if plane.kind == ReferencePlane.PLANE:
             plane.angle, plane.height = placed.angle, placed.height
 

@@ -52,6 +52,11 @@ class StepRunner:
         Notified by every callback; what runs waits for it.
     diagnostics
         Told how each step ended.
+
+    Attributes
+    ----------
+    placed
+        Stamp with which a stage said what stands in front of the camera; frames are not taken before the camera knows.
     """
 
     def __init__(self, node: Node, changed: Condition, diagnostics: NodeDiagnostics) -> None:
@@ -61,6 +66,7 @@ class StepRunner:
         self._running: RunningStep | None = None
         self._recorder: RecorderStatus | None = None
         self._load: LoadState | None = None
+        self.placed = Time()  # stamp of what stands in front of the camera, where a stage says so
         self._steps = node.create_publisher(StepStatus, "experiment/step", EVENTS)
         self._references = node.create_publisher(Reference, "experiment/reference", LATCHED)
         self._show = node.create_client(ShowPattern, "projector/show")
@@ -261,6 +267,7 @@ class StepRunner:
             shift=projection.shift,
             shifts=projection.shifts,
             shown=shown,
+            placed=self.placed,
             image_subscribers=count("camera/image_raw") if first else 0,
             exposure_subscribers=count("camera/exposure") if first else 0,
         )

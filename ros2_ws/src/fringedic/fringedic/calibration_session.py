@@ -255,8 +255,7 @@ class CalibrationSession:
         """Write ``report.html``, and the files of the calibration when it may be used."""
         assert self.result is not None, "calibrate comes first"
         folder.mkdir(parents=True, exist_ok=True)
-        if hasattr(self.result, "write_report"):
-            self.result.write_report(folder / REPORT_FILE)
+        self.result.write_report(folder / REPORT_FILE)
         if self.result.go:
             self.result.save(folder)
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
+from builtin_interfaces.msg import Time
 from pydantic import Field
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
-from rclpy.duration import Duration
 
 from fringedic_msgs.msg import ReferencePlane
 from fringedic_msgs.srv import PlaceReferencePlane
@@ -20,7 +20,6 @@ _KINDS = {
     ReferencePlane.PLANE: "the plain plane",
     ReferencePlane.SPECIMEN: "the specimen",
 }
-_ACKNOWLEDGED = Duration(seconds=5)
 
 
 class StageParameters(HardwareParameters):
@@ -59,7 +58,7 @@ class StageNode(HardwareNode[StageParameters]):
             self.get_logger().error(response.message)
             self.diagnostics.failure(response.message)
             return response
-        self._put(request.kind, request.angle, request.height)
+        response.placed = self._put(request.kind, request.angle, request.height)
         response.success = True
         response.angle, response.height = request.angle, request.height
         self.diagnostics.success()
@@ -78,12 +77,12 @@ class StageNode(HardwareNode[StageParameters]):
             return f"the stage lifts to {parameters.maximum_height_mm:g} mm at most, not to {height:g}"
         return ""
 
-    def _put(self, kind: int, angle: float, height: float) -> None:
-        """Say where the plane stands now; whoever listens has been told when this returns."""
+    def _put(self, kind: int, angle: float, height: float) -> Time:
+        """Say where the plane stands now, and return the stamp of that."""
         state = ReferencePlane(kind=kind, angle=angle, height=height)
         state.header.stamp, state.header.frame_id = self.get_clock().now().to_msg(), FRAME_ID
         self._states.publish(state)
-        self._states.wait_for_all_acked(_ACKNOWLEDGED)
+        return state.header.stamp
 
 
 def main() -> int:

@@ -1,10 +1,10 @@
-"""The stage: what it says, what it refuses, and that its answer follows its message."""
+"""The stage: what it says, what it refuses, and that its answer names its message."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -34,10 +34,18 @@ class Rig:
         self.client.create_subscription(ReferencePlane, "reference_plane/state", self.states.append, LATCHED)
         self._spinning = spinning
         assert self.place_client.wait_for_service(10)
+        self._wait(lambda: bool(self.states), "the latched state")
+
+    def _wait(self, done: Callable[[], bool], what: str) -> None:
         deadline = time.monotonic() + 10
-        while not self.states:  # connected when the latched state has come
-            assert time.monotonic() < deadline, "no state of the stage"
+        while not done():
+            assert time.monotonic() < deadline, f"{what} did not come"
             time.sleep(0.01)
+
+    def heard(self, response: PlaceReferencePlane.Response) -> ReferencePlane:
+        """The state that an answer speaks of."""
+        self._wait(lambda: self.states[-1].header.stamp == response.placed, "the state of the answer")
+        return self.states[-1]
 
     def place(self, **request: Any) -> PlaceReferencePlane.Response:
         async def ask() -> PlaceReferencePlane.Response:
@@ -57,12 +65,10 @@ def rig() -> Iterator[Rig]:
 def test_begins_with_the_specimen_and_says_where_the_plane_stands(rig: Rig) -> None:
     response = rig.place(kind=Request.PLANE, angle=0.2, height=-1e-3)
     assert (response.success, response.message, response.angle, response.height) == (True, "", 0.2, -1e-3)
-    # the latched first state, and the new one that was heard before the answer came
-    assert [(state.kind, state.angle, state.height) for state in rig.states] == [
-        (ReferencePlane.SPECIMEN, 0.0, 0.0),
-        (ReferencePlane.PLANE, 0.2, -1e-3),
-    ]
-    assert rig.place(kind=Request.SPECIMEN).success and rig.states[-1].kind == ReferencePlane.SPECIMEN
+    state = rig.heard(response)
+    assert (rig.states[0].kind, len(rig.states)) == (ReferencePlane.SPECIMEN, 2)
+    assert (state.kind, state.angle, state.height) == (ReferencePlane.PLANE, 0.2, -1e-3)
+    assert rig.heard(rig.place(kind=Request.SPECIMEN)).kind == ReferencePlane.SPECIMEN
 
 
 @pytest.mark.parametrize(
@@ -75,7 +81,7 @@ def test_begins_with_the_specimen_and_says_where_the_plane_stands(rig: Rig) -> N
     ],
 )
 def test_refuses_what_it_cannot_do(rig: Rig, request_: dict[str, Any], words: str) -> None:
-    rig.place(kind=Request.GRID)
+    rig.heard(rig.place(kind=Request.GRID))
     heard = len(rig.states)
     response = rig.place(**request_)
     assert not response.success and words in response.message

@@ -1,0 +1,106 @@
+"""Calibration from its frames to its files: what a session says, refuses and finds, on exact phases of a tiny rig."""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fringedic.calibration_session import CalibrationSession, Plane, PlaneKind, Setting, in_force_words, place_in_words
+from fringedic.errors import CalibrationPlanesError, CalibrationStateError
+from fringedic.rig import RigModel
+from fringedic.sequence import Orientation, PatternKind, Projection
+from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
+
+PITCH = 5.0
+SIGMA = 2 * math.pi * 0.002
+NOW = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
+TWIN = VirtualRig(
+    VirtualRigConfiguration.from_dict(
+        {"preset": "plate", "size": "tiny", "stage": {"grid_pitch_mm": 2.8, "grid_blur_um": 170.0}}
+    )
+)
+EXACT = RigModel(**TWIN.optics())
+
+
+def plane(degrees: float, height: float = 0.0, *, lift: float = 0.0, seed: int = 0, held_out: bool = False) -> Plane:
+    """The plane z = height + x tan(angle), really `lift` [m] higher, as a rig with exact phases and noise sees it."""
+    angle = math.radians(degrees)
+    row, column = np.mgrid[: EXACT.camera_height, : EXACT.camera_width]
+    rays = EXACT.ray_matrix @ np.stack([column.ravel(), row.ravel(), np.ones(column.size)])
+    reach = (height + lift - EXACT.camera_distance) / (rays[2] - math.tan(angle) * rays[0])
+    x, y, z = rays * reach
+    phase = EXACT.phase(x, y, z + EXACT.camera_distance, PITCH).reshape(column.shape)
+    phase += np.random.default_rng(seed).normal(0.0, SIGMA, phase.shape)
+    return Plane(angle, height, held_out, phase.astype(np.float32), np.full(phase.shape, SIGMA, np.float32))
+
+
+@pytest.fixture(scope="module")
+def measured() -> CalibrationSession:
+    """A session with the grid."""
+    session = CalibrationSession()
+    twin = TWIN.with_specimen({"kind": "reference_plane", "surface": "grid"})
+    white = np.full(twin.projector_shape, 250, np.uint8)
+    session.measure_grid(np.stack([twin.expose(white, 0.0, frame) for frame in range(4)]), 2.8e-3)
+    return session
+
+
+@pytest.fixture
+def session(measured: CalibrationSession) -> CalibrationSession:
+    size = EXACT.projector_width, EXACT.projector_height
+    measured.begin(Setting("of today", size, Projection(PatternKind.FRINGES, Orientation.VERTICAL, PITCH, 1, 4)))
+    return measured
+
+
+def test_words_for_an_operator() -> None:
+    assert "grid" in place_in_words(PlaneKind.GRID, 0.0, 0.0)
+    assert place_in_words(PlaneKind.PLANE, math.radians(-12), 0.0).endswith(
+        "-12.00 degree (left side towards the camera)"
+    )
+    assert place_in_words(PlaneKind.PLANE, 0.0, 2.5e-3).endswith("+0.00 degree, 2.500 mm above its place")
+
+
+def test_planes_need_the_grid() -> None:
+    with pytest.raises(CalibrationStateError, match="grid"):
+        CalibrationSession().begin(Setting("x", (100, 75), Projection(PatternKind.FRINGES)))
+    with pytest.raises(CalibrationStateError, match="begin"):
+        CalibrationSession().calibrate(NOW)
+
+
+def test_a_plane_that_was_not_moved(session: CalibrationSession) -> None:
+    assert "100 %" in session.add_plane(plane(0.0))
+    unmoved = plane(0.0, seed=1)
+    with pytest.raises(CalibrationPlanesError, match="not moved"):
+        session.add_plane(Plane(math.radians(5), 0.0, False, unmoved.phase, unmoved.sigma))
+    session.add_plane(plane(5.0, seed=2))  # after it was turned, the calibration goes on
+
+
+def test_drift_is_measured_and_said(session: CalibrationSession, tmp_path: Path) -> None:
+    """The first plane is 40 µm nearer at the end, while the noise of a pixel is 22 µm."""
+    for seed, angle in enumerate((0.0, -18.0, -9.0, 9.0, 18.0)):
+        session.add_plane(plane(angle, seed=seed))
+    session.add_plane(plane(0.0, lift=40e-6, seed=9, held_out=True))
+    result = session.calibrate(NOW)
+    print(f"{result.verdict} {result.warnings}; drift {1e6 * session.drift:.2f} µm (true 40)")
+    assert result.go and session.drift == pytest.approx(40e-6, rel=0.03)
+    assert any("warm up" in words for words in result.warnings)
+
+    session.save(tmp_path)
+    words = in_force_words(tmp_path / "calibration.yaml", NOW + timedelta(hours=5))
+    assert "of today, 5 hours old. GO" in words[0] and any("warm up" in each for each in words)
+    old = in_force_words(tmp_path / "calibration.yaml", NOW + timedelta(days=9))
+    assert "9 days old" in old[0] and "fringedic check" in old[1]
+    (tmp_path / "calibration_fit.yaml").unlink()
+    assert "nothing tells" in in_force_words(tmp_path / "calibration.yaml", NOW)[0]
+
+
+def test_a_rig_that_stands_still_has_no_drift(session: CalibrationSession) -> None:
+    for seed, angle in enumerate((0.0, -18.0, -9.0, 9.0, 18.0)):
+        session.add_plane(plane(angle, seed=seed))
+    session.add_plane(plane(0.0, seed=9, held_out=True))
+    result = session.calibrate(NOW)
+    print(f"drift {1e6 * session.drift:.2f} µm, noise of a pixel 22 µm")
+    assert session.drift < 5e-6 and not any("warm up" in words for words in result.warnings)
