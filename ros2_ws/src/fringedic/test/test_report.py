@@ -107,6 +107,8 @@ def test_steps_at_rest_are_those_beside_the_reference(dataset):
     assert static_steps(dataset.assign(position=dataset.position * np.nan)) == []
     later = dataset.assign(reference_step=dataset.reference_step.where(dataset.reference_step < 0, 2))
     assert static_steps(later) == [0, 1]
+    changed = later.assign(reference_step=later.reference_step.where(later.step != 1, 1))
+    assert static_steps(changed) == [0], "a step that is its own reference has no noise"
 
 
 def test_noise_floors_are_those_of_the_known_noise(dataset):

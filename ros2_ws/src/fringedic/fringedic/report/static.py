@@ -58,21 +58,22 @@ class NoiseFloor:
 
 
 def static_steps(dataset: xr.Dataset) -> list[int]:
-    """Return the steps that repeat the reference step at rest: before or behind it, at the same crosshead position.
+    """Return the steps that repeat the last step's reference at rest: beside it, at the same crosshead position.
 
     Empty where no load frame tells positions. A later return to the position does not count: the specimen may have
     changed.
     """
     numbers, positions = dataset["step"].values, dataset["position"].values
     references = [int(number) for number in dataset["reference_step"].values if number >= 0]
-    if not references or references[0] not in numbers:
+    if not references or references[-1] not in numbers:
         return []
-    place = int(np.flatnonzero(numbers == references[0])[0])
+    place = int(np.flatnonzero(numbers == references[-1])[0])
     found = []
     for direction in (-1, 1):
         index = place + direction
         while 0 <= index < len(numbers) and abs(positions[index] - positions[place]) <= POSITION_TOLERANCE:
-            found.append(int(numbers[index]))
+            if dataset["reference_step"].values[index] == references[-1]:
+                found.append(int(numbers[index]))
             index += direction
     return sorted(found)
 

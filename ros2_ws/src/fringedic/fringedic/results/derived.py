@@ -25,6 +25,7 @@ class Collected:
         self._calibration: RigModel | None = None
         self._steps: OrderedDict[int, dict[str, Any]] = OrderedDict()
         self._reference: int | None = None
+        self._reference_of: dict[int, int | None] = {}
 
     def settings(self) -> Settings:
         return self._parameters.settings(self._calibration)
@@ -40,7 +41,10 @@ class Collected:
             self._reference = message.step
             return []
         stamp = stamp_of(message)
-        parts = self._steps.setdefault(stamp, {})
+        if stamp not in self._steps:
+            # a late answer may come when the next reference is announced already
+            self._steps[stamp], self._reference_of[stamp] = {}, self._reference
+        parts = self._steps[stamp]
         parts[topic] = message
         if self._expected(parts) <= parts.keys():
             return [self._row(self._steps.pop(stamp), stamp)]
@@ -80,7 +84,8 @@ class Collected:
         if "dic/displacement" in parts and "dic/sigma" in parts:
             row.maps |= displacement_maps(image_array(parts["dic/displacement"]), image_array(parts["dic/sigma"]))
             self._reference = row.step if self._reference is None else self._reference
-            row.reference_step = self._reference
+            announced = self._reference_of[stamp]
+            row.reference_step = self._reference if announced is None else announced
         if "coupling/shape" in parts:
             row.maps |= {f"shape_{name}": values for name, values in cloud_arrays(parts["coupling/shape"]).items()}
         if "coupling/displacement" in parts:
