@@ -13,7 +13,7 @@ from fringedic.results.derived import Collected
 from fringedic.results.measuring import Chain
 from fringedic.results.quantities import PHASE_TOPICS
 from fringedic.results.rows import Row, Settings, in_order_of_steps
-from fringedic.results.stores import check_suffix
+from fringedic.results.stores import dataset_path
 from fringedic.results.timeline import Timeline
 from fringedic.results.writer import DatasetWriter
 from fringedic.rig import RigModel
@@ -153,25 +153,6 @@ def dataset_from_derived(
         yield from collected.finish()
 
     _write(target, timeline, in_order_of_steps(rows()), collected.settings, None)
-    return target
-
-
-def dataset_path(
-    path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None, overwrite: bool = False
-) -> Path:
-    """Return where the dataset of a recording goes: `output`, or NetCDF beside the recording with its name.
-
-    Raises
-    ------
-    DatasetError
-        It exists and is not to be overwritten, or its name says no known format.
-    """
-    source = Path(path)
-    beside = source.with_suffix(".nc") if source.is_file() else source.with_name(f"{source.name}.nc")
-    target = beside if output is None else Path(output)
-    check_suffix(target)
-    if target.exists() and not overwrite:
-        raise DatasetError(f"{target} exists already; choose another output or ask to overwrite it")
     return target
 
 

@@ -8,9 +8,8 @@ from pathlib import Path
 import xarray as xr
 
 from fringedic.errors import DatasetError, MissingTopicError
-from fringedic.results.datasets import dataset_from_derived, dataset_path
 from fringedic.results.netcdf import open_netcdf
-from fringedic.results.stores import MAP_DIMENSIONS, SUFFIXES
+from fringedic.results.stores import MAP_DIMENSIONS, SUFFIXES, dataset_path
 
 _OF_A_RUN = ("results.nc", "results.zarr")
 
@@ -46,6 +45,9 @@ def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
     path = Path(path)
     file = path if path.suffix in SUFFIXES else find_dataset(path)
     if file is None:
+        # not at the top: it loads everything that measures
+        from fringedic.results.datasets import dataset_from_derived
+
         try:
             file = dataset_from_derived(path)
         except MissingTopicError as error:

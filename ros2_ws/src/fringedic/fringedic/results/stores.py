@@ -5,6 +5,7 @@ Both hold the same variables, one chunk per map and step, and get their name onl
 
 from __future__ import annotations
 
+import os
 import shutil
 import warnings
 from collections.abc import Mapping
@@ -71,6 +72,25 @@ def check_suffix(target: Path) -> None:
     """Raise DatasetError when a name says no format."""
     if target.suffix not in SUFFIXES:
         raise DatasetError(f"{target}: a dataset is named .nc (NetCDF) or .zarr (Zarr)")
+
+
+def dataset_path(
+    path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None, overwrite: bool = False
+) -> Path:
+    """Return where the dataset of a recording goes: `output`, or NetCDF beside the recording with its name.
+
+    Raises
+    ------
+    DatasetError
+        It exists and is not to be overwritten, or its name says no known format.
+    """
+    source = Path(path)
+    beside = source.with_suffix(".nc") if source.is_file() else source.with_name(f"{source.name}.nc")
+    target = beside if output is None else Path(output)
+    check_suffix(target)
+    if target.exists() and not overwrite:
+        raise DatasetError(f"{target} exists already; choose another output or ask to overwrite it")
+    return target
 
 
 def _temporary(target: Path) -> Path:
