@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from fringedic.errors import DatasetError
 from fringedic.recording import BagReader
 from fringedic.results.derived import Collected
 from fringedic.results.measuring import Chain
