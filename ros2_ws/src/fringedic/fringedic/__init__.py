@@ -17,7 +17,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from fringedic.advice import Advice, advise_settings
-    from fringedic.calibration import RigCalibration, calibrate_rig
+    from fringedic.calibration import RigCalibration, RigCheck, calibrate_rig, check_rig
     from fringedic.camera.distortion import DistortionMap
     from fringedic.camera.grid import measure_distortion
     from fringedic.correlation import Reference, measure_displacement
@@ -57,6 +57,8 @@ _HOMES = {
     "Region": "probes",
     "ResponseCurve": "response",
     "RigCalibration": "calibration",
+    "RigCheck": "calibration",
+    "check_rig": "calibration",
     "RigModel": "rig",
     "SpecimenFrame": "surface",
     "absolute_phase": "phase",
@@ -98,12 +100,14 @@ __all__ = [
     "Region",
     "ResponseCurve",
     "RigCalibration",
+    "RigCheck",
     "RigModel",
     "SpecimenFrame",
     "absolute_phase",
     "accumulate",
     "advise_settings",
     "calibrate_rig",
+    "check_rig",
     "compare_with_truth",
     "couple",
     "demodulate",
