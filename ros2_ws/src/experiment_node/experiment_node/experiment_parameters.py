@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from fringedic.patterns import fringe_sequence
+from fringedic.patterns import fringe_sequence, gray_code_sequence
 from fringedic.sequence import Projection
 
 
@@ -27,6 +27,11 @@ class ExperimentParameters(BaseModel):
         [800.0, 160.0, 40.0, 10.0], description="Fringe pitches, coarse to fine [projector pixel]."
     )
     shifts: list[int] = Field([4, 4, 4, 8], description="Phase-shifted frames of each pitch, at least 3.")
+    fringe_order: Literal["pitches", "gray_code"] = Field(
+        "pitches",
+        description="What tells the fringe orders. pitches: each coarser one the next; gray_code: a code of the finest "
+        "pitch, which is the only one then.",
+    )
     orientation: Literal["vertical", "horizontal"] = Field(
         "vertical", description="vertical: fringes along y, projector left or right; horizontal: projector above."
     )
@@ -60,7 +65,8 @@ class ExperimentParameters(BaseModel):
         InvalidPatternError
             The pitches, shifts and size do not make a sequence.
         """
-        sequence = fringe_sequence(
-            self.projector_width_px, self.projector_height_px, self.pitches_px, self.shifts, self.orientation
-        )
+        width, height = self.projector_width_px, self.projector_height_px
+        sequence = fringe_sequence(width, height, self.pitches_px, self.shifts, self.orientation)
+        if self.fringe_order == "gray_code":
+            sequence = gray_code_sequence(width, height, self.pitches_px[-1], self.shifts[-1], self.orientation)
         return sequence.projections

@@ -22,6 +22,7 @@ from fringedic.camera import DistortionMap
 from fringedic.chain import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.errors import CalibrationFileError, FringedicError, InvalidCalibrationError, RigFileError
 from fringedic.facts import CalibrationFacts, Facts, HardwareFacts, SpecimenFacts
+from fringedic.patterns import gray_code_sequence
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation, PatternKind, Projection
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
@@ -116,6 +117,10 @@ class SequenceSection(Section):
     )
     shifts: int = Field(4, ge=3, le=64, description="Phase shifts per pitch.")
     orientation: Literal["vertical", "horizontal"] = Field("vertical", description="Direction of the fringes.")
+    fringe_order: Literal["pitches", "gray_code"] = Field(
+        "pitches",
+        description="What tells the fringe orders: each coarser pitch the next, or a Gray code of the finest pitch.",
+    )
 
     @model_validator(mode="after")
     def _coarse_to_fine(self) -> SequenceSection:
@@ -430,6 +435,9 @@ class RigFile(Section):
         """What the frames of one step show, in their order."""
         orientation = Orientation[self.sequence.orientation.upper()]
         shifts = self.sequence.shifts
+        size = self.projector_size()
+        if size is not None and self.sequence.fringe_order == "gray_code":
+            return list(gray_code_sequence(*size, self.pitches()[-1], shifts, self.sequence.orientation).projections)
         return [
             Projection(PatternKind.FRINGES, orientation, pitch, shift, shifts)
             for pitch in self.pitches()

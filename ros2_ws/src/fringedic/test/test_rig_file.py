@@ -8,7 +8,7 @@ import yaml
 from fringedic.errors import RigFileError
 from fringedic.rig import RigModel
 from fringedic.rig_file import Programme, calibration_of, load_calibration, load_programme, load_rig_file
-from fringedic.sequence import Orientation
+from fringedic.sequence import Orientation, PatternKind
 from fringedic.virtual_rig import VirtualRig
 
 VIRTUAL = """
@@ -215,3 +215,10 @@ def test_a_programme_can_be_written_out(tmp_path):
 def test_a_wrong_step_is_named(tmp_path):
     with pytest.raises(RigFileError, match=r"steps\.1\.speed: unknown key; known are position_mm, speed_mm_per_s"):
         load_programme(write(tmp_path, "steps: [{position_mm: 0}, {position_mm: 1, speed: 3}]"))
+
+
+def test_a_gray_code_can_tell_the_orders(tmp_path):
+    coded = VIRTUAL.replace("shifts: 5,", "shifts: 5, fringe_order: gray_code,")
+    projections = load_rig_file(write(tmp_path, coded)).projections()
+    assert [each.kind for each in projections] == [PatternKind.GRAY_CODE] * 4 + [PatternKind.FRINGES] * 5
+    assert {(each.pitch, each.orientation) for each in projections} == {(20.0, Orientation.HORIZONTAL)}

@@ -251,6 +251,7 @@ def _experiment(rig: RigFile, experiment: str) -> dict[str, Any]:
             "pitches_px": pitches,
             "shifts": [rig.sequence.shifts] * len(pitches),
             "orientation": rig.sequence.orientation,
+            "fringe_order": rig.sequence.fringe_order,
         }
     return parameters
 
