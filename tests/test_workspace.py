@@ -77,7 +77,8 @@ def test_declared_dependencies_are_the_imported_ones(package: str) -> None:
     declared_for_tests = declared_by(package, "test_depend")
 
     def keys(folder: str) -> set[str]:
-        modules = imported_by(SOURCES / package / folder) - WITHOUT_KEY - {package, "pytest"}
+        own = {package, "pytest"} | {path.stem for path in (SOURCES / package / folder).glob("*.py")}
+        modules = imported_by(SOURCES / package / folder) - WITHOUT_KEY - own
         return {ROSDEP_KEYS.get(module, module) for module in modules}
 
     missing = (keys(package) | keys("launch")) - declared
