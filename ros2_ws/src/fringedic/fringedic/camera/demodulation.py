@@ -16,9 +16,16 @@ _START_ORDERS = (2, 4, 8)  # of the phase, from differences of neighbours
 _MODEL_ORDER = 14  # of the phase that the windows are moved along with
 _LIGHT_ORDER = 4  # of the amplitudes over the image
 _PASSES = 2
-_FAINT = 0.3  # amplitude over the median: less is not the grid
+_WELL_SEEN = 80  # percentile of the amplitudes that stands for the grid, even where half of the image is dark
+_FAINT = 0.25  # amplitude over that: less is not the grid
 _LOWEST_CONTRAST = 0.04  # amplitude over mean grey level
 _FEWEST = 60  # points
+_BARE, _PARTLY = 0.2, 0.9  # valid part of a ninth of the image
+_PLACES = (
+    ("upper left", "top", "upper right"),
+    ("left", "centre", "right"),
+    ("lower left", "bottom", "lower right"),
+)
 # Components (m, n) of m phase_1 + n phase_2 that a print of crossed lines has.
 _COMPONENTS = [
     (0, 0),
@@ -52,12 +59,15 @@ class GridPhases:
         Pixels behind a point, relative to a whole window; smaller along the image's edges.
     valid : (rows of points, columns of points) bool
         Where the grid shows.
+    warnings
+        Places of the image that show too little of it.
     """
 
     points: np.ndarray
     phases: np.ndarray
     weights: np.ndarray
     valid: np.ndarray
+    warnings: list[str]
 
 
 def grid_phases(image: np.ndarray, usable: np.ndarray, carriers: np.ndarray) -> GridPhases:
@@ -83,14 +93,16 @@ def grid_phases(image: np.ndarray, usable: np.ndarray, carriers: np.ndarray) -> 
     valid &= ~binary_dilation(inner & ~valid, np.ones((3, 3), bool), iterations=2)
     if valid.sum() < _FEWEST:
         raise GridCoveredError("hardly any of the image shows the grid")
+    warnings = _coverage(valid, inner)
     basis = Basis(windows.points, image.shape, _MODEL_ORDER)
+    carried = Basis(windows.points[valid.ravel()], image.shape, _MODEL_ORDER).highest
     for k, model in enumerate(models):
         for order in _START_ORDERS:
-            slope = _from_differences(windows.demodulate(windows.wave(model)), valid, basis, min(order, basis.highest))
+            slope = _from_differences(windows.demodulate(windows.wave(model)), valid, basis, min(order, carried))
             model = model + slope
         for _ in range(_PASSES):
             rest = _continuous(windows.demodulate(windows.wave(model)), valid)
-            model = model + _polynomial(rest, valid.astype(float), basis)
+            model = model + _polynomial(rest, valid.astype(float), basis, carried)
         models[k] = model
 
     weights = windows.weights
@@ -99,10 +111,10 @@ def grid_phases(image: np.ndarray, usable: np.ndarray, carriers: np.ndarray) -> 
         beyond = _beyond(windows, models, carriers, valid)
         for amplitude in beyond:
             strength = np.abs(amplitude)
-            shown &= strength > _FAINT * np.median(strength[valid])
+            shown &= strength > _FAINT * np.percentile(strength[valid], _WELL_SEEN)
         rests = [_continuous(amplitude, shown) for amplitude in beyond]
         if not last:
-            changes = [_polynomial(rest, weights * shown, basis) for rest in rests]
+            changes = [_polynomial(rest, weights * shown, basis, carried) for rest in rests]
             models = [model + change for model, change in zip(models, changes, strict=True)]
     phases = [windows.at_points(model) + rest for model, rest in zip(models, rests, strict=True)]
     return GridPhases(
@@ -110,6 +122,7 @@ def grid_phases(image: np.ndarray, usable: np.ndarray, carriers: np.ndarray) -> 
         np.stack([phase[shown] for phase in phases], axis=1),
         weights[shown],
         shown,
+        warnings,
     )
 
 
@@ -178,12 +191,33 @@ def _linear(carrier: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     return coefficients
 
 
+def _coverage(valid: np.ndarray, inner: np.ndarray) -> list[str]:
+    """Return a warning about places that show no grid; refuse an image with a whole place without."""
+    rows, columns = (3 * np.arange(n) // n for n in valid.shape)
+    bare, partly = [], []
+    for i, names in enumerate(_PLACES):
+        for j, name in enumerate(names):
+            place = np.ix_(rows == i, columns == j)
+            shown = float(valid[place].sum() / max(inner[place].sum(), 1))
+            if shown < _BARE:
+                bare.append(name)
+            elif shown < _PARTLY:
+                partly.append(name)
+    if bare:
+        raise GridCoveredError(
+            f"the image shows no grid at: {', '.join(bare)}; the grid has to fill the image, free of shadow and glare"
+        )
+    if partly:
+        return [f"part of the grid is covered, dark or blurred at: {', '.join(partly)}"]
+    return []
+
+
 def _strong(amplitude: np.ndarray, windows: _Windows, valid: np.ndarray) -> np.ndarray:
     """Return where the grid shows; refuse an image where it hardly shows anywhere."""
     if not valid.any():
         raise GridCoveredError("hardly any of the image shows the grid")
     strength = np.abs(amplitude)
-    typical = float(np.median(strength[valid]))
+    typical = float(np.percentile(strength[valid], _WELL_SEEN))
     if 2 * typical < _LOWEST_CONTRAST * float(np.mean(windows.mean[valid])):
         raise GridContrastError(
             f"the lines of the grid change the grey level by {2 * typical:.1f} only: focus the camera, light the grid "
@@ -198,9 +232,8 @@ def _continuous(amplitude: np.ndarray, valid: np.ndarray) -> np.ndarray:
     return middle + np.angle(amplitude * np.exp(-1j * middle))
 
 
-def _polynomial(values: np.ndarray, weights: np.ndarray, basis: Basis, order: int | None = None) -> np.ndarray:
+def _polynomial(values: np.ndarray, weights: np.ndarray, basis: Basis, order: int) -> np.ndarray:
     """Return the square coefficients of the polynomial that fits values at the points."""
-    order = basis.highest if order is None else min(order, basis.highest)
     used = weights.ravel() > 0
     fitted = least_squares(basis.matrix[used, : terms(order)], values.ravel()[used], weights.ravel()[used])
     return square(fitted, _MODEL_ORDER)
@@ -238,7 +271,7 @@ def _beyond(windows: _Windows, models: list[np.ndarray], carriers: np.ndarray, v
             continue  # seen at another frequency, where it may be another component
         wave = powers[0, m] * powers[1, n]
         amplitude = windows.demodulate(wave)
-        coefficients = _polynomial(amplitude, weights, basis)
+        coefficients = _polynomial(amplitude, weights, basis, _LIGHT_ORDER)
         amplitudes[m, n] = windows.at_points(coefficients)
         twice = 1 if m == n == 0 else 2
         left -= twice * (windows.at_pixels(coefficients) * wave).real.astype(np.float32)

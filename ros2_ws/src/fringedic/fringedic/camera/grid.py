@@ -37,13 +37,7 @@ _OVERLAP = 315 / 151
 _NOISIEST = 0.1  # [px] scatter of the points
 _FULL_SCALES = (255, 1023, 4095, 16383, 65535)
 _SATURATED_WARNING, _SATURATED_ERROR = 0.005, 0.1
-_BARE, _PARTLY = 0.2, 0.9  # valid part of a ninth of the image
 _SCALE, _ASPECT, _SKEW = 1.2, 0.02, 0.01
-_PLACES = (
-    ("upper left", "top", "upper right"),
-    ("left", "centre", "right"),
-    ("lower left", "bottom", "lower right"),
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +135,7 @@ def measure_distortion(
     warnings += check_aliasing(carriers, image.shape)
     period = float(np.mean(1 / np.hypot(*carriers.T)))
     found = grid_phases(image, usable, carriers)
-    warnings += _coverage(found.valid)
+    warnings += found.warnings
     turns, seen, weights = found.phases / (2 * np.pi), found.points, found.weights
 
     kept = np.ones(len(seen), bool)
@@ -219,26 +213,6 @@ def _checked(
         if saturated > _SATURATED_WARNING:
             warnings.append(text)
     return np.where(usable, image, image[usable].mean()), usable, warnings
-
-
-def _coverage(valid: np.ndarray) -> list[str]:
-    """Return a warning about places that show no grid; refuse an image with a whole place without."""
-    rows, columns = (3 * np.arange(n) // n for n in valid.shape)
-    bare, partly = [], []
-    for i, names in enumerate(_PLACES):
-        for j, name in enumerate(names):
-            shown = float(np.mean(valid[np.ix_(rows == i, columns == j)]))
-            if shown < _BARE:
-                bare.append(name)
-            elif shown < _PARTLY:
-                partly.append(name)
-    if bare:
-        raise GridCoveredError(
-            f"the image shows no grid at: {', '.join(bare)}; the grid has to fill the image, free of shadow and glare"
-        )
-    if partly:
-        return [f"part of the grid is covered, dark or blurred at: {', '.join(partly)}"]
-    return []
 
 
 def _at_rest_in_the_centre(

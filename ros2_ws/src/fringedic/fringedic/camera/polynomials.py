@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.polynomial import chebyshev
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg.lapack import dpotrf
 
 HIGHEST_ORDER = 18
 _POINTS_PER_TERM = 10
+_OWN = 1e-4  # of a term's square that the terms before it must leave
 _FOLDS = 5
 _SAMPLES = (30, 40)
 
@@ -25,16 +27,18 @@ class Basis:
     shape
         Rows and columns of the image.
     highest
-        Highest order; lower when the points cannot carry so many terms.
+        Highest order; lower when the points are too few for it, or leave such a hole that its terms cannot be told
+        apart.
     """
 
     def __init__(self, points: np.ndarray, shape: tuple[int, int], highest: int = HIGHEST_ORDER) -> None:
         while highest > 1 and terms(highest) * _POINTS_PER_TERM > len(points):
             highest -= 1
-        self.highest = highest
         self.points = points
         self.shape = shape
         self.matrix = _matrix(points, shape, highest)
+        self.highest = _carried(self.matrix, highest)
+        self.matrix = self.matrix[:, : terms(self.highest)]
 
     def fit(self, values: np.ndarray, order: int, weights: np.ndarray) -> np.ndarray:
         """Return coefficients (terms, components) that fit `values` (points, components) by weighted least squares."""
@@ -72,6 +76,19 @@ def least_squares(matrix: np.ndarray, values: np.ndarray, weights: np.ndarray) -
     """Return the coefficients that fit `values` by weighted least squares, from the normal equations."""
     weighted = matrix.T * weights
     return cho_solve(cho_factor(weighted @ matrix), weighted @ values)
+
+
+def _carried(matrix: np.ndarray, highest: int) -> int:
+    """Return the highest order whose terms are told apart: what is left of each beside those before it."""
+    gram = matrix.T @ matrix
+    factor, failed = dpotrf(gram, lower=1)
+    count = failed - 1 if failed > 0 else len(gram)
+    own = np.diag(factor)[:count] ** 2 / np.diag(gram)[:count]
+    if (own < _OWN).any():
+        count = int(np.argmax(own < _OWN))
+    while highest > 1 and terms(highest) > count:
+        highest -= 1
+    return highest
 
 
 def choose_order(
