@@ -59,14 +59,8 @@ def draw_geometry(
     if largest:
         turned = math.degrees(abs(largest))
         axes.add_patch(Arc((0, 0), 2.3 * half, 2.3 * half, theta1=0, theta2=turned, color=_GREY, lw=1))
-        axes.annotate(
-            "angle > 0 raises\nthis side",
-            (1.18 * half * math.cos(0.6 * abs(largest)), 1.18 * half * math.sin(0.6 * abs(largest))),
-            xytext=(1.5 * half, 0.35 * h0),
-            fontsize=8,
-            color=_GREY,
-            arrowprops={"arrowstyle": "-", "color": _GREY, "lw": 0.6},
-        )
+        top = (reach * math.cos(abs(largest)) + 0.02 * h0, reach * math.sin(abs(largest)))
+        axes.text(*top, "angle > 0 raises\nthis side", fontsize=8, color=_GREY, va="center")
     for side in (-half, half):
         axes.plot([0, side], [h0, 0], color=_CAMERA, lw=0.8, alpha=0.7)
     across = rig.projector_width if vertical else rig.projector_height
