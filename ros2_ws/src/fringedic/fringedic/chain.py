@@ -34,6 +34,7 @@ from fringedic.surface import PreparedShape, couple, surface_strain, to_local_fr
 
 Kept = TypeVar("Kept")
 LIT_NEIGHBOURHOOD = 9  # [px], larger than a speckle
+WORTH = 0.1  # part of the points in view that a later reference has to bring back, since it adds noise
 
 
 class Parameters(BaseModel):
@@ -503,7 +504,7 @@ class DisplacementTracker:
         return measure_displacement(link.prepared, texture, initial=initial, method=self._parameters.method)
 
     def _follow(self, link: _Link, texture: np.ndarray, step: int) -> tuple[_Link, xr.Dataset]:
-        """Measure against the present link, or against the last good step where that agrees better.
+        """Measure against the present link, or against the last good step where that is worth it.
 
         Returns the link that was used and what was measured against it.
         """
@@ -519,7 +520,7 @@ class DisplacementTracker:
             fresh = self._ready(last)
             with suppress(NoCorrelationError):
                 other = self._measure(fresh, texture, None)
-                if measured is None or _agreement(other, texture.shape) > _agreement(measured, texture.shape):
+                if measured is None or _agreement(other, texture.shape) > _agreement(measured, texture.shape) + WORTH:
                     return fresh, other
         if measured is None:
             assert failure is not None
