@@ -1,1 +1,7 @@
 """The graph of a rig and the `fringedic` command."""
+
+import os
+
+# linear algebra on one thread, as in the nodes: the desk's numbers are theirs, bit by bit. Set before NumPy is loaded.
+for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")

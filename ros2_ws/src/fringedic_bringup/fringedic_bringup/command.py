@@ -133,7 +133,8 @@ def check(
         result = check_rig(
             load_rig_file(path), path, _unused(output), progress, distance=1e-3 * distance_mm, ask=progress.ask
         )
-    console.print(result.verdict, markup=False, highlight=False)
+    for words in (result.verdict, *result.warnings):
+        console.print(words, markup=False, highlight=False)
     if not result.holds:
         raise typer.Exit(1)
 

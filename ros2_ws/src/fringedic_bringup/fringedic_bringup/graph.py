@@ -186,6 +186,8 @@ def _hardware(rig: RigFile, camera: Mapping[str, Any]) -> list[NodeEntry]:
         parameters: dict[str, Any] = {"width_px": size[0], "height_px": size[1]}
         if rig.projector.source == "display":
             parameters |= {"screen": "display", "display": rig.projector.display}
+        if rig.projector.response_curve is not None:
+            parameters["response_file"] = str(rig_path.parent / rig.projector.response_curve)
         nodes.append(NodeEntry("projector", "fringe_projector_node", "projector", parameters))
     if rig.camera.source == "virtual":
         nodes.append(NodeEntry("stage", "load_frame_node", "stage"))

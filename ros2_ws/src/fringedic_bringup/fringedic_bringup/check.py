@@ -1,0 +1,117 @@
+"""Does the rig still hold its calibration? A flat plane and a known distance are measured by the same nodes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from fringedic.calibration import RigCalibration, RigCheck, check_rig
+from fringedic.errors import CalibrationFileError, InvalidCalibrationError, RigFileError
+from fringedic.recording import BagReader
+from fringedic.results import image_array
+from fringedic.rig_file import VIRTUAL_RIG, RigFile, load_calibration
+from fringedic.sequence import stamp_of
+from fringedic_bringup.calibrate import placing_by
+from fringedic_bringup.client import RigClient
+from fringedic_bringup.graph import calibration_graph
+from fringedic_bringup.processes import RunningGraph
+from fringedic_bringup.report import Progress
+from fringedic_msgs.srv import PlaceReferencePlane
+from fringedic_ros.stamps import to_nanoseconds
+
+PLANE = PlaceReferencePlane.Request.PLANE
+
+
+def check(
+    rig: RigFile,
+    rig_path: Path,
+    folder: Path,
+    progress: Progress,
+    *,
+    distance: float,
+    ask: Callable[[str], bool],
+    domain: int | None = None,
+) -> RigCheck:
+    """Measure the reference plane at its place, lifted by a known distance, and at its place again.
+
+    The plane has to come out flat, the distance right, and the plane unchanged, if the rig is warm and holds its
+    calibration.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file and where it was read.
+    folder
+        Gets the recording ``bag`` and ``logs``.
+    progress
+        Told what goes on.
+    distance
+        By which the plane is lifted towards the camera [m].
+    ask
+        Asks an operator to do something, where no stage does it; False when he does not want to.
+    domain
+        ROS_DOMAIN_ID; None takes the one of the environment.
+
+    Raises
+    ------
+    RigFileError
+        The folder holds a recording already, or the rig has no calibration or no projector.
+    NodeDiedError, NotAnsweredError, StepFailedError
+        The nodes did not start, one of them ended, or a plane could not be placed or measured.
+    """
+    model = load_calibration(rig, rig_path)
+    if model is None or rig.projector is None:
+        raise RigFileError(f"{rig_path}: has no {'calibration' if rig.projector else 'projector'}; nothing to check")
+    if (folder / "bag").exists():
+        raise RigFileError(f"{folder} holds a recording already; choose another --output")
+    folder.mkdir(parents=True, exist_ok=True)
+    rig = rig.model_copy(update={"recording": rig.recording.model_copy(update={"derived": True})})
+    graph = calibration_graph(rig, rig_path, folder)
+    heights = [0.0, distance, 0.0]
+    stamps = []
+    progress.stage(f"starting {len(graph.nodes)} nodes")
+    with (
+        RunningGraph(graph, folder / "logs", domain=domain) as running,
+        RigClient(graph.namespace, domain=domain, watch=running.check) as client,
+    ):
+        if "stage" not in graph.names:
+            client.serve_placing(placing_by(ask))
+        client.wait_until_ready(graph.names)
+        for number, height in enumerate(heights, start=1):
+            progress.step(number, len(heights), f"the plane {1e3 * height:g} mm above its place")
+            client.place(PLANE, height=height)
+            stamps.append(to_nanoseconds(client.measure().stamp))
+        client.place(PlaceReferencePlane.Request.SPECIMEN)
+        client.wait_until_recorded()
+    first, lifted, last = _maps(folder / "bag", "phase/map", stamps)
+    finest = rig.projections()[-1]
+    return check_rig(
+        model,
+        last,
+        _maps(folder / "bag", "phase/sigma", stamps)[-1],
+        pitch=finest.pitch,
+        orientation=finest.orientation,
+        distance=distance,
+        lifted=lifted,
+        earlier=first,
+        age=_age(rig, rig_path),
+    )
+
+
+def _age(rig: RigFile, rig_path: Path) -> float:
+    """Age of the calibration that a rig file names [s]; NaN when nothing tells."""
+    if not isinstance(rig.calibration, str) or rig.calibration == VIRTUAL_RIG:
+        return math.nan
+    try:
+        return RigCalibration.load((rig_path.parent / rig.calibration).parent).age()
+    except (CalibrationFileError, InvalidCalibrationError):
+        return math.nan
+
+
+def _maps(bag: Path, topic: str, stamps: list[int]) -> list[np.ndarray]:
+    reader = BagReader(bag)
+    found = {stamp_of(message): message for _, message, _ in reader.messages(reader.find(topic).values())}
+    return [image_array(found[stamp]) for stamp in stamps]
