@@ -1,0 +1,103 @@
+"""Calibration with an operator instead of a stage, and what the command refuses before anything starts."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pytest
+import rclpy
+
+from fringedic.errors import RigFileError
+from fringedic.rig_file import load_rig_file
+from fringedic_bringup.calibrate import calibrate, placing_by, with_angles
+from fringedic_bringup.client import RigClient
+from fringedic_bringup.processes import configuration
+from fringedic_msgs.srv import PlaceReferencePlane
+from fringedic_ros.testing import Peer
+
+DOMAIN = 58
+Request = PlaceReferencePlane.Request
+
+
+class Quiet:
+    """Progress that tells nobody."""
+
+    def stage(self, text: str) -> None:
+        pass
+
+    def step(self, number: int, steps: int, text: str, frame: int = 0, frames: int = 0) -> None:
+        pass
+
+    def note(self, text: str) -> None:
+        pass
+
+
+def test_an_operator_serves_the_plane_until_he_stops() -> None:
+    asked: list[str] = []
+
+    def ask(words: str) -> bool:
+        asked.append(words)
+        return "-10.00" not in words
+
+    rclpy.init(domain_id=DOMAIN)
+    peer = Peer()
+    place = peer.create_client(PlaceReferencePlane, "rig/reference_plane/place")
+    try:
+        with RigClient("rig", domain=DOMAIN) as client:
+            client.serve_placing(placing_by(ask))
+
+            def answer(**request: float) -> PlaceReferencePlane.Response:
+                future = place.call_async(Request(**request))
+                peer.wait(lambda: client.sleep(0.05) or future.done(), "the answer")
+                return future.result()
+
+            peer.wait(lambda: client.sleep(0.05) or place.service_is_ready(), "the service")
+            assert answer(kind=Request.GRID).success
+            turned = answer(kind=Request.PLANE, angle=0.25)
+            assert (turned.success, turned.angle) == (True, 0.25)
+            stopped = answer(kind=Request.PLANE, angle=-0.17453292519943295)
+            assert not stopped.success and "operator" in stopped.message
+            assert answer(kind=Request.SPECIMEN).success  # nobody waits for that
+    finally:
+        peer.destroy_node()
+        rclpy.try_shutdown()
+    assert len(asked) == 3 and asked[0].startswith("Lay the printed grid")
+    assert asked[1] == "Turn the plain reference plane to +14.32 degree (right side towards the camera)"
+
+
+def test_other_angles() -> None:
+    rig = with_angles(load_rig_file(configuration("tiny.yaml")), "0,-10,-5,5,10")
+    assert (rig.reference_plane.angles_degree, rig.reference_plane.held_out) == ([0, -10, -5, 5, 10], [4])
+    for wrong in ("0,ten", "0,95", ""):
+        with pytest.raises(RigFileError, match="angles-deg"):
+            with_angles(rig, wrong)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "camera: {source: files, files: images}\nprojector: {source: display, width: 80, height: 60}",
+            "grid_pitch_mm",
+        ),
+        ("camera: {source: files, files: images}\nreference_plane: {grid_pitch_mm: 0.5}", "no projector"),
+    ],
+)
+def test_rigs_that_cannot_be_calibrated(tmp_path: Path, text: str, words: str) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text(text)
+    rig = load_rig_file(path)
+    with pytest.raises(RigFileError, match=words):
+        calibrate(rig, path, tmp_path / "out", Quiet(), ask=lambda _: False)
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_command_names_what_is_missing(tmp_path: Path) -> None:
+    for arguments, words in (
+        (["calibrate"], "name a rig file"),
+        (["calibrate", "tiny", "--angles-deg", "0,ten"], "angles-deg"),
+        (["replay", str(tmp_path), "--calibration", str(tmp_path)], "no"),
+    ):
+        done = subprocess.run(["fringedic", *arguments], capture_output=True, text=True, timeout=60, cwd=tmp_path)
+        assert done.returncode == 1 and words in done.stderr, (arguments, done)
