@@ -14,6 +14,7 @@ from fringe_projector_node.display import DisplayScreen
 from fringe_projector_node.screens import Screen, VirtualScreen
 from fringedic.errors import InvalidPatternError, ScreenError
 from fringedic.patterns import render_pattern
+from fringedic.response import ResponseCurve
 from fringedic.sequence import PatternKind, Projection, projection_of
 from fringedic_msgs.srv import ShowPattern
 from fringedic_ros.images import image_message
@@ -38,6 +39,11 @@ class ProjectorParameters(HardwareParameters):
     )
     width_px: int = Field(800, ge=16, le=16384, description="Columns of the projector [px].")
     height_px: int = Field(600, ge=16, le=16384, description="Rows of the projector [px].")
+    response_file: str = Field(
+        "",
+        description="YAML file of the response curve of projector and camera that fringes and codes make up for; empty "
+        "shows them as they are.",
+    )
 
 
 class ProjectorNode(HardwareNode[ProjectorParameters]):
@@ -56,10 +62,12 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
     def open(self) -> None:
         """Prepare the screen of the size that the parameters say."""
         width, height = self.parameters.value.width_px, self.parameters.value.height_px
+        file = self.parameters.value.response_file
+        response = ResponseCurve.load(file) if file else None
 
         @lru_cache(maxsize=_KEPT_PATTERNS)
         def render(projection: Projection, name: str) -> np.ndarray:
-            return render_pattern(projection, width, height, name)
+            return render_pattern(projection, width, height, name, response=response)
 
         self._render = render
         if self.parameters.value.screen == "display":

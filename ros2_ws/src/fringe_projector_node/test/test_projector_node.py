@@ -62,6 +62,8 @@ def audience(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Audience]:
         (Projection(PatternKind.FRINGES, Orientation.VERTICAL, 25.0, 1, 4), ""),
         (Projection(PatternKind.FRINGES, Orientation.VERTICAL, 12.5, 3, 8), ""),
         (Projection(PatternKind.FRINGES, Orientation.HORIZONTAL, 25.0, 2, 4), ""),
+        (Projection(PatternKind.GRAY_CODE, Orientation.VERTICAL, 25.0, 2, 6), ""),
+        (Projection(PatternKind.GREY, shift=77, shifts=255), ""),
         (Projection(PatternKind.WHITE), ""),
         (Projection(PatternKind.OTHER), "grid"),
     ],

@@ -97,6 +97,9 @@ class ProjectorSection(Section):
     display: int = Field(0, ge=0, le=15, description="Which of this computer's displays the projector is, from 0 on.")
     width: int | None = Field(None, ge=16, le=32768, description="Image width [px]; known from a virtual rig.")
     height: int | None = Field(None, ge=16, le=32768, description="Image height [px]; known from a virtual rig.")
+    response_curve: str | None = Field(
+        None, description="YAML file of the response curve that the patterns make up for, relative to this file."
+    )
 
     @model_validator(mode="after")
     def _display_has_a_size(self) -> ProjectorSection:

@@ -86,7 +86,7 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         "calibration_folder": str((folder / "calibrations").absolute()),
     }
     nodes += [
-        *_hardware(rig, _camera(rig, rig_path) | _truth(rig, folder)),
+        *_hardware(rig, rig_path, _camera(rig, rig_path) | _truth(rig, folder)),
         NodeEntry("experiment", "experiment_node", "experiment", settings),
     ]
     return Graph(rig.namespace, tuple(nodes))
@@ -108,7 +108,7 @@ def calibration_graph(rig: RigFile, rig_path: Path, folder: Path) -> Graph:
         (
             NodeEntry("recorder", "experiment_node", "recorder", _recorder(rig, folder)),
             NodeEntry("phase", PROCESSING_NODES["phase"], "phase", rig.nodes.phase.model_dump()),
-            *_hardware(rig, _camera(rig, rig_path)),
+            *_hardware(rig, rig_path, _camera(rig, rig_path)),
             NodeEntry("experiment", "experiment_node", "experiment", settings),
         ),
     )
@@ -178,7 +178,7 @@ def _recorder(rig: RigFile, folder: Path) -> dict[str, Any]:
     }
 
 
-def _hardware(rig: RigFile, camera: Mapping[str, Any]) -> list[NodeEntry]:
+def _hardware(rig: RigFile, rig_path: Path, camera: Mapping[str, Any]) -> list[NodeEntry]:
     """Return what stands in front of the specimen, and beside it the stage of a virtual rig."""
     nodes = []
     size = rig.projector_size()
@@ -187,7 +187,7 @@ def _hardware(rig: RigFile, camera: Mapping[str, Any]) -> list[NodeEntry]:
         if rig.projector.source == "display":
             parameters |= {"screen": "display", "display": rig.projector.display}
         if rig.projector.response_curve is not None:
-            parameters["response_file"] = str(rig_path.parent / rig.projector.response_curve)
+            parameters["response_file"] = str((rig_path.parent / rig.projector.response_curve).absolute())
         nodes.append(NodeEntry("projector", "fringe_projector_node", "projector", parameters))
     if rig.camera.source == "virtual":
         nodes.append(NodeEntry("stage", "load_frame_node", "stage"))
