@@ -8,6 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fringedic.correlation import measure_displacement
+from fringedic.correlation.images import saturation
 from fringedic.errors import NoCorrelationError
 
 SHAPE = (200, 240)
@@ -49,6 +50,84 @@ def test_change_of_light(pair, name, light, limit):
     print(f"light: {name}: RMSE {rms(field):.4f} px (at most {limit}), valid {float(field.valid.mean()):.3f}")
     assert rms(field) <= limit
     assert field.valid.mean() > 0.9
+
+
+def scores(field):
+    """Root mean square of the errors over their uncertainties."""
+    e = np.stack([field.displacement_x, field.displacement_y]) - np.stack(motion(X, Y))
+    return float(np.sqrt(np.nanmean((e / np.stack([field.sigma_x, field.sigma_y])) ** 2)))
+
+
+@pytest.mark.parametrize(
+    ("name", "light"),
+    [
+        ("0.5 to 1.5 along x", 0.5 + X / SHAPE[1]),
+        ("0.3 to 1.7 along y", 0.3 + 1.4 * Y / SHAPE[0]),
+        ("vignette down to 0.4", np.exp(-((X - 120) ** 2 + (Y - 100) ** 2) / (2 * 120**2))),
+    ],
+)
+def test_shading_is_followed(pair, name, light):
+    """Inside, shading costs nothing; in all, with the edges, where windows see it from one side only, little."""
+    field = measure_displacement(pair[0], light * pair[1])
+    inner = field.isel(row=slice(30, -30), column=slice(30, -30))
+    e = inner.displacement_x.to_numpy() - motion(X, Y)[0][30:-30, 30:-30]
+    print(
+        f"shading {name}: RMSE {rms(field):.4f} px (at most 0.006), z {scores(field):.2f} (1.3), inside {np.std(e):.4f}"
+    )
+    assert rms(field) <= 0.006
+    assert scores(field) <= 1.3
+    assert np.sqrt(np.mean(e**2)) <= 0.004
+
+
+def test_saturation_on_one_side(pair):
+    """An exposure half as long again cuts off 13 % of the pixels."""
+    f, g = pair[0].astype(np.uint16), np.clip(1.5 * pair[1], 0, 4095).astype(np.uint16)
+    assert np.mean(g == 4095) > 0.1
+    field = measure_displacement(f, g)
+    print(f"13 % saturated: RMSE {rms(field):.4f} px (at most 0.004), z-scores {scores(field):.2f} (0.9 to 1.25)")
+    assert rms(field) <= 0.004
+    assert 0.9 <= scores(field) <= 1.25
+    assert field.valid.mean() > 0.7
+
+
+def test_what_is_taken_for_saturated():
+    grey = np.random.default_rng(7).normal(2024, 300, SHAPE).astype(np.uint16)
+    assert saturation(grey) == (-np.inf, np.inf)
+    assert saturation(np.clip(grey, 0, 2450)) == (-np.inf, 2450)
+    assert saturation(np.clip(grey, 1650, 4095)) == (1650, np.inf)
+    assert saturation(np.where(grey > 2024, 255, 0).astype(np.uint8)) == (-np.inf, np.inf), "an image of two levels"
+    assert saturation((grey // 256).astype(np.uint8)) == (-np.inf, np.inf), "an image of few levels"
+
+
+def test_a_still_surface_beside_the_specimen(pair, other):
+    """Points near the border between two motions are right or not measured: hardly any has the other side's motion."""
+    still = X < 90
+    moved = np.roll(pair[1], (-3, 2), axis=(0, 1))  # whole pixels: exact
+    f, g = np.where(still, other, pair[0]), np.where(still, other, moved)
+    exact = np.where(still, 0, np.stack(motion(X - 2, Y + 3)) + np.array([2.0, -3.0])[:, None, None])
+    field = measure_displacement(f, g)
+    e = np.abs(np.stack([field.displacement_x, field.displacement_y]) - exact)[:, 8:-8, 8:-8]
+    away = np.abs(X - 90)[8:-8, 8:-8] > 16
+    wrong = float(np.mean(e.max(axis=0) > 0.5))
+    print(
+        f"still surface: RMSE {np.sqrt(np.nanmean(e[:, away] ** 2)):.4f} px 16 px off (at most 0.02), wrong {wrong:.4f}"
+    )
+    assert np.sqrt(np.nanmean(e[:, away] ** 2)) <= 0.02
+    assert wrong <= 0.01
+
+
+@pytest.mark.parametrize("noise", [0, 10])
+def test_a_bare_patch_that_stands_still(pair, noise):
+    bare = (X - 130) ** 2 + (Y - 100) ** 2 < 40**2
+    generator = np.random.default_rng(5)
+    moved = np.roll(pair[1], (-3, 2), axis=(0, 1))
+    f, g = (np.where(bare, 2000 + noise * generator.standard_normal(SHAPE), image) for image in (pair[0], moved))
+    field = measure_displacement(f, g)
+    exact = np.stack(motion(X - 2, Y + 3)) + np.array([2.0, -3.0])[:, None, None]
+    e = np.where(bare, np.nan, np.stack([field.displacement_x, field.displacement_y]) - exact)[:, 8:-8, 8:-8]
+    print(f"bare patch: RMSE {np.sqrt(np.nanmean(e**2)):.4f} px (at most 0.006), largest {np.nanmax(abs(e)):.3f} (0.1)")
+    assert np.sqrt(np.nanmean(e**2)) <= 0.006
+    assert np.nanmax(abs(e)) <= 0.1
 
 
 def test_glare(pair):
@@ -111,6 +190,25 @@ def test_missing_pixels_of_the_deformed_image(pair):
     assert field.valid.mean() > 0.8
 
 
+@pytest.mark.parametrize("share", [0.01, 0.05])
+def test_scattered_missing_pixels(pair, share):
+    """Single missing pixels of the deformed image are mended: they cost neither points nor accuracy."""
+    g = pair[1].copy()
+    g[np.random.default_rng(4).random(SHAPE) < share] = np.nan
+    field = measure_displacement(pair[0], g)
+    print(f"{share:.0%} missing: RMSE {rms(field):.4f} px (at most 0.004), valid {float(field.valid.mean()):.3f}")
+    assert rms(field) <= 0.004
+    assert field.valid.mean() > 0.85
+
+
+def test_a_narrow_strip_is_measured(pair):
+    mask = np.zeros(SHAPE, bool)
+    mask[90:120] = True
+    field = measure_displacement(pair[0], pair[1], mask=mask, window=16)
+    assert rms(field) <= 0.01
+    assert field.valid.to_numpy()[100:110, 20:-20].all()
+
+
 @pytest.mark.parametrize("window", [8, 12, 16, 48])
 def test_another_scene_is_refused_by_every_window(pair, other, window):
     with pytest.raises(NoCorrelationError):
@@ -156,6 +254,17 @@ def test_flipping_columns_turns_the_sign_of_x(speckle, seed):
     flipped_x, flipped_y = field_of(f[:, ::-1], g[:, ::-1])
     close(x, -flipped_x[:, ::-1], 0.002)
     close(y, flipped_y[:, ::-1], 0.002)
+
+
+@few
+@given(st.integers(0, 1000))
+def test_flipping_rows_turns_the_sign_of_y(speckle, seed):
+    surface = speckle((96, 112), seed, margin=20)
+    f, g = surface.image(noise=5, seed=1), surface.image(motion, noise=5, seed=2)
+    x, y = field_of(f, g)
+    flipped_x, flipped_y = field_of(f[::-1], g[::-1])
+    close(x, flipped_x[::-1], 0.002)
+    close(y, -flipped_y[::-1], 0.002)
 
 
 @few

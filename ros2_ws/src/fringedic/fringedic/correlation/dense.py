@@ -156,18 +156,25 @@ def noise_of(level: Level, spline: np.ndarray, lines: np.ndarray, cell: int) -> 
 
 
 def _summed(
-    level: Level, spline: np.ndarray, nodes: np.ndarray, window: Window, expected: float, scratch: _Scratch
+    level: Level,
+    spline: np.ndarray,
+    nodes: np.ndarray,
+    window: Window,
+    expected: float,
+    ends: tuple[float, float],
+    scratch: _Scratch,
 ) -> float:
     """Sums over cells and windows after one warp of the deformed image; returns the noise of a pixel's residual.
 
     `expected` [px] is the displacement error that may still be there: residuals it explains are not taken for outliers.
+    `ends` are the grey levels between which the deformed image is not cut off.
     """
     cell = window.cell
     kernels.spread_out(nodes, cell, scratch.lines)
     noise = noise_of(level, spline, scratch.lines, cell)
     limit = 3 * np.hypot(noise, expected * level.slope)
     kernels.summed(
-        level.values, level.along_x, level.along_y, spline, WEIGHTS, scratch.lines, cell, limit, scratch.cells
+        level.values, level.along_x, level.along_y, spline, WEIGHTS, scratch.lines, cell, limit, *ends, scratch.cells
     )
     node_kernels.windowed(scratch.cells, window.taps, scratch.sums)
     return noise
@@ -181,10 +188,16 @@ def _planes(field: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _refine(
-    level: Level, spline: np.ndarray, nodes: np.ndarray, window: Window, expected: float, scratch: _Scratch
+    level: Level,
+    spline: np.ndarray,
+    nodes: np.ndarray,
+    window: Window,
+    expected: float,
+    ends: tuple[float, float],
+    scratch: _Scratch,
 ) -> float:
     """One warp of the deformed image and the fixed point around it: moves `nodes`, returns by how much [px]."""
-    noise = _summed(level, spline, nodes, window, expected, scratch)
+    noise = _summed(level, spline, nodes, window, expected, ends, scratch)
     steps = 2 if expected > 0.1 else 3  # a first warp has others after it
     cells, sums, seen = scratch.cells, scratch.sums, scratch.seen
     # tau: the gradient that the noise of one image alone would show, as an energy per cell.
@@ -198,8 +211,10 @@ def _refine(
     node_kernels.fixed_point(cells, sums, seen, start, window.taps, window.smoothing, tau, ORDER, RELAXATIONS[steps], u)
     u -= start
     nodes[:2] += u
-    node_kernels.equalised(nodes, sums, noise**2 + 1e-6)
     brightness = nodes[2:]
+    before = brightness.copy()
+    node_kernels.equalised(nodes, sums, noise**2 + 1e-6)
+    node_kernels.sharpened(brightness, before, seen, window.taps, 3)
     node_kernels.lent(brightness, _planes(brightness, seen), seen, window.taps)
     few = np.s_[..., ::2, ::2]
     return float(np.sqrt(np.sum(seen[few] * u[few] ** 2) / np.sum(seen[few])))
@@ -255,11 +270,13 @@ def displacement_nodes(
     width: int,
     initial: np.ndarray | None,
     brightness: tuple[float, float],
+    ends: tuple[float, float],
 ) -> Field:
     """Displacement at the nodes of the finest level, coarse to fine.
 
     `initial` (2, node row, node column) at the finest level replaces the global start. `brightness` are the gain and
-    offset that give the deformed image the mean and standard deviation of the reference.
+    offset that give the deformed image the mean and standard deviation of the reference, `ends` the grey levels between
+    which it is not cut off.
     """
     if initial is not None:
         # A prediction is trusted to a few pixels: two halvings find the rest.
@@ -282,12 +299,12 @@ def displacement_nodes(
         scratch = _Scratch(levels[k].shape, window.cell)
         if k == top:
             # Shading first: mean and contrast of every window, before any residual is called an outlier.
-            _summed(levels[k], spline, nodes, window, np.inf, scratch)
+            _summed(levels[k], spline, nodes, window, np.inf, ends, scratch)
             node_kernels.equalised(nodes, scratch.sums, 1e-3)
         steps = EXPECTED[0] if k == 0 else EXPECTED[1] if k < top else EXPECTED[2]
         least = steps[-1]
         for expected in steps:
-            change = _refine(levels[k], spline, nodes, window, expected, scratch)
+            change = _refine(levels[k], spline, nodes, window, expected, ends, scratch)
             if change < SETTLED[min(k, 1)] and (k or expected == least):
                 break
         if k:
@@ -311,7 +328,8 @@ def judged(field: Field, window: Window, offered: int) -> Nodes:
 
     The covariance of a point is s^2 H^-1 times the mean of T^2, with s^2 the local variance of the residual, set right
     for what interpolation averages away of the deformed image's noise. A point is valid where at least half of its
-    window is seen and has texture beyond what noise alone would show, and where f and g correlate.
+    window is seen and has texture beyond what noise alone would show, where a third of what is next to it agrees (a
+    window that reaches over a border knows the motion of the other side as well), and where f and g correlate.
 
     Raises
     ------
@@ -320,8 +338,10 @@ def judged(field: Field, window: Window, offered: int) -> Nodes:
     cells, sums, cell2 = field.cells, field.sums, window.cell**2
     shape = sums.shape[1:]
     sigma, tau, rich = np.empty((2, *shape), f4), np.empty(shape, f4), np.empty((1, *shape), f4)
+    own = np.empty(shape, f4)
+    gain = window.noise
     node_kernels.uncertainty(
-        field.nodes, cells, sums, NOISE_KEPT, window.noise, DERIVATIVE_NOISE / 2 * cell2, TEXTURE, sigma, tau, rich[0]
+        field.nodes, cells, sums, NOISE_KEPT, gain, DERIVATIVE_NOISE / 2 * cell2, TEXTURE, sigma, tau, rich[0], own
     )
     covered = np.empty_like(rich)
     node_kernels.windowed(rich, window.taps, covered)
@@ -330,7 +350,8 @@ def judged(field: Field, window: Window, offered: int) -> Nodes:
     node_kernels.windowed(sums, window.taps, wide)
     share, smallest = np.empty(shape, f4), np.empty(shape, f4)
     node_kernels.agreement(sums, wide, 4 * np.pi * window.deviation**2, share, smallest)
-    valid = (covered[0] >= f4(cell2 / 2)) & (smallest > f4(TEXTURE) * tau) & (share > SMALLEST_EXPLAINED)
+    valid = (covered[0] >= f4(cell2 / 2)) & (own > f4(1 / 3))
+    valid &= (smallest > f4(TEXTURE) * tau) & (share > SMALLEST_EXPLAINED)
     check_agreement(int(np.count_nonzero(valid)), offered)
     # What is not valid keeps a usual value, so that interpolation between nodes does not overshoot next to it.
     usual = np.median(sigma[:, valid][:, ::8])

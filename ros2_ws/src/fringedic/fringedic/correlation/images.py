@@ -68,6 +68,31 @@ def grey_range(image: np.ndarray, name: str) -> tuple[float, float]:
     return mean, deviation
 
 
+SATURATED = 0.001  # share of the pixels that must have the same extreme grey level
+CROWDED = 4.0  # and how many more they must be than those of the next 1/64 of the range
+
+
+def saturation(image: np.ndarray) -> tuple[float, float]:
+    """Grey levels at which an image of integers is cut off at its dark and at its bright end, infinite where it is not.
+
+    A level that is reached and never passed shows as a crowd of pixels at the end of the histogram. An image of two
+    levels is not cut off; nor is one of real numbers judged: means of several images have no common end.
+    """
+    if not np.issubdtype(image.dtype, np.integer):
+        return -np.inf, np.inf
+    lowest, highest = int(image.min()), int(image.max())
+    margin = max(1, (highest - lowest) // 64)
+    counts = np.empty((image.shape[0], 4), np.int64)
+    kernels.ends(image, lowest, highest, margin, counts)
+    at_low, near_low, at_high, near_high = counts.sum(axis=0)
+    least = max(SATURATED * image.size, 16)
+    if at_low + at_high > image.size / 2:
+        return -np.inf, np.inf
+    cut_low = at_low > least and at_low > CROWDED * (near_low - at_low)
+    cut_high = at_high > least and at_high > CROWDED * (near_high - at_high)
+    return float(lowest) if cut_low else -np.inf, float(highest) if cut_high else np.inf
+
+
 def checked_mask(mask: ArrayLike | None, shape: tuple[int, int]) -> np.ndarray | None:
     """The pixels to use as a boolean array of the image's shape, or None for all.
 

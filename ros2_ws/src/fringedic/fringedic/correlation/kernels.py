@@ -42,6 +42,20 @@ def row_moments(image: np.ndarray, out: np.ndarray) -> None:
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def ends(image: np.ndarray, lowest: int, highest: int, margin: int, out: np.ndarray) -> None:
+    """Pixels of each row that have the lowest or the highest value, or lie within `margin` of either, out (row, 4)."""
+    for r in prange(image.shape[0]):
+        at_low, near_low, at_high, near_high = 0, 0, 0, 0
+        for c in range(image.shape[1]):
+            value = np.int32(image[r, c])
+            at_low += 1 if value == np.int32(lowest) else 0
+            near_low += 1 if value <= np.int32(lowest + margin) else 0
+            at_high += 1 if value == np.int32(highest) else 0
+            near_high += 1 if value >= np.int32(highest - margin) else 0
+        out[r, 0], out[r, 1], out[r, 2], out[r, 3] = at_low, near_low, at_high, near_high
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def halved(image: np.ndarray, out: np.ndarray) -> None:
     """Image of half the size through the taps (1, 3, 3, 1)/8; pixel (i, j) stands at (2 i + 1/2, 2 j + 1/2).
 
@@ -98,6 +112,31 @@ def gradient(image: np.ndarray, taps: np.ndarray, values: np.ndarray, along_x: n
             values[r, c] = value if good else f4(np.nan)
             along_x[r, c] = gx if good else f4(0)
             along_y[r, c] = gy if good else f4(0)
+
+
+@njit(nogil=True, error_model="numpy")
+def _between(line: np.ndarray, k: int) -> np.float32:
+    """Value in the middle of three pixels on either side (polynomial of degree 5), NaN where one is not measured."""
+    if k < 3 or k >= line.size - 3:
+        return f4(np.nan)
+    near, middle, far = line[k - 1] + line[k + 1], line[k - 2] + line[k + 2], line[k - 3] + line[k + 3]
+    return f4(0.75) * near - f4(0.3) * middle + f4(0.05) * far
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def mended(image: np.ndarray, out: np.ndarray) -> None:
+    """Image in which single missing pixels, and lines of them, have the value between their neighbours.
+
+    A pixel is mended along its row or its column, or by the mean of both, where three pixels on either side are
+    measured; others stay NaN.
+    """
+    for r in prange(image.shape[0]):
+        for c in range(image.shape[1]):
+            value = image[r, c]
+            if value != value:
+                along, across = _between(image[r], c), _between(image[:, c], r)
+                value = along if across != across else across if along != along else f4(0.5) * (along + across)
+            out[r, c] = value
 
 
 @njit(nogil=True, error_model="numpy")
@@ -498,9 +537,9 @@ def residual_means(
                 means[k] = means[k] / numbers[k] if numbers[k] > f4(0) else f4(np.nan)
 
 
-# Channels of the sums of each cell.
-GXX, GXY, GYY, W, WF, WFF, WE, WEF, WEE, GXE, GYE = range(11)
-CHANNELS = 11
+# Channels of the sums of each cell, the last of which is the number of pixels that are seen in both images.
+GXX, GXY, GYY, W, WF, WFF, WE, WEF, WEE, GXE, GYE, SEEN = range(12)
+CHANNELS = 12
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
@@ -524,15 +563,19 @@ def summed(
     lines: np.ndarray,
     cell: int,
     limit: float,
+    lowest: float,
+    highest: float,
     out: np.ndarray,
 ) -> None:
     """Weighted sums of f, its gradient and the residual e over each cell, out (CHANNELS, node row, node column).
 
     See `_residual` for e. Weights are one up to abs(e) = limit, fall as Tukey's biweight and are zero from twice the
-    limit on: noise keeps its full weight, glare and decorrelated pixels have none.
+    limit on: noise keeps its full weight, glare and decorrelated pixels have none. Nor have pixels at which g would
+    have to be below `lowest` or above `highest`: one-sided limits of the deformed image, which pull the others.
     """
     rows, columns = values.shape
     inverse = f4(1.0 / limit)
+    low, high = f4(lowest), f4(highest)
     block = BLOCK // cell * cell
     for node in prange(out.shape[1]):
         sums = np.empty((CHANNELS, block), f4)
@@ -548,10 +591,11 @@ def summed(
             end = begin + size
             sums[:] = f4(0)
             e, weight, grey, rest = residual[:size], kept[:size], clean_f[:size], clean_e[:size]
-            w, wf, we = sums[W, :size], sums[WF, :size], sums[WE, :size]
+            w, wf, we, seen = sums[W, :size], sums[WF, :size], sums[WE, :size], sums[SEEN, :size]
             for r in range(node * cell, min(node * cell + cell, rows)):
                 _residual(values, coefficients, weights, lines, cell, r, begin, scratch, keys, e)
                 f, gx, gy = values[r, begin:end], along_x[r, begin:end], along_y[r, begin:end]
+                gain, offset = scratch[2, :size], scratch[3, :size]
                 for c in range(size):
                     good = e[c] == e[c]
                     rest[c] = e[c] if good else f4(0)
@@ -560,6 +604,9 @@ def summed(
                     over = min(max(abs(rest[c]) * inverse - f4(1), f4(0)), f4(1))
                     share = f4(1) - over * over
                     weight[c] = share * share if e[c] == e[c] else f4(0)
+                for c in range(size):
+                    inside = gain[c] * low < f[c] - offset[c] and f[c] - offset[c] < gain[c] * high
+                    weight[c] = weight[c] if inside else f4(0)
                 # Two sums at a time: compilers vectorise loops that write to few arrays.
                 _add_products(weight, gx, gx, gy, sums[GXX, :size], sums[GXY, :size])
                 _add_products(weight, gy, gy, rest, sums[GYY, :size], sums[GYE, :size])
@@ -570,6 +617,7 @@ def summed(
                     wf[c] += weight[c] * grey[c]
                 for c in range(size):
                     we[c] += weight[c] * rest[c]
+                    seen[c] += f4(1) if e[c] == e[c] else f4(0)
             for channel in range(CHANNELS):
                 _add_up(
                     sums[channel, :size], cell, out[channel, node, begin // cell : begin // cell + -(-size // cell)]

@@ -9,10 +9,12 @@ import xarray as xr
 from numpy.typing import ArrayLike
 
 from fringedic.correlation import dense, kernels, pyramid, zoi
-from fringedic.correlation.images import checked_image, checked_mask, checked_window, grey_range
+from fringedic.correlation.images import checked_image, checked_mask, checked_window, grey_range, saturation
 from fringedic.errors import CorrelationMethodError, ShapeMismatchError
 
 f4 = np.float32
+
+CUT = 0.5  # standard deviations of the grey levels next to a saturated one: its neighbours are interpolated wrongly
 
 
 class Reference:
@@ -132,6 +134,8 @@ def measure_displacement(
     mean, deviation = grey_range(array, "deformed")
     values = reference.normalised(array)
     brightness = (reference.deviation / deviation, (reference.mean - mean) / deviation)
+    lowest, highest = ((end - reference.mean) / reference.deviation for end in saturation(array))
+    ends = (lowest + CUT, highest - CUT)
     start = None if initial is None else _initial(initial, reference)
     if method == "zoi":
         displacement, sigma = zoi.displacement_zones(
@@ -139,7 +143,7 @@ def measure_displacement(
         )
         valid = np.isfinite(displacement[0])
     else:
-        displacement, sigma, valid = _dense(reference, values, start, brightness)
+        displacement, sigma, valid = _dense(reference, values, start, brightness, ends)
     coordinates = {"row": reference.rows, "column": reference.columns}
     dimensions = ("row", "column")
     pixels = {"units": "px"}
@@ -171,7 +175,11 @@ def _initial(initial: Sequence[ArrayLike] | xr.Dataset, reference: Reference) ->
 
 
 def _dense(
-    reference: Reference, values: np.ndarray, start: np.ndarray | None, brightness: tuple[float, float]
+    reference: Reference,
+    values: np.ndarray,
+    start: np.ndarray | None,
+    brightness: tuple[float, float],
+    ends: tuple[float, float],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Displacement, its uncertainty (2, row, column) and validity at the points of the result."""
     window = dense.window_of(reference.window)
@@ -179,7 +187,7 @@ def _dense(
     if start is not None and np.isfinite(start).any():
         initial = pyramid.initial_nodes(start, reference.shape, window.cell, reference.spacing)
     field = dense.displacement_nodes(
-        reference.levels, reference.images, pyramid.pyramid_of(values), reference.window, initial, brightness
+        reference.levels, reference.images, pyramid.pyramid_of(values), reference.window, initial, brightness, ends
     )
     nodes = dense.judged(field, window, reference.textured)
     centre = 0.5 * (window.cell - 1)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from fringedic.correlation.kernels import GXE, GXX, GXY, GYE, GYY, WE, WEE, WEF, WF, WFF, W
+from fringedic.correlation.kernels import GXE, GXX, GXY, GYE, GYY, SEEN, WE, WEE, WEF, WF, WFF, W
 
 f4 = np.float32
 
@@ -132,20 +132,28 @@ def planes(field: np.ndarray, weight: np.ndarray, out: np.ndarray) -> None:
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _gradient_energy(cells: np.ndarray, r: int, column: np.ndarray, out: np.ndarray) -> None:
-    """Sum of (df/dx)^2 + (df/dy)^2 per cell, averaged over 3 x 3 cells: row r. `column` is a scratch.
+def _around(plane: np.ndarray, r: int, column: np.ndarray, out: np.ndarray) -> None:
+    """Add the mean over 3 x 3 cells of a plane (node row, node column) to row r, `out`. `column` is a scratch.
 
     The neighbourhood is sharply bounded: a window's far end must not lend its texture to a bare middle.
     """
-    rows, columns = cells.shape[1:]
+    rows, columns = plane.shape
     column[:] = f4(0)
     for k in range(max(r - 1, 0), min(r + 2, rows)):
-        xx, yy = cells[GXX, k], cells[GYY, k]
+        line = plane[k]
         for c in range(columns):
-            column[c + 1] += xx[c] + yy[c]
+            column[c + 1] += line[c]
     ninth = f4(1.0 / 9.0)
     for c in range(columns):
-        out[c] = ninth * (column[c] + column[c + 1] + column[c + 2])
+        out[c] += ninth * (column[c] + column[c + 1] + column[c + 2])
+
+
+@njit(nogil=True, error_model="numpy")
+def _gradient_energy(cells: np.ndarray, r: int, column: np.ndarray, out: np.ndarray) -> None:
+    """Sum of (df/dx)^2 + (df/dy)^2 per cell, averaged over 3 x 3 cells: row r."""
+    out[:] = f4(0)
+    _around(cells[GXX], r, column, out)
+    _around(cells[GYY], r, column, out)
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
@@ -308,6 +316,34 @@ def equalised(nodes: np.ndarray, sums: np.ndarray, floor: float) -> None:
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def sharpened(field: np.ndarray, before: np.ndarray, seen: np.ndarray, taps: np.ndarray, passes: int) -> None:
+    """Give back to a change of a field what the window that it was seen through has taken from it; in place.
+
+    A window K finds K c of a change c, which at an edge, where the window is one-sided, and on a curved shading is not
+    the change at its middle. After n passes of x = x + K c - K x, begun at x = K c, the error is (1 - K)^(n + 1) c.
+    """
+    channels, rows, columns = field.shape
+    weighted = np.empty((channels + 1, rows, columns), f4)
+    spread = np.empty((channels + 1, rows, columns), f4)
+    found = np.empty((channels, rows, columns), f4)
+    weighted[channels] = seen
+    for r in prange(rows):
+        for channel in range(channels):
+            for c in range(columns):
+                found[channel, r, c] = field[channel, r, c] - before[channel, r, c]
+    for _ in range(passes):
+        for r in prange(rows):
+            for channel in range(channels):
+                for c in range(columns):
+                    weighted[channel, r, c] = seen[r, c] * (field[channel, r, c] - before[channel, r, c])
+        windowed(weighted, taps, spread)
+        for r in prange(rows):
+            for channel in range(channels):
+                for c in range(columns):
+                    field[channel, r, c] += found[channel, r, c] - spread[channel, r, c] / spread[channels, r, c]
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def lent(field: np.ndarray, plane: np.ndarray, seen: np.ndarray, taps: np.ndarray) -> None:
     """Where little of a window is seen, let its neighbours' values hold, around their planes (channel, 3); in place."""
     channels, rows, columns = field.shape
@@ -351,18 +387,27 @@ def uncertainty(
     sigma: np.ndarray,
     least: np.ndarray,
     rich: np.ndarray,
+    own: np.ndarray,
 ) -> None:
     """Standard deviations (2, ...) of the nodes, the gradient energy that noise shows, and the cells that show more.
 
     `kept` is the share of white noise that interpolation leaves at fractions k / (kept.size - 1) of a pixel;
     `node_gain` is the variance at a node over that of its window; `least` becomes `tau_factor` times the variance of a
-    pixel; `rich` is the weight of the cells with `texture` times that energy, along both axes.
+    pixel; `rich` is the weight of the cells with `texture` times that energy, along both axes; `own` is the
+    share of agreeing pixels in the node's own cell, or in the 3 x 3 around it if it is less.
     """
     steps = f4(kept.size - 1)
     for r in prange(nodes.shape[1]):
         columns = nodes.shape[2]
-        column, energy = np.empty(columns + 2, f4), np.empty(columns, f4)
+        column, energy, count = np.empty(columns + 2, f4), np.empty(columns, f4), np.empty(columns, f4)
         _gradient_energy(cells, r, column, energy)
+        own[r] = f4(0)
+        _around(cells[W], r, column, own[r])
+        count[:] = f4(0)
+        _around(cells[SEEN], r, column, count)
+        for c in range(columns):
+            share = own[r, c] / max(count[c], f4(1))
+            own[r, c] = min(share, cells[W, r, c] / cells[SEEN, r, c]) if cells[SEEN, r, c] > f4(0) else share
         for c in range(columns):
             inverse = f4(1) / max(sums[W, r, c], f4(1e-6))
             mean_e = sums[WE, r, c] * inverse

@@ -50,15 +50,19 @@ def reference_level(image: np.ndarray) -> Level:
 
 
 def spline_of(image: np.ndarray) -> np.ndarray:
-    """Coefficients of the quintic spline through an image, NaN around pixels that are not measured, and outside.
+    """Coefficients of the interpolation of an image, NaN around pixels that are not measured, and outside.
 
-    Missing pixels are filled with the mean of their surroundings first; what the fill changes dies out as .54 per
-    pixel, and the four pixels around it that a coefficient reaches are given up.
+    Single missing pixels are mended. Others are filled with the mean of their surroundings first; what the fill changes
+    dies out as .54 per pixel, and the four pixels around it that a coefficient reaches are given up.
     """
     rows, columns = image.shape
     border = kernels.BORDER
     out = np.full((rows + 2 * border, columns + 2 * border), np.nan, dtype=f4)
     missing = np.isnan(image)
+    if missing.any():
+        whole = np.empty_like(image)
+        kernels.mended(image, whole)
+        image, missing = whole, np.isnan(whole)
     if not missing.any():
         kernels.spline_coefficients(image, INVERSE, out)
         return out

@@ -83,7 +83,9 @@ def _refined(level: Level, spline: np.ndarray, k: int, affine: np.ndarray, passe
         if not known.size:
             return affine, 1.0
         limit = 4 * float(np.median(known))
-        kernels.summed(level.values, level.along_x, level.along_y, spline, WEIGHTS, lines, CELL, limit, sums)
+        kernels.summed(
+            level.values, level.along_x, level.along_y, spline, WEIGHTS, lines, CELL, limit, -np.inf, np.inf, sums
+        )
         s = sums.astype(np.float64)
         normal = np.empty((6, 6))
         for a, b, channel in ((0, 0, kernels.GXX), (0, 1, kernels.GXY), (1, 0, kernels.GXY), (1, 1, kernels.GYY)):
