@@ -80,22 +80,28 @@ class LiveProgress:
 
 
 def report_table(report: RunReport) -> Table:
-    """Return the steps of a run as a table: errors against the truth, valid part, lost frames, time to the cloud."""
-    table = Table(title=f"{report.experiment}: {report.folder}", min_width=70, title_justify="left")
+    """Return the steps of a run as a table: errors against the truth, valid part, lost frames, time to the cloud.
+
+    ``z exact``: the error of z that the exact calibration would have. Frames are lost in the camera / in the recording.
+    """
+    title = f"{report.experiment}: {report.folder}"
+    if any(step.errors for step in report.steps):
+        title += "; errors are RMS against the truth"
+    table = Table(title=title, min_width=70, title_justify="left")
     with_truth = any(step.errors for step in report.steps)
     with_exact = any("z_exact" in step.errors for step in report.steps)
     table.add_column("step", justify="right")
-    table.add_column("position\n[mm]", justify="right")
-    table.add_column("force\n[N]", justify="right")
-    table.add_column("displacement\n[RMS]", justify="right")
+    table.add_column(escape("position\n[mm]"), justify="right")
+    table.add_column(escape("force\n[N]"), justify="right")
+    table.add_column(escape("moved\n[RMS]"), justify="right")
     if with_truth:
         for name in ("u", "v", "w", "z"):
-            table.add_column(f"error {name}\n[µm RMS]", justify="right")
+            table.add_column(escape(f"error {name}\n[µm]"), justify="right")
     if with_exact:
-        table.add_column("z, exact\ncalibration", justify="right")
-    table.add_column("valid\n[%]", justify="right")
-    table.add_column("frames lost\ncamera / bag", justify="right")
-    table.add_column("exposure to\ncloud [s]", justify="right")
+        table.add_column(escape("z exact\n[µm]"), justify="right")
+    table.add_column(escape("valid\n[%]"), justify="right")
+    table.add_column("lost\nframes", justify="right")
+    table.add_column(escape("to cloud\n[s]"), justify="right")
     for step in report.steps:
         if step.error:
             table.add_row(str(step.step), "failed")
