@@ -52,7 +52,7 @@ from fringedic.sequence import Orientation
 
 UNKNOWN_TILT = math.radians(1.0)  # of a camera whose tilt was not measured by a grid
 _CURVED = 5.0  # standard deviations of k1 from which the centre of the distortion can be sought
-_SUSPICIOUS = 9.0  # chi square per degree of freedom from which a bad image is looked for
+_SUSPICIOUS = 3.0  # chi square per degree of freedom from which a bad image is looked for
 _ROUGH = 7  # every such block is enough to find a bad image; prime, so that it is no column of blocks
 _AGREEMENT = 5.0  # standard deviations of a block
 _OUTSIDE = 0.02  # part of the projector's image that phases may reach beyond it

@@ -14,6 +14,7 @@ from fringedic.calibration.fit import Solution, information_criterion
 from fringedic.calibration.geometry import SCALES, Camera, Placement, place_plane, predict, rig_model
 from fringedic.calibration.planes import PlaneBlocks
 from fringedic.calibration.result import Candidate, Parameter, PlaneResult, RigCalibration
+from fringedic.calibration.suspects import unusual_ripple
 from fringedic.errors import CalibrationAnglesError
 from fringedic.rig import RigModel
 from fringedic.rig_uncertainty import PARAMETERS, parameter_values, position_errors
@@ -332,6 +333,13 @@ def _warnings(
             warnings.append(
                 f"{plane.name}: {100 * plane.outliers:.1f} % of the pixels contradict their surroundings "
                 "(wrong fringe orders, dirt or edges); they were left out."
+            )
+    for i, plane in enumerate(calibration.planes):
+        ripple = unusual_ripple(i, blocks) / (2 * math.pi)
+        if ripple and not plane.problem:
+            warnings.append(
+                f"{plane.name}: its phase ripples with the fringes by {ripple:.4f} fringe, the others do not: the "
+                "light changed, or something moved, while its frames were taken."
             )
     ripples = np.array([blocks[i].ripple for i in used])
     usual = np.nanmedian(ripples, axis=0) if len(ripples) else np.zeros(1)

@@ -265,12 +265,20 @@ def _blocks(image: np.ndarray, size: int) -> np.ndarray:
 
 
 def _ripple(phase: np.ndarray, residual: np.ndarray, kept: np.ndarray) -> tuple[float, ...]:
-    """Return the amplitudes of the residual at whole multiples of the fringes' frequency."""
+    """Return the amplitudes of the residual at whole multiples of the fringes' frequency.
+
+    A plane that turns while its frames are taken ripples with opposite signs on both sides of the axis: the amplitudes
+    may change linearly over the image; their root mean square is returned.
+    """
     skip = max(1, math.isqrt(phase.size // _RIPPLE_SAMPLES))
     part = (slice(None, None, skip), slice(None, None, skip))
     angle, value = phase[part][kept[part]], residual[part][kept[part]]
-    if len(angle) < 4 * len(HARMONICS):
+    row, column = np.nonzero(kept[part])
+    if len(angle) < 12 * len(HARMONICS):
         return (math.nan,) * len(HARMONICS)
-    waves = np.stack([wave(k * angle) for k in HARMONICS for wave in (np.cos, np.sin)], axis=1)
-    found = _least_squares(waves, value)
-    return tuple(float(each) for each in np.hypot(found[::2], found[1::2]))
+    places = [np.ones(len(angle))]
+    for each, length in ((row, phase.shape[0]), (column, phase.shape[1])):
+        places.append(math.sqrt(3) * (2 * skip * each / (length - 1) - 1))  # of unit mean square
+    waves = np.stack([wave(k * angle) * at for k in HARMONICS for wave in (np.cos, np.sin) for at in places], axis=1)
+    found = _least_squares(waves, value).reshape(len(HARMONICS), -1)
+    return tuple(float(each) for each in np.sqrt(np.sum(found**2, axis=1)))

@@ -23,7 +23,7 @@ _FREE_ANGLE, _FREE_HEIGHT = math.radians(20), 0.05  # how far a misplaced plane 
 _MOST = 0.85  # share of the blocks; those at the borders of wrong orders are mixtures
 _SMALL_TURN = math.radians(0.01)
 _RIPPLE = 4.0  # times that of the other images
-_LEAST_RIPPLE = 1e-3 * 2 * math.pi  # [rad]
+_LEAST_RIPPLE = 5e-4 * 2 * math.pi  # [rad]
 
 
 @dataclass(frozen=True)
@@ -108,13 +108,10 @@ def explain(
             f"the fringe order is wrong on {100 * np.mean(jumps != 0):.0f} % of it: "
             "check light, shadows and the coarse pitches"
         )
-    ripples = np.array([each.ripple[:2] for each in blocks])
-    usual = np.nanmedian(np.delete(ripples, plane, axis=0), axis=0)
-    rippled = bool(np.any(ripples[plane] > np.maximum(_RIPPLE * usual, _LEAST_RIPPLE)))
-    size = np.nanmax(ripples[plane]) / (2 * math.pi)
-    if rippled:
+    size = unusual_ripple(plane, blocks) / (2 * math.pi)
+    if size:
         return (
-            f"its phase ripples with the fringes by {size:.3f} fringe, the others do not: the plane moved, or the "
+            f"its phase ripples with the fringes by {size:.4f} fringe, the others do not: the plane moved, or the "
             "light changed, while its frames were taken; measure it again"
         )
     moved = fit(
@@ -132,6 +129,14 @@ def explain(
         "its phase is not that of the plane at any angle: the projector showed a wrong pattern, frames are out of "
         "order, or something else stood in front of the camera; measure it again"
     )
+
+
+def unusual_ripple(plane: int, blocks: Sequence[PlaneBlocks]) -> float:
+    """Return the ripple [rad] once or twice per fringe of an image if it is far above that of the others, or 0."""
+    ripples = np.array([each.ripple[:2] for each in blocks])
+    usual = np.nanmedian(np.delete(ripples, plane, axis=0), axis=0)
+    found = np.any(ripples[plane] > np.maximum(_RIPPLE * usual, _LEAST_RIPPLE))
+    return float(np.nanmax(ripples[plane])) if found else 0.0
 
 
 def _misplaced(plane: int, values: Mapping[str, float], placement: Placement, own: Observations, camera: Camera) -> str:
