@@ -396,7 +396,9 @@ number, pitches and shifts, same scene and noise), because its phases have anoth
 unwrapping, which uses all frequencies at once. OpenCV's spatial unwrapping is part of its contributed modules.
 
 Orders from a single pitch (spatial unwrapping, one image) are relative: right up to the same number of whole
-fringes, and wrong behind steps and shadows, as the picture shows. The one-image error grows towards the border of
+fringes. What a shadow cuts off from the largest region is left out (white in the picture); OpenCV gives it orders,
+and wrong ones.
+The one-image error grows towards the border of
 the image, where half of the window is missing; on smooth surfaces without texture the error is the curvature
 inside the window, which sigma does not contain.
 """
