@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from fringedic.camera.grid import measure_distortion
     from fringedic.correlation import Reference, measure_displacement
     from fringedic.errors import FringedicError
+    from fringedic.export import export_dataset
     from fringedic.increments import accumulate
     from fringedic.patterns import fringe_sequence, gray_code_sequence, one_image_sequence
     from fringedic.phase import absolute_phase, demodulate, unwrap_hierarchical, unwrap_spatial
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
         remove_rigid_motion,
     )
     from fringedic.response import ResponseCurve, measure_response
+    from fringedic.report import write_report
     from fringedic.results import compare_with_truth, open_experiment, process_bag
     from fringedic.rig import RigModel
     from fringedic.rig_file import load_programme, load_rig_file
@@ -68,6 +70,7 @@ _HOMES = {
     "compare_with_truth": "results",
     "couple": "surface",
     "demodulate": "phase",
+    "export_dataset": "export",
     "extensometer": "probes",
     "force_curve": "probes",
     "fringe_sequence": "patterns",
@@ -88,6 +91,7 @@ _HOMES = {
     "to_local_frame": "surface",
     "unwrap_hierarchical": "phase",
     "unwrap_spatial": "phase",
+    "write_report": "report",
 }
 
 __all__ = [
@@ -111,6 +115,7 @@ __all__ = [
     "compare_with_truth",
     "couple",
     "demodulate",
+    "export_dataset",
     "extensometer",
     "force_curve",
     "fringe_sequence",
@@ -131,6 +136,7 @@ __all__ = [
     "to_local_frame",
     "unwrap_hierarchical",
     "unwrap_spatial",
+    "write_report",
 ]
 
 
