@@ -1,0 +1,39 @@
+"""Recordings of before the camera's distortion was measured: their calibration is played in today's definition."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rclpy.serialization import deserialize_message
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from experiment_node.player_node import _played
+from fringedic.recording import BagReader, BagWriter, Topic, interface_definition
+from fringedic.rig import RigModel
+from fringedic.virtual_rig import VirtualRig
+from fringedic_msgs.msg import RigCalibration
+
+KIND = "fringedic_msgs/msg/RigCalibration"
+
+
+def test_a_calibration_without_distortion_fields(tmp_path: Path) -> None:
+    model = RigModel(**VirtualRig.from_preset("plate", size="tiny").optics(), identifier="of old")
+    definition = "\n".join(line for line in interface_definition(KIND).splitlines() if " distortion_" not in line)
+    types = get_typestore(Stores.EMPTY)
+    types.register(get_types_from_msg(definition, KIND))
+    stamp = types.types["builtin_interfaces/msg/Time"](sec=7, nanosec=8)
+    header = types.types["std_msgs/msg/Header"](stamp=stamp, frame_id="reference_plane")
+    fields = model.message_fields()
+    arrays = ("projector_position", "projector_rotation", "covariance")
+    fields |= {name: np.asarray(fields[name], float) for name in arrays}
+    data = bytes(types.serialize_cdr(types.types[KIND](header=header, **fields), KIND))
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.add_recorded_topic(Topic("/rig/calibration", KIND, definition, "ros2msg", "RIHS01_old", ""))
+        bag.write("/rig/calibration", data, 1, 1)
+
+    [message] = _played(BagReader(tmp_path / "bag"), {"/rig/calibration": "calibration"})
+    played = deserialize_message(message.data, RigCalibration)
+    assert message.topic == "calibration"
+    assert (played.header.stamp.sec, played.header.stamp.nanosec) == (7, 8)
+    assert RigModel.from_message(played) == model
