@@ -35,8 +35,8 @@ if TYPE_CHECKING:
         region_statistics,
         remove_rigid_motion,
     )
-    from fringedic.response import ResponseCurve, measure_response
     from fringedic.report import write_report
+    from fringedic.response import ResponseCurve, measure_response
     from fringedic.results import compare_with_truth, open_experiment, process_bag
     from fringedic.rig import RigModel
     from fringedic.rig_file import load_programme, load_rig_file
