@@ -68,7 +68,7 @@ def grey_range(image: np.ndarray, name: str) -> tuple[float, float]:
     return mean, deviation
 
 
-SATURATED = 0.001  # share of the pixels that must have the same extreme grey level
+SATURATED = 0.01  # share of the pixels that must have the same extreme grey level
 CROWDED = 4.0  # and how many more they must be than those of the next 1/64 of the range
 
 

@@ -537,7 +537,7 @@ def residual_means(
                 means[k] = means[k] / numbers[k] if numbers[k] > f4(0) else f4(np.nan)
 
 
-# Channels of the sums of each cell, the last of which is the number of pixels that are seen in both images.
+# Channels of the sums of each cell, the last of which is the number of pixels that could be compared.
 GXX, GXY, GYY, W, WF, WFF, WE, WEF, WEE, GXE, GYE, SEEN = range(12)
 CHANNELS = 12
 
@@ -605,8 +605,9 @@ def summed(
                     share = f4(1) - over * over
                     weight[c] = share * share if e[c] == e[c] else f4(0)
                 for c in range(size):
-                    inside = gain[c] * low < f[c] - offset[c] and f[c] - offset[c] < gain[c] * high
+                    inside = gain[c] * low < f[c] - offset[c] and f[c] - offset[c] < gain[c] * high and e[c] == e[c]
                     weight[c] = weight[c] if inside else f4(0)
+                    seen[c] += f4(1) if inside else f4(0)
                 # Two sums at a time: compilers vectorise loops that write to few arrays.
                 _add_products(weight, gx, gx, gy, sums[GXX, :size], sums[GXY, :size])
                 _add_products(weight, gy, gy, rest, sums[GYY, :size], sums[GYE, :size])
@@ -617,7 +618,6 @@ def summed(
                     wf[c] += weight[c] * grey[c]
                 for c in range(size):
                     we[c] += weight[c] * rest[c]
-                    seen[c] += f4(1) if e[c] == e[c] else f4(0)
             for channel in range(CHANNELS):
                 _add_up(
                     sums[channel, :size], cell, out[channel, node, begin // cell : begin // cell + -(-size // cell)]
