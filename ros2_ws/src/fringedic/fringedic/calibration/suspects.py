@@ -21,6 +21,7 @@ from fringedic.errors import FringedicError
 _DECISIVE = 4.0  # times better chi square without one image than without any other
 _FREE_ANGLE, _FREE_HEIGHT = math.radians(20), 0.05  # how far a misplaced plane is looked for
 _MOST = 0.85  # share of the blocks; those at the borders of wrong orders are mixtures
+_MOSTLY = 0.05  # part of the residual that another place of the plane may leave
 _SMALL_TURN = math.radians(0.01)
 _RIPPLE = 4.0  # times that of the other images
 _LEAST_RIPPLE = 5e-4 * 2 * math.pi  # [rad]
@@ -108,12 +109,6 @@ def explain(
             f"the fringe order is wrong on {100 * np.mean(jumps != 0):.0f} % of it: "
             "check light, shadows and the coarse pitches"
         )
-    size = unusual_ripple(plane, blocks) / (2 * math.pi)
-    if size:
-        return (
-            f"its phase ripples with the fringes by {size:.4f} fringe, the others do not: the plane moved, or the "
-            "light changed, while its frames were taken; measure it again"
-        )
     moved = fit(
         camera,
         placement,
@@ -123,7 +118,13 @@ def explain(
         {angle_error(plane): Prior(0.0, _FREE_ANGLE), height_error(plane): Prior(0.0, _FREE_HEIGHT)},
     )
     left = measured - predict(camera, moved.values, placement, own.planes, own.pixels)
-    if _rms(left) < max(tolerance, 0.05 * _rms(difference)):
+    if _rms(left) < max(tolerance, _MOSTLY * _rms(difference)):
+        size = unusual_ripple(plane, blocks) / (2 * math.pi)
+        if size:
+            return (
+                f"its phase ripples with the fringes by {size:.4f} fringe, the others do not: the plane moved, or the "
+                "light changed, while its frames were taken; measure it again"
+            )
         return _misplaced(plane, moved.values, placement, own, camera)
     return (
         "its phase is not that of the plane at any angle: the projector showed a wrong pattern, frames are out of "
