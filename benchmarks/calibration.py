@@ -55,8 +55,9 @@ def twin_of(changes: dict[str, dict[str, float]], width: int, sensor: dict[str, 
     sections: dict[str, dict[str, Any]] = {
         "camera": {"columns": width, "rows": width * 3 // 4, "pixel_size_um": 64e3 / width},
         "projector": {"defocus_px": 0.45},
-        "stage": {"albedo": 0.7, "grid_pitch_mm": 640 / width},  # 10 px
-        "sensor": sensor or {},
+        "stage": {"albedo": 1.0, "grid_pitch_mm": 640 / width},  # 10 px
+        "sensor": {"white_level": 0.7, **(sensor or {})},  # the albedo of plane and sphere
+        "texture": {"floor": 0.999},
         "specimen": {"kind": "reference_plane"},
     }
     for name, entries in changes.items():
@@ -328,7 +329,7 @@ camera tilted by 0.2 degree about x and y and a rotation axis 1 mm off in x and 
 Seven planes from -15 to 15 degree are fitted, that at 7.5 degree is kept out. The twin traces its own rays; it shares
 no code with the calibration. Errors of z on a sphere of radius 120 mm, µm RMS:
 
-| rig | paper's model (reference) | exact phases (≤ 1) | rendered frames without camera noise (≤ 2) | \
+| rig | paper's model, exact phases (reference, with noise) | exact phases (≤ 1) | rendered frames without camera noise (≤ 2) | \
 phases with .0021 fringe (≤ 6.2) | 8-bit frames with read and shot noise | model chosen | verdict |
 |---|---:|---:|---:|---:|---:|---|---|
 {rows}
