@@ -329,8 +329,9 @@ camera tilted by 0.2 degree about x and y and a rotation axis 1 mm off in x and 
 Seven planes from -15 to 15 degree are fitted, that at 7.5 degree is kept out. The twin traces its own rays; it shares
 no code with the calibration. Errors of z on a sphere of radius 120 mm, µm RMS:
 
-| rig | paper's model, exact phases (reference, with noise) | exact phases (≤ 1) | rendered frames without camera noise (≤ 2) | \
-phases with .0021 fringe (≤ 6.2) | 8-bit frames with read and shot noise | model chosen | verdict |
+| rig | paper's model, exact phases (reference, with noise) | exact phases (≤ 1) | \
+rendered frames without camera noise (≤ 2) | phases with .0021 fringe (≤ 6.2) | \
+8-bit frames with read and shot noise | model chosen | verdict |
 |---|---:|---:|---:|---:|---:|---|---|
 {rows}
 
