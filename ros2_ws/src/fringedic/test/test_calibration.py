@@ -208,6 +208,7 @@ def test_unknown_tilt_is_sought_and_said() -> None:
     assert error < 4 * calibration.height_sigma, f"{1e6 * error:.3f} µm for {1e6 * calibration.height_sigma:.3f} µm"
 
 
+@pytest.mark.slow
 def test_random_rigs_converge_and_know_their_errors() -> None:
     """Distances x 0.5 to 2, misaligned; z-scores of all parameters of all rigs."""
     generator = np.random.default_rng(4711)
@@ -377,6 +378,7 @@ def test_the_bad_image_is_named(misaligned: tuple[Bench, list[np.ndarray]], chan
     assert bench.sphere_error(calibration) < 1e-6, "the model is that of the other images"
 
 
+@pytest.mark.slow
 def test_sigmas_hold_over_repeated_calibrations() -> None:
     """Whole calibrations with other noise: errors of x, y, z on a sphere in units of the sigmas that they tell."""
     bench = Bench(DISTORTED)
