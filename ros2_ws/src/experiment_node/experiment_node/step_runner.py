@@ -38,7 +38,7 @@ CAPTURE_ERRORS = {
 }
 CONNECTING_TIME = 1.0  # [s] from the last node that connects to the first exposure
 RECORDER_TIMEOUT = 5.0  # [s] for the recorder's answer to the stage PROCESS; it speaks every second anyway
-LOAD_TIMEOUT = 0.5  # [s] for the load samples of the last exposure to come in
+LOAD_TIMEOUT = 0.5  # [s] for a load sample of now, or of the last exposure, to come in
 
 
 class StepRunner:
@@ -213,6 +213,12 @@ class StepRunner:
     async def _check_hold(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         if not parameters.hold_required or not self._node.count_publishers("load_frame/state"):
             return
+        # the machine may have reached its hold just before it was told here: only a sample of now counts
+        begin = self._node.get_clock().now().nanoseconds
+        with suppress(WaitTimeoutError):
+            await self._changed.wait(
+                lambda: self._load is not None and to_nanoseconds(self._load.header.stamp) >= begin, LOAD_TIMEOUT
+            )
         await step.turn.wait(
             lambda: self._load is not None,
             parameters.start_timeout_s,

@@ -269,7 +269,7 @@ def test_a_step_from_begin_to_end(rig: Rig, request: pytest.FixtureRequest) -> N
     assert (result.load_samples, result.force_mean, result.force_range) == (FRAMES, 103.0, 6.0)
     assert (result.position_mean, result.position_range) == (pytest.approx(1e-3), 0.0)
     assert 0 <= result.processing_time < result.duration
-    assert [feedback.stage for feedback in rig.feedback][-1] == "process"
+    rig.wait(lambda: rig.feedback[-1].stage == "process", "the last feedback", 5)
     assert rig.holds == 0
 
     second = rig.step()
@@ -412,6 +412,18 @@ def test_the_machine_has_to_hold(rig: Rig) -> None:
     rig.load_mode = LoadState.IDLE
     rig.say_load(LoadState.IDLE)
     assert rig.step().error_code == Result.NONE
+
+
+def test_a_hold_that_is_told_late_counts(rig: Rig) -> None:
+    """The machine has just reached its hold; the last that was heard of it is its motion."""
+    rig.load_mode = LoadState.HOLD
+    rig.say_load(LoadState.MOVING)
+    running = rig.request()
+    rig.serve(0.1)
+    assert not rig.captured
+    rig.clock_ns = rig.get_clock().now().nanoseconds
+    rig.publish_load(LoadState.HOLD)
+    assert rig.result(running)[1].error_code == Result.NONE
 
 
 def test_no_step_without_the_recorder(rig: Rig) -> None:
