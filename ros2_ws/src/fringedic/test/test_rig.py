@@ -172,7 +172,10 @@ def test_result_does_not_depend_on_the_number_of_threads() -> None:
 
 def test_yaml_round_trip_speaks_to_people(tmp_path: Path) -> None:
     rig = dataclasses.replace(
-        MISALIGNED, source="bench", parameter_names=("camera_distance", "projector_x"), covariance=(1e-8, 1e-9, 1e-9, 4e-8)
+        MISALIGNED,
+        source="bench",
+        parameter_names=("camera_distance", "projector_x"),
+        covariance=(1e-8, 1e-9, 1e-9, 4e-8),
     )
     path = tmp_path / "rig.yaml"
     rig.to_yaml(path)
