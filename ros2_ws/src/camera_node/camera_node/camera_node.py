@@ -99,12 +99,16 @@ class CameraParameters(HardwareParameters):
 
     def aravis(self) -> AravisSettings:
         """The settings of a GenICam camera."""
+        region = None
+        if self.region_px:
+            column, row, width, height = self.region_px
+            region = column, row, width, height
         return AravisSettings(
             camera=self.camera,
             exposure_time=self.exposure_time_s,
             gain=self.gain_db,
             pixel_format=self.pixel_format,
-            region=(*self.region_px,) if self.region_px else None,  # type: ignore[arg-type]
+            region=region,
             trigger=self.trigger,
             trigger_line=self.trigger_line,
             packet_size=self.packet_size_byte,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections import deque
 from collections.abc import Callable
@@ -130,7 +129,6 @@ class Link:
         self._connected = False
         self._pause = _FIRST_PAUSE_S
         self._next_attempt = 0.0
-        self._lock = threading.RLock()
 
     def ask(self, what: str, question: Callable[[], Answer]) -> Answer:
         """Return the answer of a connected machine.
@@ -142,21 +140,19 @@ class Link:
         MachineError
             It refuses; the messages name the machine and what was asked for.
         """
-        with self._lock:
-            self._connect(what)
-            try:
-                return question()
-            except MachineGoneError as error:
-                self._lose()
-                raise MachineGoneError(f"{self._name}: {what}: {error}") from error
-            except MachineError as error:
-                raise MachineError(f"{self._name}: {what}: {error}") from error
+        self._connect(what)
+        try:
+            return question()
+        except MachineGoneError as error:
+            self._lose()
+            raise MachineGoneError(f"{self._name}: {what}: {error}") from error
+        except MachineError as error:
+            raise MachineError(f"{self._name}: {what}: {error}") from error
 
     def close(self) -> None:
         """End the connection."""
-        with self._lock:
-            self._connected = False
-            self._close_connection()
+        self._connected = False
+        self._close_connection()
 
     def _connect(self, what: str) -> None:
         if self._connected:
