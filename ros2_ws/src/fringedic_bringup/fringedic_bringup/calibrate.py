@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -46,24 +47,13 @@ def calibrate(
     NodeDiedError, NotAnsweredError, StepFailedError
         The nodes did not start, or one of them ended.
     """
-    if (folder / "bag").exists():
-        raise RigFileError(f"{folder} holds a recording already; choose another --output")
     grid_pitch = rig.grid_pitch()
     if grid_pitch is None:
         raise RigFileError(f"{rig_path}: reference_plane.grid_pitch_mm is missing: the distance of the printed lines")
     if rig.projector is None:
         raise RigFileError(f"{rig_path}: has no projector; there is nothing to calibrate but the camera")
-    folder.mkdir(parents=True, exist_ok=True)
     plane = rig.reference_plane
-    graph = calibration_graph(rig, rig_path, folder)
-    progress.stage(f"starting {len(graph.nodes)} nodes")
-    with (
-        RunningGraph(graph, folder / "logs", domain=domain) as running,
-        RigClient(graph.namespace, domain=domain, watch=running.check) as client,
-    ):
-        if "stage" not in graph.names:
-            client.serve_placing(placing_by(ask))
-        client.wait_until_ready(graph.names)
+    with calibration_client(rig, rig_path, folder, progress, ask=ask, domain=domain) as client:
         camera = client.calibrate_distortion(
             grid_pitch, frames=plane.grid_frames, folder=folder, feedback=_Shown(progress)
         )
@@ -83,6 +73,40 @@ def calibrate(
             words = [camera.verdict, _failure(result) if result.error_code else result.verdict]
         client.wait_until_recorded()
     return CalibrationReport(folder, bool(not camera.error_code and result.go), tuple(words))
+
+
+@contextmanager
+def calibration_client(
+    rig: RigFile,
+    rig_path: Path,
+    folder: Path,
+    progress: Progress,
+    *,
+    ask: Callable[[str], bool],
+    domain: int | None,
+) -> Iterator[RigClient]:
+    """Start the nodes that measure the reference plane and give their client; parameters as of `calibrate`.
+
+    Raises
+    ------
+    RigFileError
+        The folder holds a recording already.
+    NodeDiedError, NotAnsweredError
+        The nodes did not start.
+    """
+    if (folder / "bag").exists():
+        raise RigFileError(f"{folder} holds a recording already; choose another --output")
+    folder.mkdir(parents=True, exist_ok=True)
+    graph = calibration_graph(rig, rig_path, folder)
+    progress.stage(f"starting {len(graph.nodes)} nodes")
+    with (
+        RunningGraph(graph, folder / "logs", domain=domain) as running,
+        RigClient(graph.namespace, domain=domain, watch=running.check) as client,
+    ):
+        if "stage" not in graph.names:
+            client.serve_placing(placing_by(ask))
+        client.wait_until_ready(graph.names)
+        yield client
 
 
 def with_angles(rig: RigFile, angles_degree: str) -> RigFile:

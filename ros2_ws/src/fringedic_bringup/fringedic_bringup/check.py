@@ -14,10 +14,7 @@ from fringedic.recording import BagReader
 from fringedic.results import image_array
 from fringedic.rig_file import VIRTUAL_RIG, RigFile, load_calibration
 from fringedic.sequence import stamp_of
-from fringedic_bringup.calibrate import placing_by
-from fringedic_bringup.client import RigClient
-from fringedic_bringup.graph import calibration_graph
-from fringedic_bringup.processes import RunningGraph
+from fringedic_bringup.calibrate import calibration_client
 from fringedic_bringup.report import Progress
 from fringedic_msgs.srv import PlaceReferencePlane
 from fringedic_ros.stamps import to_nanoseconds
@@ -65,21 +62,10 @@ def check(
     model = load_calibration(rig, rig_path)
     if model is None or rig.projector is None:
         raise RigFileError(f"{rig_path}: has no {'calibration' if rig.projector else 'projector'}; nothing to check")
-    if (folder / "bag").exists():
-        raise RigFileError(f"{folder} holds a recording already; choose another --output")
-    folder.mkdir(parents=True, exist_ok=True)
     rig = rig.model_copy(update={"recording": rig.recording.model_copy(update={"derived": True})})
-    graph = calibration_graph(rig, rig_path, folder)
     heights = [0.0, distance, 0.0]
     stamps = []
-    progress.stage(f"starting {len(graph.nodes)} nodes")
-    with (
-        RunningGraph(graph, folder / "logs", domain=domain) as running,
-        RigClient(graph.namespace, domain=domain, watch=running.check) as client,
-    ):
-        if "stage" not in graph.names:
-            client.serve_placing(placing_by(ask))
-        client.wait_until_ready(graph.names)
+    with calibration_client(rig, rig_path, folder, progress, ask=ask, domain=domain) as client:
         for number, height in enumerate(heights, start=1):
             progress.step(number, len(heights), f"the plane {1e3 * height:g} mm above its place")
             client.place(PLANE, height=height)
