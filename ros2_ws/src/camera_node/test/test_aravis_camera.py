@@ -27,7 +27,6 @@ from fringedic_ros.testing import NodeProcess, Peer
 
 pytestmark = pytest.mark.hardware
 
-DOMAIN = 45
 ADDRESS = "127.0.0.1"
 NO_SCENE = Scene(0, None, 0.0)
 REGION = (0, 0, 640, 480)
@@ -161,7 +160,7 @@ class Viewer(Peer):
 
 @pytest.fixture
 def viewer() -> Iterator[Viewer]:
-    rclpy.init(domain_id=DOMAIN)
+    rclpy.init()
     viewer = Viewer()
     yield viewer
     viewer.destroy_node()
@@ -172,7 +171,7 @@ PARAMETERS = {"source": "aravis", "camera": ADDRESS, "region_px": "[0, 0, 640, 4
 
 
 def test_node_loses_its_camera_in_the_middle_of_a_stack(viewer: Viewer, tmp_path: Path) -> None:
-    with fake_camera() as process, NodeProcess("camera_node.camera_node", DOMAIN, tmp_path, PARAMETERS):
+    with fake_camera() as process, NodeProcess("camera_node.camera_node", tmp_path, PARAMETERS):
         assert viewer.capture(0).error_code == CaptureFrame.Request.NONE
         process.kill()
         process.wait()
@@ -186,7 +185,7 @@ def test_node_loses_its_camera_in_the_middle_of_a_stack(viewer: Viewer, tmp_path
 
 def test_node_streams_at_30_hz(viewer: Viewer, tmp_path: Path) -> None:
     parameters = {**PARAMETERS, "frame_rate_hz": 30.0}
-    with fake_camera(), NodeProcess("camera_node.camera_node", DOMAIN, tmp_path, parameters):
+    with fake_camera(), NodeProcess("camera_node.camera_node", tmp_path, parameters):
         viewer.wait(lambda: len(viewer.exposures) >= 60, "60 frames", 20)
     records = [frame_record(exposure) for exposure in viewer.exposures]
     indices = [record.index for record in records]

@@ -30,7 +30,6 @@ from fringedic_ros.records import calibration_message
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
 
-DOMAIN = 43
 MODULE = "camera_node.camera_node"
 PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "camera.md"
 Request = CaptureFrame.Request
@@ -89,7 +88,7 @@ class Studio(Peer):
 
 @pytest.fixture
 def studio() -> Iterator[Studio]:
-    rclpy.init(domain_id=DOMAIN)
+    rclpy.init()
     studio = Studio()
     yield studio
     studio.destroy_node()
@@ -115,7 +114,7 @@ def test_camera_info_tells_of_the_lens_once_calibrated(studio: Studio, tmp_path:
     )
     assert np.hypot(*(np.array(rig.camera_distortion.ideal(159.0, 119.0)) - [159, 119])) == pytest.approx(1.0)
     publisher = studio.create_publisher(RigCalibration, "calibration", LATCHED)
-    with NodeProcess(MODULE, DOMAIN, tmp_path, {"virtual_rig": '"{preset: plate, size: tiny}"'}):
+    with NodeProcess(MODULE, tmp_path, {"virtual_rig": '"{preset: plate, size: tiny}"'}):
         before = studio.frame(studio.capture().stamp)[1]
         assert list(before.k) == [0.0] * 9
         publisher.publish(calibration_message(rig, stamp_ns=1))
@@ -151,7 +150,7 @@ def test_virtual_frames_are_those_of_the_twin(studio: Studio, tmp_path: Path) ->
     studio.add_projector()
     studio.add_load_frame()
     steps = [(0, 0.1e-3), (1, 0.4e-3), (3, 0.3e-3)]  # step 2 was given up before its last frame
-    with NodeProcess(MODULE, DOMAIN, tmp_path, parameters):
+    with NodeProcess(MODULE, tmp_path, parameters):
         number, last_stamp = 0, 0
         for step, position in steps:
             studio.position = position
@@ -192,7 +191,7 @@ def test_virtual_frames_are_those_of_the_twin(studio: Studio, tmp_path: Path) ->
 def test_pattern_that_never_comes_and_then_the_next(studio: Studio, tmp_path: Path) -> None:
     studio.add_projector()
     white = np.full((75, 100), 250, np.uint8)
-    with NodeProcess(MODULE, DOMAIN, tmp_path, {"virtual_rig": '"{preset: plate, size: tiny}"', "timeout_s": 0.5}):
+    with NodeProcess(MODULE, tmp_path, {"virtual_rig": '"{preset: plate, size: tiny}"', "timeout_s": 0.5}):
         announced = to_msg(studio.get_clock().now().nanoseconds + 10**9)
         response = studio.capture(3, shown=announced)
         assert response.error_code == Request.CAMERA_TIMEOUT
@@ -218,7 +217,7 @@ def test_files_with_faults_and_what_comes_after(studio: Studio, tmp_path: Path) 
     save(folder, "3.png", pictures[3])
     save(folder, "4.tif", np.full((3, 4), 60000, np.uint16))
     parameters = {"source": "files", "files": str(folder), "timeout_s": 1.0}
-    with NodeProcess(MODULE, DOMAIN, tmp_path, parameters):
+    with NodeProcess(MODULE, tmp_path, parameters):
         first = studio.capture(0)
         np.testing.assert_array_equal(image_array(studio.frame(first.stamp)[0]), pictures[0])
         unreadable = studio.capture(1)
@@ -237,7 +236,7 @@ def test_files_with_faults_and_what_comes_after(studio: Studio, tmp_path: Path) 
 
 def test_waits_for_subscribers(studio: Studio, tmp_path: Path) -> None:
     save(tmp_path, "0.png", np.zeros((4, 4), np.uint8))
-    with NodeProcess(MODULE, DOMAIN, tmp_path, {"source": "files", "files": str(tmp_path), "timeout_s": 0.5}):
+    with NodeProcess(MODULE, tmp_path, {"source": "files", "files": str(tmp_path), "timeout_s": 0.5}):
         response = studio.capture(image_subscribers=2)
         assert (response.error_code, response.subscribers) == (Request.NO_SUBSCRIBER, 1)
         assert "camera/image_raw has 1 subscribers and 2 are expected" in response.error_message
@@ -254,7 +253,7 @@ def test_waits_for_subscribers(studio: Studio, tmp_path: Path) -> None:
 
 def test_viewers_of_images_alone_hold_nothing_up(studio: Studio, tmp_path: Path) -> None:
     save(tmp_path, "0.png", np.zeros((4, 4), np.uint8))
-    with NodeProcess(MODULE, DOMAIN, tmp_path, {"source": "files", "files": str(tmp_path), "timeout_s": 2.0}):
+    with NodeProcess(MODULE, tmp_path, {"source": "files", "files": str(tmp_path), "timeout_s": 2.0}):
         viewers = [Peer(f"viewer_{number}") for number in range(2)]
         for viewer in viewers:
             viewer.listen(Image, "camera/image_raw", IMAGES)
@@ -269,7 +268,7 @@ def test_free_run_counts_every_frame(studio: Studio, tmp_path: Path) -> None:
     for name in range(3):
         save(tmp_path, f"{name}.tif", np.full((40, 60), name, np.uint8))
     parameters = {"source": "files", "files": str(tmp_path), "repeat": "true", "frame_rate_hz": 50}
-    with NodeProcess(MODULE, DOMAIN, tmp_path, parameters):
+    with NodeProcess(MODULE, tmp_path, parameters):
         studio.wait(lambda: studio.exposures, "a frame of the free run")
         studio.forget()
         studio.wait(lambda: len(studio.exposures) >= 50, "frames of the free run")
@@ -288,7 +287,7 @@ def test_stopped_process_goes_on(studio: Studio, tmp_path: Path) -> None:
     """A camera process that is stopped answers when it continues; nothing is published twice."""
     for name in range(2):
         save(tmp_path, f"{name}.png", np.full((4, 4), name, np.uint8))
-    with NodeProcess(MODULE, DOMAIN, tmp_path, {"source": "files", "files": str(tmp_path)}) as node:
+    with NodeProcess(MODULE, tmp_path, {"source": "files", "files": str(tmp_path)}) as node:
         studio.capture(0)
         node.process.send_signal(signal.SIGSTOP)
         future = studio._capture.call_async(Request(experiment="test", index=1, count=2))
@@ -311,7 +310,7 @@ def test_stopped_process_goes_on(studio: Studio, tmp_path: Path) -> None:
     ],
 )
 def test_bad_parameters_end_the_start_in_words(tmp_path: Path, parameters: dict[str, object], words: str) -> None:
-    node = NodeProcess(MODULE, DOMAIN, tmp_path, parameters)
+    node = NodeProcess(MODULE, tmp_path, parameters)
     with pytest.raises(AssertionError, match="the process ended with 1"), node:
         node.process.wait(20)
     assert words in node.log

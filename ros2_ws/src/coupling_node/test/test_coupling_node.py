@@ -34,7 +34,6 @@ from fringedic_ros.records import calibration_message, exposure_message
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.testing import Bench, NodeProcess, fringe_step, of_stamp, white_step
 
-DOMAIN = 52
 POSITIONS = (0.0, 1.0e-4, 2.0e-4)  # crosshead of each step [m]
 SPACING = 2
 FIELDS = ["x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w", "u_t", "v_t", "w_n", "e_11", "e_22", "e_12"]
@@ -137,9 +136,9 @@ class CouplingBench(Bench):
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CouplingBench]:
-    rclpy.init(domain_id=DOMAIN)
+    rclpy.init()
     bench = CouplingBench()
-    with NodeProcess("coupling_node.coupling_node", DOMAIN, tmp_path_factory.mktemp("coupling")):
+    with NodeProcess("coupling_node.coupling_node", tmp_path_factory.mktemp("coupling")):
         bench.connect()
         yield bench
     bench.destroy_node()

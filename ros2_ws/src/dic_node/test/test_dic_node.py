@@ -18,7 +18,6 @@ from fringedic_ros.qos import DERIVED, EVENTS, LATCHED
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.testing import Bench, NodeProcess, of_stamp, white_step
 
-DOMAIN = 51
 POSITIONS = (0.0, 1.0e-4, 2.0e-4, 3.0e-4)  # crosshead of each step [m]
 
 
@@ -68,9 +67,9 @@ class DicBench(Bench):
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DicBench]:
-    rclpy.init(domain_id=DOMAIN)
+    rclpy.init()
     bench = DicBench()
-    with NodeProcess("dic_node.dic_node", DOMAIN, tmp_path_factory.mktemp("dic")):
+    with NodeProcess("dic_node.dic_node", tmp_path_factory.mktemp("dic")):
         bench.connect()
         yield bench
     bench.destroy_node()

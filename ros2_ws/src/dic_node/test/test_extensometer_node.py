@@ -19,7 +19,6 @@ from fringedic_ros.parameter_docs import documented
 from fringedic_ros.qos import IMAGES, STATE
 from fringedic_ros.testing import NodeProcess, Peer
 
-DOMAIN = 47
 ROWS, COLUMNS = 480, 640
 PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "extensometer.md"
 
@@ -66,9 +65,9 @@ class Rig(Peer):
 
 @pytest.fixture
 def rig(tmp_path: Path) -> Iterator[Rig]:
-    rclpy.init(domain_id=DOMAIN)
+    rclpy.init()
     rig = Rig()
-    with NodeProcess("dic_node.extensometer_node", DOMAIN, tmp_path, {"frame_timeout_s": 0.3}):
+    with NodeProcess("dic_node.extensometer_node", tmp_path, {"frame_timeout_s": 0.3}):
         rig.ready()
         yield rig
     rig.destroy_node()

@@ -27,7 +27,6 @@ from fringedic_ros.qos import DERIVED, EVENTS, IMAGES, LATCHED
 from fringedic_ros.stamps import to_msg
 from fringedic_ros.testing import NodeProcess, Peer
 
-DOMAIN = 54
 PITCHES = [100.0, 20.0, 5.0]
 SHIFTS = [3, 3, 3]
 GRID_PITCH = 2.8e-3
@@ -161,10 +160,10 @@ class Rig(Peer):
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     """The rig with an experiment node that serves all tests of this module and has no calibration yet."""
-    rclpy.init(domain_id=DOMAIN)
+    rclpy.init()
     rig = Rig()
     folder = tmp_path_factory.mktemp("calibration")
-    with NodeProcess("experiment_node.experiment_node", DOMAIN, folder, PARAMETERS | {"calibration_folder": folder}):
+    with NodeProcess("experiment_node.experiment_node", folder, PARAMETERS | {"calibration_folder": folder}):
         for client in (rig.distortion, rig.rig, rig.measure):
             rig.wait(client.server_is_ready, "an action server")
         yield rig

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -27,7 +26,6 @@ from fringedic_ros.qos import EVENTS, IMAGES, LATCHED
 from fringedic_ros.records import exposure_message
 from fringedic_ros.spinning import Spinning
 
-DOMAIN = 62
 FRAMES = 40  # more than the player has on their way at once
 FRINGES = Projection(PatternKind.FRINGES, Orientation.VERTICAL, 10.0, 1, 4)
 
@@ -119,7 +117,7 @@ class ScriptedNode(Node):
 
 @pytest.fixture
 def graph() -> Iterator[Callable[..., list[tuple[str, str, int]]]]:
-    rclpy.init(domain_id=DOMAIN)
+    rclpy.init()
     with Spinning() as spinning:
 
         def start(silent: str = "") -> list[tuple[str, str, int]]:
@@ -140,7 +138,6 @@ def play(bag: Path, **parameters: Any) -> subprocess.CompletedProcess[str]:
             *(sys.executable, "-c", "import sys; from experiment_node.player_node import main; sys.exit(main())"),
             *("--ros-args", "-r", "__ns:=/rig", *arguments),
         ],
-        env={**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)},
         capture_output=True,
         text=True,
         timeout=120,

@@ -27,8 +27,6 @@ from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, STATE
 from fringedic_ros.records import exposure_message
 from fringedic_ros.testing import NodeProcess, Peer
 
-DOMAIN = 60
-
 
 class Rig(Peer):
     """Publishes what a rig would."""
@@ -65,9 +63,8 @@ class Rig(Peer):
 
 
 @pytest.fixture
-def rig(monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
-    rclpy.init(domain_id=DOMAIN)
+def rig() -> Iterator[Rig]:
+    rclpy.init()
     node = Rig()
     yield node
     node.destroy_node()
@@ -75,7 +72,7 @@ def rig(monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
 
 
 def recorder(folder: Path, **parameters: Any) -> NodeProcess:
-    return NodeProcess("experiment_node.recorder_node", DOMAIN, folder, {"bag_path": str(folder / "bag")} | parameters)
+    return NodeProcess("experiment_node.recorder_node", folder, {"bag_path": str(folder / "bag")} | parameters)
 
 
 def test_what_was_published_is_in_the_bag_bit_by_bit(rig: Rig, tmp_path: Path) -> None:
@@ -178,8 +175,7 @@ def test_a_full_disk_fails_the_recording_and_keeps_what_was_written(rig: Rig, tm
     limited = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000)); "
     command = limited + "from experiment_node.recorder_node import main; sys.exit(main())"
     arguments = ["--ros-args", "-p", f"bag_path:={tmp_path / 'bag'}", "-p", "flush_interval_s:=0.1"]
-    environment = {**os.environ, "ROS_DOMAIN_ID": str(DOMAIN)}
-    with subprocess.Popen([sys.executable, "-c", command, *arguments], env=environment) as process:
+    with subprocess.Popen([sys.executable, "-c", command, *arguments]) as process:
         try:
             rig.connect()
             noise = np.random.default_rng(1).integers(0, 255, (1000, 1000), np.uint8)

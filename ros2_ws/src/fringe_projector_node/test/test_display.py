@@ -22,7 +22,6 @@ from fringedic_ros.testing import NodeProcess, Peer
 
 pytestmark = pytest.mark.hardware
 
-DOMAIN = 42
 WIDTH, HEIGHT = 640, 480
 
 
@@ -126,12 +125,12 @@ def test_window_that_is_lost_opens_again(display: VirtualDisplay, event: tuple, 
 
 def test_node_shows_on_the_display(display: VirtualDisplay, tmp_path: Path) -> None:
     """What the service answers for is on the display; a pattern of the set-up, too."""
-    rclpy.init(domain_id=DOMAIN)
+    rclpy.init()
     operator = Peer()
     show = operator.create_client(ShowPattern, "projector/show")
     parameters = {"screen": "display", "width_px": WIDTH, "height_px": HEIGHT}
     try:
-        with NodeProcess("fringe_projector_node.projector_node", DOMAIN, tmp_path, parameters):
+        with NodeProcess("fringe_projector_node.projector_node", tmp_path, parameters):
             operator.wait(show.service_is_ready, "the projector's service")
             for request, name in (
                 (ShowPattern.Request(kind=1, pitch=20.0, shift=2, shifts=4), ""),

@@ -21,7 +21,6 @@ from fringedic_ros.qos import LATCHED
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
 
-DOMAIN = 41
 WIDTH, HEIGHT = 100, 75
 PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "projector.md"
 
@@ -47,10 +46,10 @@ class Audience(Peer):
 
 @pytest.fixture(scope="module")
 def audience(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Audience]:
-    rclpy.init(domain_id=DOMAIN)
+    rclpy.init()
     audience = Audience()
     size = {"width_px": WIDTH, "height_px": HEIGHT}
-    with NodeProcess("fringe_projector_node.projector_node", DOMAIN, tmp_path_factory.mktemp("projector"), size):
+    with NodeProcess("fringe_projector_node.projector_node", tmp_path_factory.mktemp("projector"), size):
         yield audience
     audience.destroy_node()
     rclpy.shutdown()

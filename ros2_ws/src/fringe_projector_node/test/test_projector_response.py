@@ -16,7 +16,6 @@ from fringedic_ros.images import image_array
 from fringedic_ros.qos import LATCHED
 from fringedic_ros.testing import NodeProcess, Peer
 
-DOMAIN = 24
 WIDTH, HEIGHT = 100, 75
 
 
@@ -26,12 +25,12 @@ def test_patterns_make_up_for_the_response_curve(tmp_path: Path) -> None:
     curve = ResponseCurve.load(tmp_path / "response.yaml")
     parameters = {"width_px": WIDTH, "height_px": HEIGHT, "response_file": str(tmp_path / "response.yaml")}
     fringes = Projection(PatternKind.FRINGES, Orientation.VERTICAL, 25.0, 1, 4)
-    rclpy.init(domain_id=DOMAIN)
+    rclpy.init()
     audience = Peer()
     images: list[Image] = audience.listen(Image, "projector/image", LATCHED)
     show = audience.create_client(ShowPattern, "projector/show")
     try:
-        with NodeProcess("fringe_projector_node.projector_node", DOMAIN, tmp_path, parameters):
+        with NodeProcess("fringe_projector_node.projector_node", tmp_path, parameters):
             audience.wait(show.service_is_ready, "the projector's service")
             future = show.call_async(ShowPattern.Request(kind=int(fringes.kind), pitch=25.0, shift=1, shifts=4))
             audience.wait(future.done, "the projector's answer", 10)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import fcntl
+import itertools
 import os
 import re
 import signal
@@ -27,7 +28,8 @@ PATIENCE_S = {signal.SIGINT: 15.0, signal.SIGTERM: 5.0, signal.SIGKILL: 5.0}
 SHARED_MEMORY = Path("/dev/shm")
 _SEGMENT = re.compile(r"(?:sem\.)?(?P<name>fastrtps_(?:port\d+|[0-9a-f]{16}))(?:(?P<lock>_[es]l)|_mutex)?")
 # Domains above 101 would collide with the ports that Linux gives to outgoing connections.
-PRIVATE_DOMAINS = range(90, 102)
+PRIVATE_DOMAINS = range(62, 102)
+_taken = itertools.count(os.getpid())
 
 
 class RunningGraph:
@@ -166,12 +168,16 @@ def configuration(name: str) -> Path:
 def private_domain() -> Iterator[int]:
     """Set aside a ROS domain that no other replay on this machine uses.
 
+    Each search begins one domain further: a process that was killed stays in the graph of its domain for 20 s.
+
     Raises
     ------
     NoFreeDomainError
         All of them are taken.
     """
-    for domain in PRIVATE_DOMAINS:
+    first = next(_taken)
+    for turn in range(len(PRIVATE_DOMAINS)):
+        domain = PRIVATE_DOMAINS[(first + turn) % len(PRIVATE_DOMAINS)]
         if str(domain) == os.environ.get("ROS_DOMAIN_ID"):
             continue
         path = Path(tempfile.gettempdir()) / f"fringedic-domain-{domain}.{os.getuid()}.lock"

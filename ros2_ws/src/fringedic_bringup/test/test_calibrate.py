@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 from pathlib import Path
 
@@ -16,7 +17,6 @@ from fringedic_bringup.processes import configuration
 from fringedic_msgs.srv import PlaceReferencePlane
 from fringedic_ros.testing import Peer
 
-DOMAIN = 58
 Request = PlaceReferencePlane.Request
 
 
@@ -40,11 +40,11 @@ def test_an_operator_serves_the_plane_until_he_stops() -> None:
         asked.append(words)
         return "-10.00" not in words
 
-    rclpy.init(domain_id=DOMAIN)
+    rclpy.init()
     peer = Peer()
     place = peer.create_client(PlaceReferencePlane, "rig/reference_plane/place")
     try:
-        with RigClient("rig", domain=DOMAIN) as client:
+        with RigClient("rig", domain=int(os.environ["ROS_DOMAIN_ID"])) as client:
             client.serve_placing(placing_by(ask))
 
             def answer(**request: float) -> PlaceReferencePlane.Response:

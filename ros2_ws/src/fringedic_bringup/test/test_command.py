@@ -29,7 +29,6 @@ from fringedic_bringup.processes import (
 )
 from fringedic_bringup.run import drive, load_rig
 
-DOMAIN = "63"
 CONFIG = Path(__file__).parent.parent / "config"
 TINY = CONFIG / "tiny.yaml"
 
@@ -38,7 +37,7 @@ def fringedic_command(*words: str | Path, **environment: str) -> subprocess.Comp
     program = "from fringedic_bringup.command import main; main()"
     return subprocess.run(
         [sys.executable, "-c", program, *map(str, words)],
-        env={**os.environ, "ROS_DOMAIN_ID": DOMAIN, **environment},
+        env={**os.environ, **environment},
         capture_output=True,
         text=True,
         timeout=240,
@@ -266,7 +265,6 @@ def start_run(folder: Path, *words: str | Path) -> tuple[subprocess.Popen[str], 
     with output.open("w") as said, errors.open("w") as complaints:
         process = subprocess.Popen(
             [sys.executable, "-u", "-c", program, "run", str(TINY), *map(str, words)],
-            env={**os.environ, "ROS_DOMAIN_ID": DOMAIN},
             stdout=said,
             stderr=complaints,
             text=True,

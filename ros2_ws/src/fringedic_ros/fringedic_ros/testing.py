@@ -43,20 +43,18 @@ class NodeProcess:
     ----------
     module
         Module whose `main` runs the node.
-    domain
-        ROS domain.
     folder
         Where its log goes.
     parameters
         Values of its parameters, as YAML understands them.
     """
 
-    def __init__(self, module: str, domain: int, folder: Path, parameters: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, module: str, folder: Path, parameters: Mapping[str, Any] | None = None) -> None:
         self._log = folder / f"{module}.log"
         self._command = [sys.executable, "-c", f"import sys; from {module} import main; sys.exit(main())"]
         values = (parameters or {}).items()
         self._command += ["--ros-args", *(word for name, value in values for word in ("-p", f"{name}:={value}"))]
-        self._environment = {**os.environ, "ROS_DOMAIN_ID": str(domain), "ROS_PYTHON_CHECK_FIELDS": "1"}
+        self._environment = {**os.environ, "ROS_PYTHON_CHECK_FIELDS": "1"}
 
     @property
     def log(self) -> str:

@@ -13,7 +13,7 @@ from fringedic_ros.spinning import Spinning
 @pytest.fixture
 def ros() -> Iterator[None]:
     """An initialised default context."""
-    rclpy.init(domain_id=40)
+    rclpy.init()
     yield
     rclpy.try_shutdown()
 

@@ -15,8 +15,6 @@ from fringedic_ros.processing import JOINED_STEPS, QUEUED_STEPS, Outcome, Proces
 from fringedic_ros.qos import EVENTS
 from fringedic_ros.testing import Peer
 
-DOMAIN = 50
-
 
 class NoParameters(BaseModel):
     """A node without parameters."""
@@ -24,7 +22,7 @@ class NoParameters(BaseModel):
 
 @pytest.fixture
 def peer() -> Iterator[Peer]:
-    rclpy.init(domain_id=DOMAIN)
+    rclpy.init()
     peer = Peer()
     yield peer
     peer.destroy_node()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 import signal
 import subprocess
 import sys
@@ -234,10 +233,8 @@ sys.exit(run({"good": lambda: Node("good"), "failing": Failing, "refused": refus
     ],
 )
 def test_process_ends_as_it_should(which: str, sent: signal.Signals | None, code: int, words: str) -> None:
-    environment = {**os.environ, "ROS_DOMAIN_ID": "40"}
     with subprocess.Popen(
         [sys.executable, "-c", NODE_PROGRAM, which],
-        env=environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

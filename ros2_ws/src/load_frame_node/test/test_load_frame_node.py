@@ -22,7 +22,6 @@ from fringedic_ros.qos import STATE
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
 
-DOMAIN = 42
 MM = 1e-3
 PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "load_frame.md"
 Result = MoveCrosshead.Result
@@ -70,9 +69,9 @@ class Operator(Peer):
 
 @pytest.fixture(scope="module")
 def operator(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Operator]:
-    rclpy.init(domain_id=DOMAIN)
+    rclpy.init()
     operator = Operator()
-    with NodeProcess("load_frame_node.load_frame_node", DOMAIN, tmp_path_factory.mktemp("load_frame")):
+    with NodeProcess("load_frame_node.load_frame_node", tmp_path_factory.mktemp("load_frame")):
         yield operator
     operator.destroy_node()
     rclpy.shutdown()

@@ -29,7 +29,6 @@ from fringedic_ros.testing import NodeProcess, Peer
 from load_frame_node.machines import Machine, Sample, load_machine, open_machine
 from load_frame_node.machines.machine import Motion
 
-DOMAIN = 46
 HERE = Path(__file__).parent
 MM = 1e-3
 LIMITS = {"lowest_mm": 0.0, "highest_mm": 1.0, "fastest_mm_per_s": 5.0}
@@ -286,7 +285,7 @@ class Operator(Peer):
 
 @pytest.fixture
 def operator() -> Iterator[Operator]:
-    rclpy.init(domain_id=DOMAIN)
+    rclpy.init()
     operator = Operator()
     yield operator
     operator.destroy_node()
@@ -298,7 +297,7 @@ def test_node_drives_a_modbus_machine_that_is_lost_and_found(operator: Operator,
     parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
     with server("modbus_machine.py") as (process, port):
         path.write_text(yaml.safe_dump({**description("modbus", port), "timeout_s": 0.3}))
-        with NodeProcess("load_frame_node.load_frame_node", DOMAIN, tmp_path, parameters):
+        with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters):
             arrived = operator.move(0.3 * MM, 1.0 * MM)
             assert (arrived.error_code, arrived.error_message) == (MoveCrosshead.Result.NONE, "")
             assert arrived.position == pytest.approx(0.3 * MM, abs=1e-8)
@@ -342,7 +341,7 @@ def test_node_listens_to_a_controller(operator: Operator, tmp_path: Path) -> Non
         "force_axis": "x",
         "force_sign": -1,
     }
-    with NodeProcess("load_frame_node.load_frame_node", DOMAIN, tmp_path, parameters):
+    with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters):
         held = operator.until(LoadState.HOLD)
         assert (held.force, held.position) == (120.0, 0.2 * MM)
         refused = operator.move(0.1 * MM, 1.0 * MM)

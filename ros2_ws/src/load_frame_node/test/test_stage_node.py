@@ -18,7 +18,6 @@ from fringedic_ros.qos import LATCHED
 from fringedic_ros.spinning import Spinning
 from load_frame_node.stage_node import StageNode
 
-DOMAIN = 56
 PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "stage.md"
 Request = PlaceReferencePlane.Request
 
@@ -56,7 +55,7 @@ class Rig:
 
 @pytest.fixture(scope="module")
 def rig() -> Iterator[Rig]:
-    rclpy.init(domain_id=DOMAIN)
+    rclpy.init()
     with Spinning() as spinning:
         yield Rig(spinning)
     rclpy.try_shutdown()

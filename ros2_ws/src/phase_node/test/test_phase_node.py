@@ -22,7 +22,6 @@ from fringedic_ros.qos import DERIVED
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.testing import Bench, Frame, NodeProcess, fringe_step, of_stamp, white_step
 
-DOMAIN = 50
 MAPS = ("map", "sigma", "modulation", "texture")
 Frames = list[Frame]
 
@@ -55,9 +54,9 @@ def assert_identical(bench: PhaseBench, result: PhaseResult) -> None:
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PhaseBench]:
-    rclpy.init(domain_id=DOMAIN)
+    rclpy.init()
     bench = PhaseBench()
-    with NodeProcess("phase_node.phase_node", DOMAIN, tmp_path_factory.mktemp("phase")):
+    with NodeProcess("phase_node.phase_node", tmp_path_factory.mktemp("phase")):
         bench.connect()
         yield bench
     bench.destroy_node()
