@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.fft import irfft2, next_fast_len, rfft2
-from scipy.interpolate import CubicSpline
 from scipy.ndimage import correlate1d
 
 from fringedic.advice_report import report
@@ -20,6 +18,7 @@ from fringedic.correlation import Reference, measure_displacement
 from fringedic.correlation.dense import NARROWER, ORDER, window_of
 from fringedic.correlation.images import SMALLEST_WINDOW, checked_image, checked_mask
 from fringedic.errors import AdviceError, ShapeMismatchError
+from fringedic.image_quality import image_noise, mean_gradient, texture
 
 KEPT = 0.9  # of the amplitude of the shortest displacement wave that counts as resolved
 FIRST_WINDOW = 32  # [px], what the noise is measured with before a window is recommended
@@ -188,8 +187,8 @@ def advise_settings(
     grey = stored[0][seen]
     low, high = (float(value) for value in np.percentile(grey, (1, 99)))
     images = [np.where(seen, image, 0).astype(np.float64) for image in stored]
-    noise = _image_noise(images[1], images[2], seen)
-    feature_size, contrast = _texture(images[1], images[2], seen)
+    noise = image_noise(images[1], images[2], seen)
+    feature_size, contrast = texture(images[1], images[2], seen)
 
     limit = min(shape) // 2
     first = min(FIRST_WINDOW, limit)
@@ -210,7 +209,7 @@ def advise_settings(
         image_noise=noise,
         contrast=contrast,
         feature_size=feature_size,
-        mean_gradient=_mean_gradient(np.mean(images, axis=0), seen),
+        mean_gradient=mean_gradient(np.mean(images, axis=0), seen),
         window=window,
         spacing=spacing,
         strain_window=int(strain_window),
@@ -256,78 +255,6 @@ def _quantisation(grey: np.ndarray) -> float:
         return math.nan
     levels = np.unique(grey)
     return float(np.gcd.reduce(np.diff(levels))) if levels.size > 1 else math.nan
-
-
-def _image_noise(first: Image, second: Image, seen: NDArray[np.bool_]) -> float:
-    """Noise of a pixel from the difference of two exposures, without what a small drift and flicker put into it.
-
-    The difference is regressed on brightness, the image and its gradient: a brightness change of the form a + b f and a
-    motion d (as -d.grad f, to first order) do not count as noise.
-    """
-    mean = np.asarray(0.5 * (first + second))
-    along_x, along_y = _gradient(mean)
-    inner = _eroded(seen)
-    basis = np.stack([np.ones(int(inner.sum())), mean[inner], along_x[inner], along_y[inner]], axis=1)
-    difference = second[inner] - first[inner]
-    explained = basis @ np.linalg.lstsq(basis, difference, rcond=None)[0]
-    return float(np.std(difference - explained) / math.sqrt(2))
-
-
-def _gradient(image: Image) -> tuple[Image, Image]:
-    """Central differences along columns and rows."""
-    return np.asarray(np.gradient(image, axis=1)), np.asarray(np.gradient(image, axis=0))
-
-
-def _eroded(seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Pixels whose four neighbours are seen, where central differences hold."""
-    inner = np.zeros_like(seen)
-    inner[1:-1, 1:-1] = seen[1:-1, 1:-1] & seen[:-2, 1:-1] & seen[2:, 1:-1] & seen[1:-1, :-2] & seen[1:-1, 2:]
-    return inner
-
-
-def _mean_gradient(image: Image, seen: NDArray[np.bool_]) -> float:
-    """Mean intensity gradient: mean magnitude of central differences [grey level / px]."""
-    along_x, along_y = _gradient(image)
-    return float(np.mean(np.hypot(along_x, along_y)[_eroded(seen)]))
-
-
-def _texture(first: Image, second: Image, seen: NDArray[np.bool_]) -> tuple[tuple[float, float], float]:
-    """Feature size along columns and rows [px] and standard deviation of the texture [grey level].
-
-    From the correlation of two exposures, in which their noise has no part, after shading of second order is removed.
-    """
-    rows, columns = first.shape
-    y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, columns), indexing="ij")
-    basis = np.stack([part[seen] for part in (np.ones_like(x), x, y, x * x, x * y, y * y)], axis=1)
-
-    def flat(image: Image) -> Image:
-        out = np.zeros_like(image)
-        out[seen] = image[seen] - basis @ np.linalg.lstsq(basis, image[seen], rcond=None)[0]
-        return out
-
-    size = (next_fast_len(2 * rows, real=True), next_fast_len(2 * columns, real=True))
-
-    def correlated(a: Image, b: Image) -> Image:
-        return np.asarray(irfft2(np.conj(rfft2(a, size)) * rfft2(b, size), size))
-
-    overlap = correlated(seen.astype(np.float64), seen.astype(np.float64))
-    covariance = correlated(flat(first), flat(second)) / np.maximum(overlap, 0.5)
-    height = float(covariance[0, 0])
-    if height <= 0:
-        return (math.nan, math.nan), 0.0
-    along_x, along_y = covariance[0, : columns // 2] / height, covariance[: rows // 2, 0] / height
-    return (_half_height_width(along_x), _half_height_width(along_y)), math.sqrt(height)
-
-
-def _half_height_width(correlation: Image) -> float:
-    """Full width [px] of a symmetric peak, given from its centre on, at half its height; NaN where it does not fall."""
-    below = np.flatnonzero(correlation < 0.5)
-    if below.size == 0:
-        return math.nan
-    last = min(int(below[0]) + 3, correlation.size - 1)
-    lags = np.arange(-last, last + 1)
-    crossings = np.asarray(CubicSpline(lags, correlation[np.abs(lags)]).solve(0.5, extrapolate=False))
-    return float(2 * crossings[crossings > 0].min())
 
 
 @dataclass(frozen=True)
