@@ -122,7 +122,8 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         # the displacement is what is waited for; the shape, at every pixel, is larger
         for publisher, fields in ((self._displacement, result.displacement), (self._shape, result.shape)):
             publisher.publish(cloud_message(fields, stamp_ns=stamp, frame_id=FRAME))
-        return Outcome(result.valid_fraction, result.rms, status.frames)
+        remark = f"heights are off by an unknown height: {status.error_message}" if status.relative else ""
+        return Outcome(result.valid_fraction, result.rms, status.frames, remark, status.relative)
 
 
 def main() -> int:

@@ -17,6 +17,7 @@ from fringedic.errors import (
     FrameLateError,
     FrameMismatchError,
     FrameMissingError,
+    FramesOutOfOrderError,
     ImageMessageError,
     ImageSizeError,
     InvalidSequenceError,
@@ -25,6 +26,7 @@ from fringedic.errors import (
     ShapeMismatchError,
     TexturelessImageError,
     TooFewValidError,
+    WrongPatternError,
 )
 from fringedic_msgs.msg import NodeStatus, StepStatus
 from fringedic_ros.diagnostics import NodeDiagnostics
@@ -33,9 +35,11 @@ from fringedic_ros.qos import EVENTS
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.work import Worker
 
-ERROR_CODES: dict[type[Exception], int] = {
+ERROR_CODES: dict[type[Exception], int] = {  # the first that fits counts
     FrameMissingError: NodeStatus.FRAME_MISSING,
     FrameDoubledError: NodeStatus.FRAME_DOUBLED,
+    WrongPatternError: NodeStatus.PATTERN_NOT_SEEN,
+    FramesOutOfOrderError: NodeStatus.PATTERN_NOT_SEEN,
     FrameMismatchError: NodeStatus.FRAME_MISMATCH,
     ImageMessageError: NodeStatus.FRAME_MISMATCH,
     InvalidSequenceError: NodeStatus.FRAME_MISMATCH,
@@ -67,12 +71,15 @@ class Outcome:
         Frames used.
     remark
         What should be known about a good result; the status' message, and a warning in the log.
+    relative
+        The phase is true up to whole fringes only.
     """
 
     valid_fraction: float = nan
     rms: float = nan
     frames: int = 0
     remark: str = ""
+    relative: bool = False
 
 
 class StampJoin:
@@ -227,6 +234,7 @@ class ProcessingNode(Node, Generic[ModelT]):
             error_code=code,
             error_message=message,
             valid_fraction=outcome.valid_fraction,
+            relative=outcome.relative,
             rms=outcome.rms,
             frames=outcome.frames,
             duration=duration,

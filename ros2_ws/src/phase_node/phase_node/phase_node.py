@@ -63,7 +63,9 @@ class PhaseNode(ProcessingNode[PhaseParameters]):
         if self._preview.get_subscription_count():
             colours = phase_preview(result.phase)
             self._preview.publish(image_message(colours, stamp_ns=result.stamp, frame_id=FRAME))
-        return Outcome(result.valid_fraction, result.rms, len(stack.records), "; ".join(result.remarks))
+        return Outcome(
+            result.valid_fraction, result.rms, len(stack.records), "; ".join(result.remarks), result.relative
+        )
 
 
 def main() -> int:
