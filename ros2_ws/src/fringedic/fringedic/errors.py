@@ -61,6 +61,10 @@ class CameraTimeoutError(CameraError, TimeoutError):
     """The camera did not deliver a frame in time."""
 
 
+class ClockJumpError(CameraError):
+    """The clock of a camera or of this computer was set between two frames."""
+
+
 class CloudMessageError(FringedicError, ValueError):
     """A point cloud message contradicts itself or is of a kind that is not supported."""
 
@@ -327,3 +331,7 @@ class FlickerError(FrameMismatchError):
 
 class MovedSurfaceError(FrameMismatchError):
     """The surface moved between the frames of a step."""
+
+
+class RegionError(FringedicError, ValueError):
+    """An image has no such region."""
