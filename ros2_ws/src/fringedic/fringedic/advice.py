@@ -18,7 +18,7 @@ from fringedic.correlation import Reference, measure_displacement
 from fringedic.correlation.dense import NARROWER, ORDER, window_of
 from fringedic.correlation.images import SMALLEST_WINDOW, checked_image, checked_mask
 from fringedic.errors import AdviceError, ShapeMismatchError
-from fringedic.image_quality import image_noise, mean_gradient, texture
+from fringedic.image_quality import full_scale_of, image_noise, mean_gradient, texture
 
 KEPT = 0.9  # of the amplitude of the shortest displacement wave that counts as resolved
 FIRST_WINDOW = 32  # [px], what the noise is measured with before a window is recommended
@@ -182,7 +182,7 @@ def advise_settings(
     if allowed is not None:
         seen &= allowed
 
-    largest = _full_scale(stored) if full_scale is None else float(full_scale)
+    largest = full_scale_of(stored) if full_scale is None else float(full_scale)
     step = _quantisation(stored[0][seen])
     grey = stored[0][seen]
     low, high = (float(value) for value in np.percentile(grey, (1, 99)))
@@ -237,16 +237,6 @@ def shortest_period(window: int) -> float:
     passed = h / (h + (1 - h) * (1 - v) ** ORDER)
     q = math.sqrt(q2[np.argmax(passed < KEPT)])
     return math.sqrt(2) * math.pi * window_of(window).deviation / q
-
-
-def _full_scale(images: list[np.ndarray]) -> float:
-    """Full scale of the fewest usual bits that hold every pixel; NaN for real numbers."""
-    if not all(np.issubdtype(image.dtype, np.integer) for image in images):
-        return math.nan
-    if all(image.dtype == np.uint8 for image in images):
-        return 255.0
-    brightest = max(int(image.max()) for image in images)
-    return float(next(2**bits - 1 for bits in (8, 10, 12, 14, 16) if brightest < 2**bits))
 
 
 def _quantisation(grey: np.ndarray) -> float:

@@ -1,8 +1,9 @@
-"""What images are, before anything is measured in them: noise of a pixel, size and contrast of the texture, gradient."""
+"""What images are, before anything is measured in them: grey levels, noise, size and contrast of the texture."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,16 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.interpolate import CubicSpline
 
 Image = NDArray[np.float64]
+
+
+def full_scale_of(images: Sequence[np.ndarray]) -> float:
+    """Full scale of the fewest usual bits (8, 10, 12, 14, 16) that hold every pixel; NaN for real numbers."""
+    if not all(np.issubdtype(image.dtype, np.integer) for image in images):
+        return math.nan
+    if all(image.dtype == np.uint8 for image in images):
+        return 255.0
+    brightest = max(int(image.max()) for image in images)
+    return float(next(2**bits - 1 for bits in (8, 10, 12, 14, 16) if brightest < 2**bits))
 
 
 def image_noise(first: Image, second: Image, seen: NDArray[np.bool_]) -> float:
