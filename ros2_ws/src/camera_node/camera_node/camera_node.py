@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from pathlib import Path
 from typing import Literal, Self
 
@@ -19,6 +20,7 @@ from camera_node.drivers import (
     Frame,
     PlacedPlane,
     Scene,
+    ShownPattern,
     StreamingDriver,
     Trigger,
     VirtualDriver,
@@ -45,6 +47,7 @@ Request = CaptureFrame.Request
 _TRUTH_TIMEOUT_S = 10.0
 _BUFFERS = 4  # exposures of the free run that may be under way, as in a camera driver
 _BROWN_RESIDUAL_PX = 0.05
+_KEPT_PATTERNS = 16  # that a slow projector may still show beside the latest
 _LOST_CAMERA_PAUSE_S = 0.05  # between attempts to take a frame
 
 
@@ -135,7 +138,7 @@ class CameraNode(HardwareNode[CameraParameters]):
         self._dropped = 0
         self._dropped_before = 0  # by the driver, when the free run began
         self._stamp_ns = 0
-        self._pattern: Image | None = None
+        self._patterns: deque[Image] = deque(maxlen=_KEPT_PATTERNS)
         self._load: LoadState | None = None
         self._plane: PlacedPlane | None = None
         self._placed_ns = 0
@@ -223,7 +226,7 @@ class CameraNode(HardwareNode[CameraParameters]):
     # the scene of a virtual camera
 
     def _take_pattern(self, message: Image) -> None:
-        self._pattern = message
+        self._patterns.append(message)
         self._scene_changed.notify()
 
     def _take_load(self, message: LoadState) -> None:
@@ -240,16 +243,17 @@ class CameraNode(HardwareNode[CameraParameters]):
     async def _scene(self, shown_ns: int, placed_ns: int) -> Scene:
         """What the camera sees now: the pattern that was shown and the specimen at the middle of the exposure."""
         timeout = self.parameters.value.timeout_s
-        stamp = self.get_clock().now().nanoseconds + round(self.parameters.value.exposure_time_s * 1e9 / 2)
+        exposure_time = self.parameters.value.exposure_time_s
+        stamp = self.get_clock().now().nanoseconds + round(exposure_time * 1e9 / 2)
         if not self._needs_scene():
-            return Scene(stamp, None, 0.0)
+            return Scene(stamp, (), 0.0, None, exposure_time)
         if shown_ns:
             await self._scene_changed.wait(
-                lambda: self._pattern is not None and to_nanoseconds(self._pattern.header.stamp) >= shown_ns,
+                lambda: self._shown_ns() >= shown_ns,
                 timeout,
                 f"the pattern shown at {shown_ns} ns on projector/image",
             )
-        if shown_ns and self._pattern is not None and to_nanoseconds(self._pattern.header.stamp) != shown_ns:
+        if shown_ns and self._shown_ns() != shown_ns:
             raise CameraError(f"the projector shows another pattern already than that of {shown_ns} ns")
         if placed_ns > self._placed_ns:
             await self._scene_changed.wait(
@@ -261,8 +265,16 @@ class CameraNode(HardwareNode[CameraParameters]):
                 timeout,
                 "a sample of load_frame/state during the exposure",
             )
-        pattern = None if self._pattern is None else image_array(self._pattern)
-        return Scene(stamp, pattern, 0.0 if self._load is None else self._load.position, self._plane)
+        position = 0.0 if self._load is None else self._load.position
+        return Scene(stamp, self._shown(), position, self._plane, exposure_time)
+
+    def _shown_ns(self) -> int:
+        """When the latest pattern was shown [ns]; 0 before the first."""
+        return to_nanoseconds(self._patterns[-1].header.stamp) if self._patterns else 0
+
+    def _shown(self) -> tuple[ShownPattern, ...]:
+        """The latest patterns, oldest first."""
+        return tuple(ShownPattern(image_array(each), to_nanoseconds(each.header.stamp)) for each in self._patterns)
 
     def _needs_scene(self) -> bool:
         return self._driver is not None and self._driver.needs_scene
@@ -394,9 +406,10 @@ class CameraNode(HardwareNode[CameraParameters]):
 
     def _take_free_frame(self, number: int) -> None:
         """Take and publish one frame of the free run; in the worker's thread."""
-        pattern = None if self._pattern is None else image_array(self._pattern)
         position = 0.0 if self._load is None else self._load.position
-        if not self._publish_free_frame(Scene(self.get_clock().now().nanoseconds, pattern, position), number):
+        exposure_time = self.parameters.value.exposure_time_s
+        scene = Scene(self.get_clock().now().nanoseconds, self._shown(), position, None, exposure_time)
+        if not self._publish_free_frame(scene, number):
             self._dropped += 1
             self.diagnostics.drop()
 
@@ -405,7 +418,7 @@ class CameraNode(HardwareNode[CameraParameters]):
         taken = 0
         while self._streaming:
             dropped = driver.dropped
-            if self._publish_free_frame(Scene(self.get_clock().now().nanoseconds, None, 0.0), taken):
+            if self._publish_free_frame(Scene(self.get_clock().now().nanoseconds, (), 0.0), taken):
                 taken += 1
             else:
                 time.sleep(_LOST_CAMERA_PAUSE_S)

@@ -28,7 +28,7 @@ from fringedic_ros.testing import NodeProcess, Peer
 pytestmark = pytest.mark.hardware
 
 ADDRESS = "127.0.0.1"
-NO_SCENE = Scene(0, None, 0.0)
+NO_SCENE = Scene(0, (), 0.0)
 REGION = (0, 0, 640, 480)
 
 

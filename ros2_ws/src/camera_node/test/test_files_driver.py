@@ -13,7 +13,7 @@ from camera_node.drivers import FilesDriver, Scene
 from camera_node.drivers.files import read_grey
 from fringedic.errors import CameraError
 
-SCENE = Scene(0, None, 0.0)
+SCENE = Scene(0, (), 0.0)
 
 
 def levels(dtype: type, *shape: int) -> np.ndarray:

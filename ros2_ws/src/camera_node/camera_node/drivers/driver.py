@@ -26,6 +26,22 @@ class PlacedPlane:
 
 
 @dataclass(frozen=True)
+class ShownPattern:
+    """An image that the projector was given.
+
+    Attributes
+    ----------
+    image
+        uint8, (row, column).
+    shown_ns
+        When it was handed over [ns].
+    """
+
+    image: np.ndarray
+    shown_ns: int
+
+
+@dataclass(frozen=True)
 class Scene:
     """What is in front of a virtual camera; real cameras see for themselves.
 
@@ -33,18 +49,21 @@ class Scene:
     ----------
     stamp_ns
         Middle of the exposure [ns].
-    pattern
-        Image on the projector, uint8 (row, column); None: the projector is dark.
+    patterns
+        The latest images that the projector was given, oldest first; none: the projector is dark.
     position
         Crosshead position [m].
     plane
         What the stage holds; None: the specimen is there.
+    exposure_time
+        [s].
     """
 
     stamp_ns: int
-    pattern: np.ndarray | None
+    patterns: tuple[ShownPattern, ...]
     position: float
     plane: PlacedPlane | None = None
+    exposure_time: float = 0.01
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from camera_node.drivers.driver import Frame, PlacedPlane, Scene
-from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
+from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration, pattern_weights
 
 
 class VirtualDriver:
@@ -29,13 +29,30 @@ class VirtualDriver:
 
     def expose(self, scene: Scene) -> Frame:
         """Render what the camera sees of a scene."""
-        pattern = self._dark() if scene.pattern is None else scene.pattern
-        image = self._rig_with(scene.plane).expose(pattern, scene.position, self._frames)
+        white = self.rig.configuration.sensor.exposure_ms
+        image = self._rig_with(scene.plane).expose_parts(
+            self._parts(scene),
+            scene.position,
+            self._frames,
+            exposure_factor=1.0 if white is None else 1e3 * scene.exposure_time / white,
+        )
         self._frames += 1
         return Frame(image, scene.stamp_ns)
 
     def close(self) -> None:
         """Nothing is kept open."""
+
+    def _parts(self, scene: Scene) -> list[tuple[np.ndarray, float]]:
+        """What the projector's light during the exposure is made of."""
+        if not scene.patterns:
+            return [(self._dark(), 1.0)]
+        projector = self.rig.configuration.projector
+        if projector.is_immediate:
+            return [(scene.patterns[-1].image, 1.0)]
+        shown = [pattern.shown_ns for pattern in scene.patterns]
+        start = scene.stamp_ns - round(0.5e9 * scene.exposure_time)
+        weights = pattern_weights(projector, self.rig.configuration.seed, shown, start, scene.exposure_time)
+        return [(pattern.image, float(weight)) for pattern, weight in zip(scene.patterns, weights, strict=True)]
 
     def _rig_with(self, plane: PlacedPlane | None) -> VirtualRig:
         """The rig in front of the specimen, or of the reference plane; the latest place of that is kept."""

@@ -5,6 +5,15 @@ It imports nothing from the measuring modules: matrices and ray tracing are its 
 
 from fringedic.virtual_rig.configuration import VirtualRigConfiguration, preset
 from fringedic.virtual_rig.load_frame import LoadMode, LoadSample, SimulatedLoadFrame
+from fringedic.virtual_rig.projector_timing import pattern_weights
 from fringedic.virtual_rig.rig import VirtualRig
 
-__all__ = ["LoadMode", "LoadSample", "SimulatedLoadFrame", "VirtualRig", "VirtualRigConfiguration", "preset"]
+__all__ = [
+    "LoadMode",
+    "LoadSample",
+    "SimulatedLoadFrame",
+    "VirtualRig",
+    "VirtualRigConfiguration",
+    "pattern_weights",
+    "preset",
+]

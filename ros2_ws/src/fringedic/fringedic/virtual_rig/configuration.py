@@ -85,6 +85,25 @@ class ProjectorConfiguration(_Section):
         le=10,
         description="Standard deviation of the lens's point spread, added to the pixel's square.",
     )
+    delay_ms: float = Field(
+        default=0.0, ge=0, le=1000, description="From a pattern that is handed over to its first light."
+    )
+    jitter_ms: float = Field(
+        default=0.0, ge=0, le=1000, description="Every pattern's delay is up to this longer or shorter, evenly."
+    )
+    rise_ms: float = Field(
+        default=0.0, ge=0, le=1000, description="Time constant with which the light follows the pattern."
+    )
+    refresh_hz: float = Field(default=0.0, ge=0, le=10_000, description="Rate of the light's pulses; 0: steady light.")
+    refresh_duty: float = Field(
+        default=1.0, gt=0, le=1, description="Part of each refresh with light, as much brighter as it is shorter."
+    )
+
+    @property
+    def is_immediate(self) -> bool:
+        """The light is steady and follows a pattern at once."""
+        steady = self.refresh_hz == 0.0 or self.refresh_duty == 1.0
+        return steady and self.delay_ms == self.jitter_ms == self.rise_ms == 0.0
 
 
 class SensorConfiguration(_Section):
@@ -93,6 +112,11 @@ class SensorConfiguration(_Section):
     bits: Literal[8, 10, 12, 16] = Field(default=8, description="Digits per pixel; more than 8 give 16-bit images.")
     white_level: float = Field(
         default=0.82, gt=0, le=2, description="Full white on unpainted surface at the origin, part of the full scale."
+    )
+    exposure_ms: float | None = Field(
+        default=None,
+        gt=0,
+        description="Exposure time of that white level; none: images are equally bright at every exposure time.",
     )
     ambient_light: float = Field(default=0.02, ge=0, le=1, description="Room light relative to the projector's white.")
     background: float = Field(

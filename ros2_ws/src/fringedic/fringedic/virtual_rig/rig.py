@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from typing import Any, Self
@@ -189,15 +189,39 @@ class VirtualRig:
         CrossheadRangeError
             The position is outside the specimen's range.
         """
-        if projector_image.shape != self.projector_shape or projector_image.dtype != np.uint8:
-            raise ShapeMismatchError(
-                f"the projector shows uint8 images of {self.projector_shape} rows and columns, "
-                f"not {projector_image.dtype} of {projector_image.shape}"
-            )
+        return self.expose_parts([(projector_image, 1.0)], position, frame, exposure_factor=exposure_factor)
+
+    def expose_parts(
+        self,
+        parts: Sequence[tuple[NDArray[np.uint8], float]],
+        position: float,
+        frame: int,
+        *,
+        exposure_factor: float = 1.0,
+    ) -> NDArray[np.unsignedinteger]:
+        """Take one picture during which the projector's light changed.
+
+        Parameters
+        ----------
+        parts
+            What the projector showed, uint8 (projector rows, projector columns), each with its part of the light of a
+            whole exposure; see `pattern_weights`.
+        position, frame, exposure_factor
+            See `expose`, and so are result and errors.
+        """
         view = self.view(position)
+        light = np.zeros(self.shape, np.float32)
+        for projector_image, weight in parts:
+            if projector_image.shape != self.projector_shape or projector_image.dtype != np.uint8:
+                raise ShapeMismatchError(
+                    f"the projector shows uint8 images of {self.projector_shape} rows and columns, "
+                    f"not {projector_image.dtype} of {projector_image.shape}"
+                )
+            if weight > 0.0:
+                light += np.float32(weight) * self._light(view, projector_image)
         sensor = self.configuration.sensor
         image = np.empty(self.shape, np.uint8 if sensor.bits == 8 else np.uint16)
-        level = np.float32(exposure_factor) * (view.gain * self._light(view, projector_image) + view.offset)
+        level = np.float32(exposure_factor) * (view.gain * light + view.offset)
         if sensor.lens_blur_px > 0.0:
             level = gaussian_filter(level, sensor.lens_blur_px, mode="nearest")
         exposure.expose_sensor(
