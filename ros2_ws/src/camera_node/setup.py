@@ -15,6 +15,7 @@ setup(
     entry_points={
         "console_scripts": [
             "camera = camera_node.camera_node:main",
+            "live_view = camera_node.live_view_node:main",
         ],
     },
 )

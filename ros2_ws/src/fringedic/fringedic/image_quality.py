@@ -46,8 +46,12 @@ def image_noise(first: Image, second: Image, seen: NDArray[np.bool_]) -> float:
     inner = _eroded(seen)
     basis = np.stack([np.ones(int(inner.sum())), mean[inner], along_x[inner], along_y[inner]], axis=1)
     difference = second[inner] - first[inner]
-    explained = basis @ np.linalg.lstsq(basis, difference, rcond=None)[0]
-    return float(np.std(difference - explained) / math.sqrt(2))
+    return float(np.std(difference - _explained(basis, difference)) / math.sqrt(2))
+
+
+def _explained(basis: Image, values: Image) -> Image:
+    """The part of values that a basis (value, function) explains; by normal equations, as it has few functions."""
+    return np.asarray(basis @ np.linalg.lstsq(basis.T @ basis, basis.T @ values, rcond=None)[0])
 
 
 def _gradient(image: Image) -> tuple[Image, Image]:
@@ -92,7 +96,7 @@ def texture(first: Image, second: Image, seen: NDArray[np.bool_]) -> tuple[tuple
 
     def flat(image: Image) -> Image:
         out = np.zeros_like(image)
-        out[seen] = image[seen] - basis @ np.linalg.lstsq(basis, image[seen], rcond=None)[0]
+        out[seen] = image[seen] - _explained(basis, image[seen])
         return out
 
     size = (next_fast_len(2 * rows, real=True), next_fast_len(2 * columns, real=True))

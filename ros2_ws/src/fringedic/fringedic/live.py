@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import reduce
 
 import cv2
 import numpy as np
@@ -21,6 +22,7 @@ from fringedic.sequence import PatternKind, Projection
 CLASSES = 256
 SOBEL_NOISE = 0.375  # sum of the squared weights of both Sobel operators, each divided by 8
 PIECE = 384  # [px], what is looked at for noise and pattern: some thousand speckles
+SAMPLED = 100_000  # pixels whose modulation gives the median
 MOVING = 1.3  # noise of 2 x 2 pixels over half the noise of one: 1 for noise, above it something moved
 PREVIEW_WIDTH = 640
 RED, BLUE, YELLOW = (255, 0, 0), (0, 60, 255), (255, 220, 0)
@@ -165,11 +167,14 @@ class LiveView:
         cycle = [_shifted(projection, shift) for shift in range(1, shifts + 1)]
         if any(each not in self._before for each in cycle):
             return
-        frames = np.stack([self._before[each] for each in cycle])
-        self._modulation = float(np.median(demodulate(frames, shifts, noise=1.0).modulation))
+        frames = [self._before[each] for each in cycle]
+        every = math.ceil(math.sqrt(frames[0].size / SAMPLED))
+        sample = np.stack([frame[::every, ::every] for frame in frames])
+        self._modulation = float(np.median(demodulate(sample, shifts, noise=1.0).modulation))
         if shifts % 2 == 0 and shifts > 2:
             # every second shift makes a cycle too: two images without fringes, of independent noise
-            self._speckle = _speckle_size(_piece(frames[::2].mean(axis=0)), _piece(frames[1::2].mean(axis=0)))
+            pieces = np.stack([_piece(frame) for frame in frames])
+            self._speckle = _speckle_size(pieces[::2].mean(axis=0), pieces[1::2].mean(axis=0))
 
 
 def sharpness(image: np.ndarray, noise: float, saturated: np.ndarray | None = None) -> float:
@@ -218,11 +223,12 @@ def preview(image: np.ndarray, figures: Figures, *, width: int = PREVIEW_WIDTH) 
     """
     factor = max(math.ceil(image.shape[1] / width), 1)
     rows, columns = (size // factor for size in image.shape)
-    blocks = image[: rows * factor, : columns * factor].reshape(rows, factor, columns, factor)
-    grey = np.clip(blocks.mean(axis=(1, 3), dtype=np.float32) * (255 / figures.full_scale), 0, 255)
-    picture = np.repeat(grey.astype(np.uint8)[:, :, None], 3, axis=2)
-    picture[blocks.min(axis=(1, 3)) == 0] = BLUE
-    picture[blocks.max(axis=(1, 3)) >= figures.full_scale] = RED
+    whole = image[: rows * factor, : columns * factor]
+    under = [whole[i::factor, j::factor] for i in range(factor) for j in range(factor)]
+    grey = cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA) * np.float32(255 / figures.full_scale)
+    picture = np.repeat(np.clip(grey, 0, 255).astype(np.uint8)[:, :, None], 3, axis=2)
+    picture[reduce(np.minimum, under) == 0] = BLUE
+    picture[reduce(np.maximum, under) >= figures.full_scale] = RED
     column, row, wide, high = (part // factor for part in figures.region)
     if (wide, high) != (columns, rows):
         cv2.rectangle(picture, (column, row), (column + wide - 1, row + high - 1), YELLOW, 2)
