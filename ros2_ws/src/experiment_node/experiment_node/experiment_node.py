@@ -22,6 +22,7 @@ from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.running_step import Experiment, RunningStep
 from experiment_node.step_runner import StepRunner
 from experiment_node.turn import StepFailure, Turn
+from fringedic.load_samples import summarise_load
 from fringedic.rig import RigModel
 from fringedic.sequence import PatternKind, Projection
 from fringedic_msgs.action import MeasureStep
@@ -32,7 +33,7 @@ from fringedic_ros.main import run
 from fringedic_ros.parameters import declare
 from fringedic_ros.qos import LATCHED
 from fringedic_ros.records import calibration_message
-from fringedic_ros.stamps import to_msg
+from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.waiting import Condition
 
 Result = MeasureStep.Result
@@ -55,7 +56,7 @@ class ExperimentNode(Node):
         self._turn: Turn | None = None
         self._step: RunningStep | None = None
         self._names: set[str] = set()
-        self._experiment = self.begin_experiment(self.parameters.value.experiment)
+        self._experiment = self._go_on_with(self.parameters.value)
         self._calibrating = CalibrationServer(self)
         if self.parameters.value.calibration_file:
             file = Path(self.parameters.value.calibration_file)
@@ -95,6 +96,15 @@ class ExperimentNode(Node):
         """Return a new experiment; without a name it is called after the time, to the microsecond."""
         experiment = Experiment(name or datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S.%f"))
         self._names.add(experiment.name)
+        return experiment
+
+    def _go_on_with(self, parameters: ExperimentParameters) -> Experiment:
+        """Return the first experiment, which another process of this node may have begun."""
+        experiment = self.begin_experiment(parameters.experiment)
+        experiment.next_step = parameters.first_step
+        if parameters.reference_step >= 0:
+            experiment.measured.add(parameters.reference_step)
+            experiment.reference, experiment.next_is_reference = parameters.reference_step, False
         return experiment
 
     def publish_calibration(self, model: RigModel, source: str) -> None:
@@ -148,7 +158,7 @@ class ExperimentNode(Node):
         fringes = goal.request.mode == MeasureStep.Goal.FRINGES
         number = experiment.take_number()
         step = RunningStep(
-            turn=self.begin_turn(goal, f"step {number} is being measured"),
+            turn=self.begin_turn(goal, f"step {number} is being measured{_asked_by(goal.request.controller)}"),
             experiment=experiment,
             number=number,
             projections=parameters.projections() if fringes else (Projection(PatternKind.WHITE),),
@@ -168,16 +178,18 @@ class ExperimentNode(Node):
         if failure is None:
             _fill_in(result, step)
             goal.succeed()
-        elif failure.code == Result.CANCELLED:
-            goal.canceled()
         else:
             self._request_hold()
-            goal.abort()
+            if failure.code == Result.CANCELLED:
+                goal.canceled()
+            else:
+                goal.abort()
         return result
 
     def _refusal(self, request: MeasureStep.Goal, parameters: ExperimentParameters) -> StepFailure | None:
         if self.doing:
-            return StepFailure(Result.BUSY, f"{self.doing}; ask again when it has ended")
+            asking = f"{request.controller} has to" if request.controller else "you have to"
+            return StepFailure(Result.BUSY, f"{self.doing}; {asking} wait until it has ended")
         if request.mode not in (MeasureStep.Goal.FRINGES, MeasureStep.Goal.WHITE):
             return StepFailure(Result.INVALID_GOAL, f"mode {request.mode} is unknown; use FRINGES or WHITE")
         if request.mode == MeasureStep.Goal.FRINGES and not parameters.projector:
@@ -192,6 +204,10 @@ class ExperimentNode(Node):
         response = future.result()
         if not response.success:
             self.get_logger().error(f"the load frame does not hold: {response.message}")
+
+
+def _asked_by(controller: str) -> str:
+    return f" for {controller}" if controller else ""
 
 
 def _feed_back(stage: str, step: RunningStep) -> None:
@@ -216,15 +232,12 @@ def _fill_in(result: MeasureStep.Result, step: RunningStep) -> None:
         result.valid_fraction, result.rms_displacement = measured.valid_fraction, measured.rms
     result.processing_time = step.processing_time
     samples = step.load_during_exposures()
-    result.load_samples = len(samples)
-    result.force_mean, result.force_range = _mean_and_range([sample.force for sample in samples])
-    result.position_mean, result.position_range = _mean_and_range([sample.position for sample in samples])
-
-
-def _mean_and_range(values: list[float]) -> tuple[float, float]:
-    if not values:
-        return nan, nan
-    return sum(values) / len(values), max(values) - min(values)
+    stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
+    force = summarise_load(stamps, [sample.force for sample in samples])
+    position = summarise_load(stamps, [sample.position for sample in samples])
+    result.load_samples = force.samples
+    result.force_mean, result.force_range = force.mean, force.spread
+    result.position_mean, result.position_range = position.mean, position.spread
 
 
 def main() -> int:

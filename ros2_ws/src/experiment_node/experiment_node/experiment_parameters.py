@@ -16,6 +16,12 @@ class ExperimentParameters(BaseModel):
     model_config = ConfigDict(frozen=True)
 
     experiment: str = Field("", description="Name of the first experiment; empty names it after the time of its start.")
+    first_step: int = Field(
+        0, ge=0, le=2**31 - 1, description="Number of the first step: an experiment of this name went so far before."
+    )
+    reference_step: int = Field(
+        -1, ge=-1, le=2**31 - 1, description="Step of before that is still the reference; -1: the first that succeeds."
+    )
     calibration_file: str = Field("", description="YAML file of the rig's pin-hole model, published on calibration.")
     calibration_folder: str = Field(
         "calibration", description="Folder in which each calibration gets a folder of its own."
@@ -40,6 +46,12 @@ class ExperimentParameters(BaseModel):
     )
     recording_required: bool = Field(False, description="No step without a recorder that is recording.")
     hold_required: bool = Field(True, description="No step while a load frame that is there does not hold.")
+    load_drift_n: float = Field(
+        0.0, ge=0, le=1e6, description="Largest change of the force over the exposures of a step [N]; 0: any."
+    )
+    position_drift_um: float = Field(
+        0.0, ge=0, le=1e6, description="Largest change of the crosshead's position over the exposures [µm]; 0: any."
+    )
     settle_time_s: float = Field(0.0, ge=0, le=3600, description="From the start of a step to its first pattern [s].")
     start_timeout_s: float = Field(
         20.0, gt=0, le=600, description="For nodes, subscribers and recorder to be there at the first step [s]."
@@ -55,6 +67,12 @@ class ExperimentParameters(BaseModel):
     @model_validator(mode="after")
     def _showable(self) -> Self:
         self.projections()
+        return self
+
+    @model_validator(mode="after")
+    def _reference_was_before(self) -> Self:
+        if self.reference_step >= self.first_step:
+            raise ValueError(f"reference_step {self.reference_step} is not before first_step {self.first_step}")
         return self
 
     def projections(self) -> tuple[Projection, ...]:

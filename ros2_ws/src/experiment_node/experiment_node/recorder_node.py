@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import shutil
 import threading
 from pathlib import Path
 from typing import Any, Literal
@@ -17,7 +18,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from experiment_node.messages import header_stamp, message_type
 from experiment_node.tally import ExposureTally
 from experiment_node.topics import DERIVED_TOPICS, EXPOSURE, IMAGE, RAW_TOPICS, STEP
-from fringedic.errors import FringedicError
+from fringedic.errors import DiskFullError, FringedicError
 from fringedic.recording import BagWriter, Qos
 from fringedic_msgs.msg import RecorderStatus, StepStatus
 from fringedic_ros.main import run
@@ -42,6 +43,9 @@ class RecorderParameters(BaseModel):
     compression: Literal["none", "zstd"] = Field("none", description="Compression of the recording.")
     flush_interval_s: float = Field(
         0.5, gt=0, le=60, description="What was received longer ago survives a kill of the recorder [s]."
+    )
+    smallest_free_mb: float = Field(
+        100.0, ge=0, le=1e6, description="With less free on the disk the recording is closed in time [MB]."
     )
 
 
@@ -87,7 +91,7 @@ class RecorderNode(Node):
                 Path(chosen.bag_path), compression=chosen.compression, flush_interval_s=chosen.flush_interval_s
             )
         except (FringedicError, OSError) as error:
-            self._fail(str(error))
+            self._fail(error)
             return
         self._writing = _WritingThread(writer, chosen.flush_interval_s)
         self._status.state = RecorderStatus.STARTING
@@ -97,6 +101,19 @@ class RecorderNode(Node):
         if self._writing and self._writing.error:
             self._fail(self._writing.error)
         if not self._writing:
+            return
+        try:
+            free = shutil.disk_usage(self._status.path).free
+        except OSError as error:
+            self._fail(error)  # the folder is gone
+            return
+        if free < 1e6 * self.parameters.value.smallest_free_mb:
+            self._fail(
+                DiskFullError(
+                    f"the disk is full: {free / 1e6:.0f} MB are left for {self._status.path}; the recording is closed "
+                    "and readable, free some space and start a new one"
+                )
+            )
             return
         unmatched = False
         for name in self._topics:
@@ -154,11 +171,13 @@ class RecorderNode(Node):
             elif stage == StepStatus.PROCESS:
                 self._publish_status()  # the experiment waits for this sign of life
 
-    def _fail(self, reason: str) -> None:
+    def _fail(self, reason: Exception) -> None:
         if self._status.state != RecorderStatus.FAILED:
             self.get_logger().error(f"recording has stopped: {reason}")
         self._status.state = RecorderStatus.FAILED
-        self._status.error_message = reason
+        full = isinstance(reason, DiskFullError)
+        self._status.error_code = RecorderStatus.DISK_FULL if full else RecorderStatus.WRITING_FAILED
+        self._status.error_message = str(reason)
         for subscription in self._subscriptions_by_topic.values():
             self.destroy_subscription(subscription)
         self._subscriptions_by_topic.clear()
@@ -182,7 +201,7 @@ class _WritingThread:
     """
 
     def __init__(self, writer: BagWriter, flush_interval_s: float) -> None:
-        self.error = ""
+        self.error: Exception | None = None
         self.messages = 0
         self.bytes = 0
         self._writer = writer
@@ -222,7 +241,7 @@ class _WritingThread:
                     with self._writer_lock:
                         self._handle(item)
                 except (FringedicError, OSError) as error:
-                    self.error = self.error or str(error)
+                    self.error = self.error or error
 
     def _handle(self, item: tuple[str, bytes, int, int] | Literal["sync", "end", "flush"]) -> None:
         match item:

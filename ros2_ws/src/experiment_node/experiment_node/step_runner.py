@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -15,6 +15,7 @@ from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.running_step import Experiment, RunningStep
 from experiment_node.turn import StepFailure
 from fringedic.errors import WaitTimeoutError
+from fringedic.load_samples import summarise_load
 from fringedic.sequence import Projection
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import Exposure, LoadState, NodeStatus, RecorderStatus, Reference, StepStatus
@@ -31,6 +32,7 @@ FAILED_NODE = {
     "dic": Result.DIC_FAILED,
     "coupling": Result.COUPLING_FAILED,
 }
+FAILED_STATUS = {NodeStatus.PATTERN_NOT_SEEN: Result.PATTERN_NOT_SEEN}  # of any node; other codes name the node
 CAPTURE_ERRORS = {
     CaptureFrame.Request.CAMERA_TIMEOUT: Result.CAMERA_TIMEOUT,
     CaptureFrame.Request.CAMERA_FAILED: Result.CAMERA_FAILED,
@@ -97,6 +99,8 @@ class StepRunner:
                 self._begin_step(step)
             await self._check_hold(step, parameters)
             await self._take_frames(step, parameters)
+            if not step.failed_node:
+                await self._check_load(step, parameters)
             await self._await_results(step, parameters)
         except StepFailure as error:
             failure = error
@@ -238,6 +242,7 @@ class StepRunner:
             step.feed_back("capture", step)
             if parameters.hold_required:
                 _refuse_unheld([self._load])
+            self._check_recorder(parameters)
             if step.failed_node:
                 return  # the rest of the sequence cannot help any more
         step.experiment.ready = True
@@ -283,7 +288,14 @@ class StepRunner:
         if response.error_code != CaptureFrame.Request.NONE:
             code = CAPTURE_ERRORS.get(response.error_code, Result.CAMERA_FAILED)
             raise StepFailure(code, f"frame {index}: {response.error_message}")
-        step.stamps.append(to_nanoseconds(response.stamp))
+        stamp = to_nanoseconds(response.stamp)
+        if not first and stamp <= step.stamp:
+            raise StepFailure(
+                Result.CAMERA_FAILED,
+                f"frame {index} is stamped {1e-9 * (step.stamp - stamp):.3f} s before frame {index - 1}: the clock "
+                "jumped back; measure the step again, and let nothing set the clock during a test",
+            )
+        step.stamps.append(stamp)
         step.exposed = time.monotonic()
 
     async def _await_results(self, step: RunningStep, parameters: ExperimentParameters) -> None:
@@ -300,16 +312,9 @@ class StepRunner:
         )
         failed = step.failed_node
         if failed is not None:
-            raise StepFailure(FAILED_NODE[failed], f"{failed}: {step.statuses[failed].error_message}")
-        await step.turn.wait(
-            lambda: {0, len(step.projections) - 1} <= step.exposures.keys(),
-            parameters.camera_timeout_s,
-            lambda: (Result.CAMERA_FAILED, "the camera published no exposure record of the first or last frame"),
-        )
-        if self._load is not None and self._node.count_publishers("load_frame/state"):
-            await self._wait_for_load(step)
-            if parameters.hold_required:
-                _refuse_unheld(step.load_during_exposures())
+            status = step.statuses[failed]
+            code = FAILED_STATUS.get(status.error_code, FAILED_NODE[failed])
+            raise StepFailure(code, f"{failed}: {status.error_message}")
         if parameters.recording_required:
             await step.turn.wait(
                 lambda: step.recorder_answered or self._recorder_state() != RecorderStatus.RECORDING,
@@ -320,6 +325,21 @@ class StepRunner:
                 ),
             )
             self._check_recorder(parameters)
+
+    async def _check_load(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+        """Look at what the load frame did while the frames were exposed; before the results, which take longer."""
+        await step.turn.wait(
+            lambda: {0, len(step.projections) - 1} <= step.exposures.keys(),
+            parameters.camera_timeout_s,
+            lambda: (Result.CAMERA_FAILED, "the camera published no exposure record of the first or last frame"),
+        )
+        if self._load is None or not self._node.count_publishers("load_frame/state"):
+            return
+        await self._wait_for_load(step)
+        samples = step.load_during_exposures()
+        if parameters.hold_required:
+            _refuse_unheld(samples)
+        _refuse_drift(samples, parameters)
 
     async def _wait_for_load(self, step: RunningStep) -> None:
         """Wait a moment for the sample after the last exposure; a machine that went silent is told by the result."""
@@ -336,8 +356,9 @@ class StepRunner:
 
     def _check_recorder(self, parameters: ExperimentParameters) -> None:
         if parameters.recording_required and self._recorder_state() != RecorderStatus.RECORDING:
-            said = self._recorder.error_message if self._recorder else ""
-            raise StepFailure(Result.RECORDER_FAILED, f"the recorder stopped recording: {said or 'it is gone or idle'}")
+            told = self._recorder or RecorderStatus()
+            code = Result.DISK_FULL if told.error_code == RecorderStatus.DISK_FULL else Result.RECORDER_FAILED
+            raise StepFailure(code, f"the recorder stopped recording: {told.error_message or 'it is gone or idle'}")
 
     def _announce(self, step: RunningStep, stage: int, failure: StepFailure | None = None) -> None:
         message = StepStatus(
@@ -359,9 +380,37 @@ class StepRunner:
 
 def _refuse_unheld(samples: Iterable[LoadState | None]) -> None:
     for sample in samples:
-        if sample is not None and sample.mode not in HELD:
+        if sample is None or sample.mode in HELD:
+            continue
+        if sample.mode == LoadState.UNKNOWN:
+            words = "the load frame does not tell what it does; look at its connection and at the log of load_frame"
+        else:
+            doing = "was moving" if sample.mode == LoadState.MOVING else "reported a fault"
+            words = (
+                f"the load frame {doing} at position {sample.position * 1e3:.4f} mm, {sample.force:.1f} N; "
+                "it has to hold from before the first exposure until after the last one"
+            )
+        raise StepFailure(Result.LOAD_NOT_HELD, words)
+
+
+def _refuse_drift(samples: Sequence[LoadState], parameters: ExperimentParameters) -> None:
+    """End the step when force or position went further during the exposures than the parameters allow."""
+    stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
+    for what, values, factor, unit, limit in (
+        ("force", [sample.force for sample in samples], 1.0, "N", parameters.load_drift_n),
+        ("crosshead", [sample.position for sample in samples], 1e6, "µm", parameters.position_drift_um),
+    ):
+        summary = summarise_load(stamps, values)
+        if limit and not summary.samples:
             raise StepFailure(
-                Result.LOAD_NOT_HELD,
-                f"the load frame was not holding at position {sample.position * 1e3:.4f} mm, "
-                f"{sample.force:.1f} N (mode {sample.mode}); hold it before the step",
+                Result.LOAD_DRIFT,
+                f"no sample of the {what} came during the exposures, so that nobody knows its drift; sample faster, or "
+                "set its limit to 0",
+            )
+        drift = factor * summary.drift
+        if limit and abs(drift) > limit:
+            raise StepFailure(
+                Result.LOAD_DRIFT,
+                f"the {what} drifted by {drift:+.3g} {unit} during the exposures, {limit:g} {unit} are allowed; "
+                "hold longer before the step",
             )

@@ -20,6 +20,7 @@ from rclpy.task import Future
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
+from experiment_node.experiment_parameters import ExperimentParameters
 from fringedic.rig import RigModel
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.action import MeasureStep
@@ -40,7 +41,7 @@ from fringedic_ros.testing import NodeProcess, Peer
 
 FRAMES = 7
 EXPOSURE_NS = 10_000_000
-START_TIMEOUT = 5.0  # [s]
+START_TIMEOUT = 3.0  # [s]
 PARAMETERS = {
     "projector_width_px": 64,
     "projector_height_px": 48,
@@ -68,6 +69,8 @@ class Rig(Peer):
         self.answers: dict[str, int] = {}
         self.silent: set[str] = set()
         self.load_mode: int | None = None
+        self.force_per_frame = 1.0  # [N]
+        self.jump_before: int | None = None  # the frame before which the clock jumps back
         self.holds = 0
         self.steps = self.listen(StepStatus, "experiment/step", EVENTS)
         self.references = self.listen(Reference, "experiment/reference", LATCHED)
@@ -105,6 +108,8 @@ class Rig(Peer):
         if self.capture_error:
             response.error_code, response.error_message = self.capture_error, "no frame"
             return response
+        if request.index == self.jump_before:
+            self.clock_ns -= 3_000_000_000
         start = self.clock_ns
         self.clock_ns += EXPOSURE_NS
         exposure = Exposure(
@@ -118,7 +123,7 @@ class Rig(Peer):
         exposure.header.stamp = response.stamp = to_msg(start + EXPOSURE_NS // 2)
         self.exposures.publish(exposure)
         if self.load_mode is not None:
-            self.publish_load(self.load_mode, force=100.0 + request.index)
+            self.publish_load(self.load_mode, force=100.0 + self.force_per_frame * request.index)
         if request.index == request.count - 1:
             self.publish_statuses(request.experiment, request.step, response.stamp)
         response.subscribers = 1
@@ -160,7 +165,7 @@ class Rig(Peer):
         if self.recorder is None:
             self.recorder = self.create_publisher(RecorderStatus, "recorder/status", LATCHED)
             self.wait(self.recorder.get_subscription_count, "a reader of the recorder's status")
-        self.recorder.publish(RecorderStatus(state=state, error_message="disk full" if state == 3 else ""))
+        self.recorder.publish(_recorder_status(state))
 
     def request(self, **goal: Any) -> Any:
         """Goal handle of an accepted goal."""
@@ -212,8 +217,15 @@ class Rig(Peer):
     def behave(self) -> None:
         """Do everything right from now on."""
         self.show_error = self.capture_error = 0
-        self.hang = self.load_mode = None
+        self.hang = self.load_mode = self.jump_before = None
+        self.force_per_frame = 1.0
         self.answers, self.silent = {}, set()
+
+
+def _recorder_status(state: int) -> RecorderStatus:
+    if state == RecorderStatus.FAILED:
+        return RecorderStatus(state=state, error_code=RecorderStatus.DISK_FULL, error_message="disk full")
+    return RecorderStatus(state=state)
 
 
 @pytest.fixture(scope="module")
@@ -330,10 +342,12 @@ def test_references_follow_steps_services_and_failures(rig: Rig, request: pytest
 
 def test_one_step_at_a_time_and_cancel(rig: Rig) -> None:
     rig.hang = Future()
-    running = rig.request()
+    running = rig.request(controller="tension")
     rig.wait(lambda: rig.captured, "the first exposure")
-    status, busy = rig.result(rig.request())
+    status, busy = rig.result(rig.request(controller="fatigue"))
     assert (status, busy.error_code, busy.step) == (GoalStatus.STATUS_ABORTED, Result.BUSY, 0)
+    assert busy.error_message == "step 0 is being measured for tension; fatigue has to wait until it has ended"
+    assert rig.holds == 0, "a controller that was refused must not stop the machine of the other"
     assert not rig.call(rig.start, experiment="other").success
     assert not rig.call(rig.set_reference, next=True).success
     cancelling = running.cancel_goal_async()
@@ -342,6 +356,7 @@ def test_one_step_at_a_time_and_cancel(rig: Rig) -> None:
     assert (status, cancelled.error_code) == (GoalStatus.STATUS_CANCELED, Result.CANCELLED)
     assert rig.stages_of(0) == [StepStatus.BEGIN, StepStatus.ERROR]
     assert rig.steps[-1].error_code == Result.CANCELLED
+    rig.wait(lambda: rig.holds == 1, "the request to hold")
     rig.hang.set_result(None)
     rig.behave()
     after = rig.step()
@@ -369,8 +384,10 @@ def test_cancel_while_the_machine_settles(rig: Rig) -> None:
         ({"capture_error": CaptureFrame.Request.CAMERA_FAILED}, Result.CAMERA_FAILED, "no frame"),
         ({"capture_error": CaptureFrame.Request.CAMERA_TIMEOUT}, Result.CAMERA_TIMEOUT, "no frame"),
         ({"capture_error": CaptureFrame.Request.NO_SUBSCRIBER}, Result.NO_SUBSCRIBER, "no frame"),
-        ({"hang": True}, Result.CAMERA_TIMEOUT, "camera/capture did not answer in 6 s"),
+        ({"hang": True}, Result.CAMERA_TIMEOUT, "camera/capture did not answer in 4 s"),
         ({"answers": {"dic": NodeStatus.NO_CORRELATION}}, Result.DIC_FAILED, "dic: scripted"),
+        ({"answers": {"phase": NodeStatus.PATTERN_NOT_SEEN}}, Result.PATTERN_NOT_SEEN, "phase: scripted"),
+        ({"jump_before": 4}, Result.CAMERA_FAILED, "frame 4 is stamped 2.989 s before frame 3: the clock jumped back"),
         ({"silent": {"dic", "coupling"}}, Result.PROCESSING_TIMEOUT, "no result from dic, coupling"),
     ],
 )
@@ -419,6 +436,24 @@ def test_the_machine_has_to_hold(rig: Rig) -> None:
     assert rig.step().error_code == Result.NONE
 
 
+def test_the_load_must_not_drift_over_the_exposures(rig: Rig) -> None:
+    rig.change(load_drift_n=5.0)
+    try:
+        rig.load_mode = LoadState.HOLD
+        rig.say_load(LoadState.HOLD)
+        drifted = rig.step()  # 1 N per frame
+        assert drifted.error_code == Result.LOAD_DRIFT
+        assert "the force drifted by +6 N during the exposures, 5 N are allowed" in drifted.error_message
+        rig.wait(lambda: rig.holds == 1, "the request to hold")
+        rig.force_per_frame = -0.5
+        assert rig.step().error_code == Result.NONE
+        rig.load_mode = None
+        silent = rig.step()
+        assert silent.error_code == Result.LOAD_DRIFT and "no sample of the force" in silent.error_message
+    finally:
+        rig.change(load_drift_n=0.0)
+
+
 def test_a_hold_that_is_told_late_counts(rig: Rig) -> None:
     """The machine has just reached its hold; the last that was heard of it is its motion."""
     rig.load_mode = LoadState.HOLD
@@ -448,7 +483,7 @@ def test_no_step_without_the_recorder(rig: Rig) -> None:
     rig.publish_recorder(RecorderStatus.FAILED)
     rig.taken(rig.recorder)
     stopped = rig.step()
-    assert stopped.error_code == Result.RECORDER_FAILED and "disk full" in stopped.error_message
+    assert stopped.error_code == Result.DISK_FULL and "disk full" in stopped.error_message
 
 
 def test_absent_node_is_named(rig: Rig) -> None:
@@ -481,7 +516,13 @@ def test_unreadable_calibration_ends_the_start(tmp_path: Path) -> None:
         process.process.wait(60)
 
 
-def test_impossible_parameters_are_refused(tmp_path: Path) -> None:
-    process = NodeProcess("experiment_node.experiment_node", tmp_path, {"shifts": [4, 4, 4]})
-    with pytest.raises(AssertionError, match="3 numbers of shifts for 4 pitches"), process:
-        process.process.wait(30)
+@pytest.mark.parametrize(
+    ("parameters", "words"),
+    [
+        ({"shifts": [4, 4, 4]}, "3 numbers of shifts for 4 pitches"),
+        ({"first_step": 3, "reference_step": 3}, "reference_step 3 is not before first_step 3"),
+    ],
+)
+def test_impossible_parameters_are_refused(parameters: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        ExperimentParameters.model_validate(parameters)
