@@ -204,7 +204,7 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
         if self._machine is None or not self.active:
             return self._end(goal, Result.MACHINE_FAULT, "the load frame is not active; configure and activate it")
         if self._goal is not None:
-            return self._end(goal, Result.BUSY, "the crosshead follows another goal; cancel it or wait")
+            return self._end(goal, Result.BUSY, _busy_words(self._goal.request, request))
         way = abs(request.position - self._sample.position)
         try:
             with self._in_use:
@@ -297,6 +297,12 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
         return MoveCrosshead.Result(
             error_code=code, error_message=message, position=self._sample.position, force=self._sample.force
         )
+
+
+def _busy_words(followed: MoveCrosshead.Goal, asked: MoveCrosshead.Goal) -> str:
+    of = f"of {followed.controller} " if followed.controller else ""
+    who = f"{asked.controller} has to" if asked.controller else "you have to"
+    return f"the crosshead follows another goal, {of}to {1e3 * followed.position:g} mm; {who} wait until it is there"
 
 
 def main() -> int:

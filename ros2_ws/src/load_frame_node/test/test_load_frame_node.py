@@ -39,9 +39,9 @@ class Operator(Peer):
         self._move = ActionClient(self, MoveCrosshead, "move_crosshead")
         self._hold = self.create_client(Trigger, "load_frame/hold")
 
-    def start(self, position: float, speed: float) -> ClientGoalHandle:
+    def start(self, position: float, speed: float, controller: str = "") -> ClientGoalHandle:
         self.wait(self._move.server_is_ready, "the action server")
-        goal = MoveCrosshead.Goal(position=position, speed=speed)
+        goal = MoveCrosshead.Goal(position=position, speed=speed, controller=controller)
         future = self._move.send_goal_async(goal, lambda message: self.feedback.append(message.feedback))
         self.wait(future.done, "the answer to the goal", 10)
         return future.result()
@@ -51,8 +51,8 @@ class Operator(Peer):
         self.wait(future.done, "the result", 20)
         return future.result()
 
-    def move(self, position: float, speed: float) -> Any:
-        return self.end(self.start(position, speed))
+    def move(self, position: float, speed: float, controller: str = "") -> Any:
+        return self.end(self.start(position, speed, controller))
 
     def hold(self) -> Trigger.Response:
         self.wait(self._hold.service_is_ready, "the hold service")
@@ -111,10 +111,10 @@ def test_three_topics_say_the_same(operator: Operator) -> None:
 
 def test_second_goal_is_busy_and_the_first_goes_on(operator: Operator) -> None:
     operator.move(0.0, 5.0 * MM)
-    first = operator.start(0.4 * MM, 0.4 * MM)
-    second = operator.move(0.1 * MM, 1.0 * MM)
+    first = operator.start(0.4 * MM, 0.4 * MM, "tension")
+    second = operator.move(0.1 * MM, 1.0 * MM, "fatigue")
     assert (second.status, second.result.error_code) == (GoalStatus.STATUS_ABORTED, Result.BUSY)
-    assert "another goal" in second.result.error_message
+    assert "another goal, of tension to 0.4 mm; fatigue has to wait" in second.result.error_message
     assert operator.end(first).result.position == pytest.approx(0.4 * MM, abs=1e-9)
 
 
