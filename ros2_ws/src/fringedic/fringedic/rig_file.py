@@ -1,4 +1,4 @@
-"""Rig files and programmes: what a person writes, in mm, degree, pixel and millisecond, checked before anything starts.
+"""Rig files: what a person writes, in mm, degree, pixel and millisecond, checked before anything starts.
 
 The library and every message speak SI; the translation happens here and nowhere else.
 """
@@ -7,40 +7,34 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import numpy as np
-import yaml
 from numpy.polynomial import chebyshev
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from fringedic.calibration.result import RigCalibration
 from fringedic.camera import DistortionMap
 from fringedic.chain import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.errors import CalibrationFileError, FringedicError, InvalidCalibrationError, RigFileError
-from fringedic.facts import CalibrationFacts, Facts, HardwareFacts, SpecimenFacts
+from fringedic.facts import CalibrationFacts, Facts, HardwareFacts, NoiseFacts, SpecimenFacts
 from fringedic.patterns import gray_code_sequence
+from fringedic.programme import Programme
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation, PatternKind, Projection
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 from fringedic.virtual_rig.configuration import LensConfiguration, ReferencePlaneSpecimen
 from fringedic.virtual_rig.optics import camera_optics, projector_optics
+from fringedic.yaml_section import Section, load_sections
 
 MILLI = 1e-3
 FINEST_DEFAULT_PITCH_PX = 8.0
 LENS_ORDER = 20  # of the polynomials that stand for the lens of a virtual rig; 2e-6 px are left of an odd one
 LENS_POINTS = 60
 VIRTUAL_RIG = "virtual_rig"
-Model = TypeVar("Model", bound=BaseModel)
-
-
-class Section(BaseModel):
-    """Base of all sections: unknown keys, other types, NaN and infinity are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class CameraSection(Section):
@@ -165,8 +159,8 @@ class CalibratedProjector(Section):
 class CovarianceSection(Section):
     """Covariance of the fitted parameters in SI units, row-major."""
 
-    parameters: list[str] = []
-    values: list[float] = []
+    parameters: list[str] = Field([], description="Their names.")
+    values: list[float] = Field([], description="One per pair of parameters.")
 
 
 class CalibrationSection(Section):
@@ -273,6 +267,13 @@ class LoadFrameSection(Section):
     force_axis: Literal["x", "y", "z"] = Field("z", description="Axis of the force of the source 'controller'.")
     force_sign: Literal[-1, 1] = Field(1, description="-1 when the controller's tension is negative.")
     rate_hz: float = Field(100.0, gt=0, le=1000, description="Samples of force and position per second.")
+    hold_required: bool = Field(True, description="No step while the machine does not hold.")
+    load_drift_n: float = Field(
+        0.0, ge=0, le=1e6, description="Largest change of the force over the exposures of a step; 0: any."
+    )
+    position_drift_um: float = Field(
+        0.0, ge=0, le=1e6, description="Largest change of the crosshead's position over the exposures; 0: any."
+    )
 
     @model_validator(mode="after")
     def _file_belongs_to_its_source(self) -> LoadFrameSection:
@@ -297,70 +298,6 @@ class RecordingSection(Section):
     compression: Literal["zstd", "none"] = Field("zstd", description="none is faster and takes more room.")
 
 
-class ProgrammeStep(Section):
-    """One load step: move, hold, measure."""
-
-    position_mm: float | None = Field(None, description="Crosshead position to move to; none stays where it is.")
-    speed_mm_per_s: float = Field(1.0, gt=0, description="Speed of the crosshead.")
-    hold_s: float = Field(0.0, ge=0, le=3600, description="Time to wait after the move before measuring.")
-    mode: Literal["fringes", "white"] = Field("fringes", description="white: one frame, in-plane displacement only.")
-    set_reference: bool = Field(False, description="This step becomes the reference of the following ones.")
-
-    @property
-    def position(self) -> float | None:
-        """Crosshead position [m]."""
-        return None if self.position_mm is None else self.position_mm * MILLI
-
-    @property
-    def speed(self) -> float:
-        """Speed of the crosshead [m/s]."""
-        return self.speed_mm_per_s * MILLI
-
-
-class Ramp(Section):
-    """Equal steps from one crosshead position to another, both included."""
-
-    from_mm: float = Field(0.0, description="First position.")
-    to_mm: float = Field(description="Last position.")
-    steps: int = Field(ge=2, le=10000, description="Number of steps.")
-    repeats_at_rest: int = Field(
-        0, ge=0, le=1000, description="How often the first position is measured again, for the noise floor."
-    )
-    speed_mm_per_s: float = Field(1.0, gt=0, description="Speed of the crosshead.")
-    hold_s: float = Field(0.0, ge=0, le=3600, description="Time to wait after each move before measuring.")
-    mode: Literal["fringes", "white"] = Field("fringes", description="white: one frame, in-plane displacement only.")
-
-
-class Programme(Section):
-    """The load steps of one experiment, written out or as a ramp."""
-
-    experiment: str = Field("experiment", pattern=r"^[A-Za-z0-9_\-]+$", description="Name of the experiment.")
-    specimen: SpecimenFacts | None = Field(None, description="Instead of the specimen of the rig file.")
-    steps: list[ProgrammeStep] | None = Field(None, min_length=1, description="The steps one by one.")
-    ramp: Ramp | None = Field(None, description="Equal steps.")
-
-    @model_validator(mode="after")
-    def _one_of_both(self) -> Programme:
-        if (self.steps is None) == (self.ramp is None):
-            raise ValueError("give either steps or ramp")
-        return self
-
-    def load_steps(self) -> list[ProgrammeStep]:
-        """Return the steps one by one."""
-        if self.ramp is None:
-            return list(self.steps or ())
-        ramp = self.ramp
-        return [
-            ProgrammeStep(
-                position_mm=ramp.from_mm + (ramp.to_mm - ramp.from_mm) * max(number, 0) / (ramp.steps - 1),
-                speed_mm_per_s=ramp.speed_mm_per_s,
-                hold_s=ramp.hold_s,
-                mode=ramp.mode,
-            )
-            for number in range(-ramp.repeats_at_rest, ramp.steps)
-        ]
-
-
 Calibration = Annotated[
     Annotated[str, Tag("file")] | Annotated[CalibrationSection, Tag("values")],
     Discriminator(lambda value: "values" if isinstance(value, (Mapping, CalibrationSection)) else "file"),
@@ -383,6 +320,9 @@ class RigFile(Section):
     reference_plane: ReferencePlaneSection = ReferencePlaneSection()
     load_frame: LoadFrameSection | None = None
     nodes: NodesSection = NodesSection()
+    noise_floor_file: str | None = Field(
+        None, description="Noise floor that `fringedic noise` wrote, relative to this file; recordings carry it."
+    )
     virtual_rig: dict[str, Any] | None = None
     recording: RecordingSection = RecordingSection()
     specimen: SpecimenFacts = SpecimenFacts()
@@ -452,7 +392,10 @@ class RigFile(Section):
         known = CalibrationFacts()
         if isinstance(self.calibration, str) and self.calibration != VIRTUAL_RIG:
             known = _calibration_facts(Path(path).parent / self.calibration)
-        return Facts(specimen=self.specimen, hardware=self.hardware, calibration=known)
+        noise = NoiseFacts()
+        if self.noise_floor_file is not None:
+            noise = NoiseFacts.load(Path(path).parent / self.noise_floor_file)
+        return Facts(specimen=self.specimen, hardware=self.hardware, calibration=known, noise=noise)
 
     def _size(self, section: CameraSection | ProjectorSection, name: str) -> tuple[int, int] | None:
         if section.source == "virtual":
@@ -478,7 +421,7 @@ def load_rig_file(path: str | os.PathLike[str]) -> RigFile:
     RigFileError
         The file cannot be read, or a key is unknown, missing or out of its range; the message names file and key.
     """
-    rig = _load(Path(path), RigFile)
+    rig = load_sections(Path(path), RigFile)
     try:
         rig.camera_size()
         rig.projector_size()
@@ -498,7 +441,7 @@ def load_programme(path: str | os.PathLike[str]) -> Programme:
     RigFileError
         The file cannot be read, or a key is unknown, missing or out of its range; the message names file and key.
     """
-    return _load(Path(path), Programme)
+    return load_sections(Path(path), Programme)
 
 
 def load_calibration(rig: RigFile, path: str | os.PathLike[str]) -> RigModel | None:
@@ -564,52 +507,6 @@ def _distortion_of(virtual_rig: VirtualRigConfiguration) -> DistortionMap | None
     straight_column, straight_row = (each[np.ix_(rows, columns)] for each in bare.straight_pixels())
     shifts = straight_column - columns, straight_row - rows[:, np.newaxis]
     return DistortionMap(camera.columns, camera.rows, *(fits[0] @ shift @ fits[1].T for shift in shifts))
-
-
-def _load(path: Path, model: type[Model]) -> Model:
-    try:
-        content = yaml.safe_load(path.read_text("utf-8"))
-    except OSError as error:
-        raise RigFileError(f"{path}: cannot be read: {error.strerror}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise RigFileError(f"{path}: is not YAML: {error}") from error
-    if not isinstance(content, dict):
-        raise RigFileError(f"{path}: is empty or no list of 'key: value'; keys are {_keys(model)}")
-    try:
-        return model.model_validate(content)
-    except ValidationError as error:
-        problems = "; ".join(_problem(model, each) for each in error.errors())
-        raise RigFileError(f"{path}: {problems}") from error
-
-
-def _problem(model: type[BaseModel], error: Mapping[str, Any]) -> str:
-    """One sentence about one wrong key: where, what, and what is allowed."""
-    place = [part for part in error["loc"] if part not in ("values", "file")]
-    name = ".".join(map(str, place)) or "file"
-    if error["type"] == "extra_forbidden":
-        return f"{name}: unknown key; known are {_keys(_section_at(model, place[:-1]))}"
-    if error["type"] == "missing":
-        return f"{name}: is missing"
-    return f"{name}: {error['msg'].removeprefix('Value error, ')} (it is {error['input']!r})"
-
-
-def _section_at(model: type[BaseModel], place: Sequence[str | int]) -> type[BaseModel]:
-    """Return the section that a key path leads to."""
-    for part in place:
-        if isinstance(part, str):
-            model = _section_in(model.model_fields[part].annotation) or model
-    return model
-
-
-def _section_in(annotation: Any) -> type[BaseModel] | None:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    inner = (_section_in(argument) for argument in getattr(annotation, "__args__", ()))
-    return next((section for section in inner if section is not None), None)
-
-
-def _keys(model: type[BaseModel]) -> str:
-    return ", ".join(model.model_fields)
 
 
 def _centre(principal: float | None, size: int) -> float:

@@ -6,8 +6,9 @@ import pytest
 import yaml
 
 from fringedic.errors import RigFileError
+from fringedic.programme import Programme
 from fringedic.rig import RigModel
-from fringedic.rig_file import Programme, calibration_of, load_calibration, load_programme, load_rig_file
+from fringedic.rig_file import calibration_of, load_calibration, load_programme, load_rig_file
 from fringedic.sequence import Orientation, PatternKind
 from fringedic.virtual_rig import VirtualRig
 

@@ -14,10 +14,11 @@ from camera_node.drivers.files import SUFFIXES
 from fringedic.calibration_session import in_force_words
 from fringedic.errors import RigFileError, StepFailedError
 from fringedic.pictures import save_pictures
+from fringedic.programme import Programme
 from fringedic.recording import BagReader
 from fringedic.report import write_report
 from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
-from fringedic.rig_file import VIRTUAL_RIG, Programme, RigFile, calibration_of, load_programme, load_rig_file
+from fringedic.rig_file import VIRTUAL_RIG, RigFile, calibration_of, load_programme, load_rig_file
 from fringedic.sequence import frame_record, stamp_of
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.graph import Graph, rig_graph

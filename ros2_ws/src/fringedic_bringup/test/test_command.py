@@ -17,8 +17,8 @@ import pytest
 import fringedic
 from experiment_node.topics import DERIVED_TOPICS
 from fringedic.errors import NodeDiedError, NodeNotInstalledError
+from fringedic.programme import Programme
 from fringedic.recording import BagReader
-from fringedic.rig_file import Programme
 from fringedic_bringup.graph import Graph, NodeEntry, rig_graph
 from fringedic_bringup.processes import (
     SHARED_MEMORY,
