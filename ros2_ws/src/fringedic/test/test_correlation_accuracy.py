@@ -88,6 +88,25 @@ def test_uncertainty_is_that_of_the_errors(speckle, expose, noise, strain):
     assert 0.9 <= z <= 1.1
 
 
+@pytest.mark.parametrize("radius", [1.2, 1.4])
+def test_uncertainty_of_sharp_speckles(speckle, expose, radius):
+    """Paint is on or off: grey levels change faster than pixels follow, and residuals are no white noise."""
+
+    def painted(grey):
+        return 100 + 3700 / (1 + np.exp((2048 - grey) / 300))
+
+    motion = affine(0.01, -0.003, dx=0.27, dy=-0.41)
+    scores = []
+    for seed in (301, 302):
+        surface = speckle((260, 260), seed, radius=radius)
+        field = measure_displacement(
+            expose(painted(surface.grey()), 10, seed), expose(painted(surface.grey(motion)), 10, seed + 10)
+        )
+        scores.append((errors_of(field, motion) / sigmas_of(field))[:, 30:-30, 30:-30])
+    z = float(np.sqrt(np.nanmean(np.square(scores))))
+    assert 0.9 <= z <= 1.1, f"z-score {z:.3f} (0.9 to 1.1); 0.80 and 0.85 with residuals taken for white noise"
+
+
 @pytest.mark.parametrize(
     ("name", "motion", "target"),
     [

@@ -43,11 +43,19 @@ EXPECTED = ((0.2, 0.05, 0.05, 0.05), (0.3, 0.1, 0.1), (0.5, 0.3, 0.1, 0.1, 0.1, 
 SETTLED = (0.02, 0.05)
 
 
+def _gaussian(deviation: float, reach: int) -> np.ndarray:
+    """Taps from the centre on, of unit sum over both sides."""
+    taps = np.exp(-0.5 * (np.arange(reach + 1) / deviation) ** 2)
+    return taps / (taps[0] + 2 * taps[1:].sum())
+
+
 @dataclass(frozen=True)
 class Window:
     """Scale of the filters: nodes on square cells, Gaussian taps of W and of S in cells, and their noise gain.
 
     `noise` is the mean of T^2 over the frequencies of the nodes: the variance at a node over that of one cell.
+    Of white noise that has passed through V the fit leaves the share `left`, the mean of v^2 (1 - T)^2 over that of
+    v^2; `independent` is the number of independent values per node of what it leaves.
     """
 
     width: int
@@ -56,6 +64,8 @@ class Window:
     taps: np.ndarray
     smoothing: np.ndarray
     noise: float
+    left: float
+    independent: float
 
 
 def _transfer(window: np.ndarray, smoothing: np.ndarray) -> np.ndarray:
@@ -77,12 +87,6 @@ def _relaxations(count: int) -> np.ndarray:
 
 
 RELAXATIONS = {count: _relaxations(count) for count in (2, 3)}
-
-
-def _gaussian(deviation: float, reach: int) -> np.ndarray:
-    """Taps from the centre on, of unit sum over both sides."""
-    taps = np.exp(-0.5 * (np.arange(reach + 1) / deviation) ** 2)
-    return taps / (taps[0] + 2 * taps[1:].sum())
 
 
 def _response(taps: np.ndarray) -> np.ndarray:
@@ -109,7 +113,18 @@ def window_of(width: int) -> Window:
     smoothing = _gaussian(NARROWER * deviation / cell, node_kernels.NARROW_REACH)
     h, v = _response(taps), _response(smoothing)
     gain = _transfer(np.outer(h, h), np.outer(v, v))
-    return Window(width, deviation, cell, taps.astype(f4), smoothing.astype(f4), float(np.mean(gain**2)))
+    narrow = np.outer(v, v) ** 2
+    remains = narrow * (1 - gain) ** 2
+    return Window(
+        width,
+        deviation,
+        cell,
+        taps.astype(f4),
+        smoothing.astype(f4),
+        noise=float(np.mean(gain**2)),
+        left=float(np.mean(remains) / np.mean(narrow)),
+        independent=float(np.mean(remains) ** 2 / np.mean(remains**2)),
+    )
 
 
 @dataclass
@@ -117,20 +132,9 @@ class Field:
     """What is known at the nodes of a level: displacement and brightness, and sums over cells and over windows."""
 
     nodes: np.ndarray  # (4, node row, node column): d_x, d_y [px of the level], gain and offset of g
+    moved: np.ndarray  # (2, node row, node column): what d_x and d_y have changed since the sums were taken
     cells: np.ndarray  # (CHANNELS, node row, node column)
     sums: np.ndarray  # the same, windowed, without the last two
-
-
-class _Scratch:
-    """Arrays of a level that every warp fills anew."""
-
-    def __init__(self, shape: tuple[int, int], cell: int) -> None:
-        self.counts = node_counts(shape, cell)
-        rows, columns = self.counts
-        self.lines = np.empty((4, rows + 4, shape[1]), f4)
-        self.cells = np.empty((kernels.CHANNELS, rows, columns), f4)
-        self.sums = np.empty((kernels.GXE, rows, columns), f4)
-        self.seen = np.empty(self.counts, f4)
 
 
 def noise_of(level: Level, spline: np.ndarray, lines: np.ndarray, cell: int) -> float:
@@ -155,31 +159,6 @@ def noise_of(level: Level, spline: np.ndarray, lines: np.ndarray, cell: int) -> 
     return float(np.partition(seen, middle)[middle]) * float(1.4826 if cell == 1 else np.sqrt(np.pi / 2))
 
 
-def _summed(
-    level: Level,
-    spline: np.ndarray,
-    nodes: np.ndarray,
-    window: Window,
-    expected: float,
-    ends: tuple[float, float],
-    scratch: _Scratch,
-) -> float:
-    """Sums over cells and windows after one warp of the deformed image; returns the noise of a pixel's residual.
-
-    `expected` [px] is the displacement error that may still be there: residuals it explains are not taken for outliers.
-    `ends` are the grey levels between which the deformed image is not cut off.
-    """
-    cell = window.cell
-    kernels.spread_out(nodes, cell, scratch.lines)
-    noise = noise_of(level, spline, scratch.lines, cell)
-    limit = 3 * np.hypot(noise, expected * level.slope)
-    kernels.summed(
-        level.values, level.along_x, level.along_y, spline, WEIGHTS, scratch.lines, cell, limit, *ends, scratch.cells
-    )
-    node_kernels.windowed(scratch.cells, window.taps, scratch.sums)
-    return noise
-
-
 def _planes(field: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Affine parts (channel, 3) of a field: smoothing the rest keeps it exact up to the edges of what is seen."""
     out = np.empty((field.shape[0], 3), f4)
@@ -187,37 +166,68 @@ def _planes(field: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return out
 
 
-def _refine(
-    level: Level,
-    spline: np.ndarray,
-    nodes: np.ndarray,
-    window: Window,
-    expected: float,
-    ends: tuple[float, float],
-    scratch: _Scratch,
-) -> float:
-    """One warp of the deformed image and the fixed point around it: moves `nodes`, returns by how much [px]."""
-    noise = _summed(level, spline, nodes, window, expected, ends, scratch)
-    steps = 2 if expected > 0.1 else 3  # a first warp has others after it
-    cells, sums, seen = scratch.cells, scratch.sums, scratch.seen
-    # tau: the gradient that the noise of one image alone would show, as an energy per cell.
-    cell2 = window.cell**2
-    tau = cell2 * max(DERIVATIVE_NOISE * noise**2 / 2, 1e-6 * level.slope**2)
-    node_kernels.textured(cells, 2 * TEXTURE * tau, 1 / cell2, 1e-3, seen)
-    plane = _planes(nodes[:2], seen)
-    start = np.empty_like(nodes[:2])
-    node_kernels.without_plane(nodes[:2], plane, start)
-    u = start.copy()
-    node_kernels.fixed_point(cells, sums, seen, start, window.taps, window.smoothing, tau, ORDER, RELAXATIONS[steps], u)
-    u -= start
-    nodes[:2] += u
-    brightness = nodes[2:]
-    before = brightness.copy()
-    node_kernels.equalised(nodes, sums, noise**2 + 1e-6)
-    node_kernels.sharpened(brightness, before, seen, window.taps, 3)
-    node_kernels.lent(brightness, _planes(brightness, seen), seen, window.taps)
-    few = np.s_[..., ::2, ::2]
-    return float(np.sqrt(np.sum(seen[few] * u[few] ** 2) / np.sum(seen[few])))
+class _Pair:
+    """Reference and deformed image on one level, and the arrays that every warp fills anew.
+
+    `ends` are the grey levels between which the deformed image is not cut off.
+    """
+
+    def __init__(self, level: Level, deformed: np.ndarray, window: Window, ends: tuple[float, float]) -> None:
+        self.level, self.window, self.ends = level, window, ends
+        self.spline = spline_of(deformed)
+        rows, columns = node_counts(level.shape, window.cell)
+        self.lines = np.empty((4, rows + 4, level.shape[1]), f4)
+        self.cells = np.empty((kernels.CHANNELS, rows, columns), f4)
+        self.sums = np.empty((kernels.GXE, rows, columns), f4)
+        self.seen = np.empty((rows, columns), f4)
+        self.start, self.moved = np.empty((2, rows, columns), f4), np.empty((2, rows, columns), f4)
+
+    def warp(self, nodes: np.ndarray, expected: float) -> float:
+        """Fill the sums over cells and windows after one warp; returns the noise of a pixel's residual.
+
+        `expected` [px] is the displacement error that may still be there: residuals it explains are no outliers.
+        """
+        level, cell = self.level, self.window.cell
+        kernels.spread_out(nodes, cell, self.lines)
+        noise = noise_of(level, self.spline, self.lines, cell)
+        kernels.summed(
+            level.values,
+            level.along_x,
+            level.along_y,
+            self.spline,
+            WEIGHTS,
+            self.lines,
+            cell,
+            3 * np.hypot(noise, expected * level.slope),
+            *self.ends,
+            self.cells,
+        )
+        node_kernels.windowed(self.cells, self.window.taps, self.sums)
+        return noise
+
+    def refine(self, nodes: np.ndarray, expected: float) -> float:
+        """One warp and the fixed point around it: moves `nodes`, returns by how much [px]."""
+        noise = self.warp(nodes, expected)
+        level, window, cells, sums, seen, u = self.level, self.window, self.cells, self.sums, self.seen, self.moved
+        steps = 2 if expected > 0.1 else 3  # a first warp has others after it
+        # tau: the gradient that the noise of one image alone would show, as an energy per cell.
+        cell2 = window.cell**2
+        tau = cell2 * max(DERIVATIVE_NOISE * noise**2 / 2, 1e-6 * level.slope**2)
+        node_kernels.textured(cells, 2 * TEXTURE * tau, 1 / cell2, 1e-3, seen)
+        node_kernels.without_plane(nodes[:2], _planes(nodes[:2], seen), self.start)
+        u[:] = self.start
+        node_kernels.fixed_point(
+            cells, sums, seen, self.start, window.taps, window.smoothing, tau, ORDER, RELAXATIONS[steps], u
+        )
+        u -= self.start
+        nodes[:2] += u
+        brightness = nodes[2:]
+        before = brightness.copy()
+        node_kernels.equalised(nodes, sums, noise**2 + 1e-6)
+        node_kernels.sharpened(brightness, before, seen, window.taps, 3)
+        node_kernels.lent(brightness, _planes(brightness, seen), seen, window.taps)
+        few = np.s_[..., ::2, ::2]
+        return float(np.sqrt(np.sum(seen[few] * u[few] ** 2) / np.sum(seen[few])))
 
 
 def explained(correlation: np.ndarray, speckles: np.ndarray) -> np.ndarray:
@@ -231,6 +241,7 @@ def explained(correlation: np.ndarray, speckles: np.ndarray) -> np.ndarray:
 
 SMALLEST_EXPLAINED = 0.25
 SMALLEST_AGREEMENT = 0.1
+FEW = 20  # values from which a variance is known to 30 %
 TEXTURE = 1.5  # gradient energy of a texture over that of noise alone
 
 
@@ -295,23 +306,21 @@ def displacement_nodes(
         window = window_at(width, k)
         if k < top:
             nodes = transferred(nodes, (k + 1, window_at(width, k + 1).cell), (k, window.cell), levels[k].shape)
-        spline = spline_of(deformed[k])
-        scratch = _Scratch(levels[k].shape, window.cell)
+        pair = _Pair(levels[k], deformed[k], window, ends)
         if k == top:
             # Shading first: mean and contrast of every window, before any residual is called an outlier.
-            _summed(levels[k], spline, nodes, window, np.inf, ends, scratch)
-            node_kernels.equalised(nodes, scratch.sums, 1e-3)
+            pair.warp(nodes, np.inf)
+            node_kernels.equalised(nodes, pair.sums, 1e-3)
         steps = EXPECTED[0] if k == 0 else EXPECTED[1] if k < top else EXPECTED[2]
-        least = steps[-1]
         for expected in steps:
-            change = _refine(levels[k], spline, nodes, window, expected, ends, scratch)
-            if change < SETTLED[min(k, 1)] and (k or expected == least):
+            change = pair.refine(nodes, expected)
+            if change < SETTLED[min(k, 1)] and (k or expected == steps[-1]):
                 break
         if k:
             smooth = np.empty_like(nodes[:2])
             node_kernels.median3(nodes[:2], smooth)
             nodes[:2] = smooth
-    return Field(nodes, scratch.cells, scratch.sums)
+    return Field(nodes, pair.moved, pair.cells, pair.sums)
 
 
 @dataclass(frozen=True)
@@ -323,13 +332,38 @@ class Nodes:
     valid: np.ndarray
 
 
+def _felt(field: Field, window: Window, pixel: np.ndarray, valid: np.ndarray) -> float:
+    """Variance that the residuals give to the sums of gradient times residual, over that of independent residuals.
+
+    The displacement is moved by such sums alone. Residuals of noise are independent; those of interpolation, of grey
+    levels that change faster than pixels follow, alternate from pixel to pixel, and the sums hardly feel them; those of
+    an image with a blurred or compressed noise agree, and the sums feel them more. What the fit has left of the sums is
+    compared with what it leaves of independent ones, both through V: close to what T passes.
+
+    `pixel` is the local variance of the residual. Few values tell little, and count as independent.
+    """
+    u, v = field.moved
+    gxx, gxy, gyy = field.cells[[kernels.GXX, kernels.GXY, kernels.GYY]]
+    left = np.stack([field.cells[kernels.GXE] - gxx * u - gxy * v, field.cells[kernels.GYE] - gxy * u - gyy * v])
+    white = pixel * np.stack([gxx, gyy])
+    taps = np.zeros(node_kernels.REACH + 1, f4)
+    taps[: window.smoothing.size] = window.smoothing
+    through, expected = np.empty_like(left), np.empty_like(white)
+    node_kernels.windowed(left, taps, through)
+    node_kernels.windowed(white, taps**2, expected)
+    values = through[:, valid] ** 2 / np.maximum(expected[:, valid], f4(1e-30))
+    number = 2 * window.independent * values.shape[1]
+    return (number * float(values.mean()) / window.left + FEW) / (number + FEW)
+
+
 def judged(field: Field, window: Window, offered: int) -> Nodes:
     """Uncertainty and validity of a finished field, of which `offered` nodes could have been measured.
 
     The covariance of a point is s^2 H^-1 times the mean of T^2, with s^2 the local variance of the residual, set right
-    for what interpolation averages away of the deformed image's noise. A point is valid where at least half of its
-    window is seen and has texture beyond what noise alone would show, where a third of what is next to it agrees (a
-    window that reaches over a border knows the motion of the other side as well), and where f and g correlate.
+    for what interpolation averages away of the deformed image's noise, times the share of it that is felt. A point is
+    valid where at least half of its window is seen and has texture beyond what noise alone would show, where a third of
+    what is next to it agrees (a window that reaches over a border knows the motion of the other side as well), and
+    where f and g correlate.
 
     Raises
     ------
@@ -353,6 +387,7 @@ def judged(field: Field, window: Window, offered: int) -> Nodes:
     valid = (covered[0] >= f4(cell2 / 2)) & (own > f4(1 / 3))
     valid &= (smallest > f4(TEXTURE) * tau) & (share > SMALLEST_EXPLAINED)
     check_agreement(int(np.count_nonzero(valid)), offered)
+    sigma *= f4(np.sqrt(_felt(field, window, tau / f4(DERIVATIVE_NOISE / 2 * cell2), valid)))
     # What is not valid keeps a usual value, so that interpolation between nodes does not overshoot next to it.
     usual = np.median(sigma[:, valid][:, ::8])
     return Nodes(field.nodes[:2], np.where(valid, sigma, usual), valid)
