@@ -271,7 +271,7 @@ def _noise_floor(
     sigmas = np.stack([np.stack([one.sigma_x, one.sigma_y]) for one in results]).astype(np.float64)
     axes = (2, 3)
     change = fields[1] - fields[0]
-    slopes = _strains(fields, spacing, strain_window)
+    slopes = strain_noise(fields, spacing, strain_window)
     return _Floor(
         spatial=_pair(np.sqrt(np.mean(np.nanvar(fields, axis=axes), axis=0))),
         predicted=_pair(np.sqrt(np.mean(np.nanmean(sigmas**2, axis=axes), axis=0))),
@@ -285,10 +285,11 @@ def _pair(values: Image) -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
 
-def _strains(fields: Image, spacing: int, points: int) -> tuple[float, float, float]:
-    """Spatial standard deviations of e_xx, e_yy, e_xy of fields (image, component, row, column).
+def strain_noise(fields: Image, spacing: int, points: int) -> tuple[float, float, float]:
+    """Spatial standard deviations of e_xx, e_yy, e_xy of fields (image, component, row, column) [px].
 
-    The slopes are those of least-squares planes over `points` x `points` points that are all measured.
+    The points are `spacing` pixels apart. The slopes are those of least-squares planes over `points` x `points` points
+    that are all measured.
     """
     position = np.arange(points) - points // 2
     slope = position / (np.sum(position**2) * spacing)

@@ -125,6 +125,10 @@ class GridAliasedError(GridError):
     """The grid is in step with the pixels."""
 
 
+class GridAngleError(GridError):
+    """The pictures of the grid on the turned plane are not those of a plane at the angles that were said."""
+
+
 class GridContrastError(GridError):
     """The grid is too dark, too bright or too blurred."""
 
@@ -289,6 +293,10 @@ class TexturelessImageError(FringedicError, ValueError):
     """An image has no texture to measure by: it is constant or not measured."""
 
 
+class TimingError(FringedicError, ValueError):
+    """Delay and refresh of a projector do not follow from what the camera saw."""
+
+
 class TooFewValidError(StepError, ValueError):
     """Less of the image is measured than the parameters allow."""
 
@@ -335,3 +343,7 @@ class MovedSurfaceError(FrameMismatchError):
 
 class RegionError(FringedicError, ValueError):
     """An image has no such region."""
+
+
+class NoiseFloorError(FringedicError, ValueError):
+    """Steps or images at rest do not tell a noise floor."""

@@ -6,6 +6,8 @@ datasets, exports and reports. Everything is optional: what nobody entered is mi
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import Literal
 
 import yaml
@@ -58,12 +60,49 @@ class CalibrationFacts(_Entries):
     verdict: str = Field("", description="The calibration's own judgement.")
 
 
+class NoiseFacts(_Entries):
+    """The noise floor with the specimen mounted; not entered, but read from the file that `fringedic noise` writes.
+
+    Names of the quantities carry their unit: displacement_x_px, u_um, z_um, e_11_ustrain, ...
+    """
+
+    created: str = Field("", description="Time of the measurement.")
+    steps: int = Field(0, ge=0, description="Steps or images at rest, with the reference.")
+    read_noise_grey_level: float | None = Field(None, description="Noise of a pixel without light, with rounding.")
+    shot_noise_grey_level: float | None = Field(None, description="Variance of the noise per grey level.")
+    flicker_percent: float | None = Field(None, description="Standard deviation of the light from step to step.")
+    window_px: int | None = Field(None, description="Window of the displacement.")
+    spacing_px: int | None = Field(None, description="Distance of its points.")
+    strain_window_px: int | None = Field(None, description="Window of the strain.")
+    spatial: dict[str, float] = Field({}, description="Standard deviation over the points, mean over the steps.")
+    temporal: dict[str, float] = Field({}, description="Standard deviation over the steps, RMS over the points.")
+    bias: dict[str, float] = Field({}, description="Mean over points and steps.")
+    predicted: dict[str, float] = Field({}, description="RMS of the stated standard deviations.")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> NoiseFacts:
+        """Read the file that `fringedic noise` wrote.
+
+        Raises
+        ------
+        FactsError
+            The file cannot be read or holds no noise floor.
+        """
+        try:
+            return cls.model_validate(yaml.safe_load(Path(path).read_text("utf-8")))
+        except OSError as error:
+            raise FactsError(f"{path}: cannot be read: {error.strerror}") from error
+        except (yaml.YAMLError, UnicodeDecodeError, ValidationError) as error:
+            raise FactsError(f"{path}: is no noise floor as 'fringedic noise' writes it: {error}") from error
+
+
 class Facts(_Entries):
-    """Specimen, hardware and calibration of one experiment."""
+    """Specimen, hardware, calibration and noise floor of one experiment."""
 
     specimen: SpecimenFacts = SpecimenFacts()
     hardware: HardwareFacts = HardwareFacts()
     calibration: CalibrationFacts = CalibrationFacts()
+    noise: NoiseFacts = NoiseFacts()
 
     def to_text(self) -> str:
         """Return what was entered as one line of YAML, empty when nothing was."""
