@@ -2,121 +2,44 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from pathlib import Path
-from typing import Literal, Self
+from typing import Literal
 
-from pydantic import Field, model_validator
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.timer import Timer
 from sensor_msgs.msg import CameraInfo, Image
 
-from camera_node.drivers import (
-    AravisDriver,
-    AravisSettings,
-    Driver,
-    FilesDriver,
-    Frame,
-    PlacedPlane,
-    Scene,
-    ShownPattern,
-    StreamingDriver,
-    Trigger,
-    VirtualDriver,
-)
+from camera_node.drivers import Driver, Frame, PlacedPlane, Scene, ShownPattern, StreamingDriver, VirtualDriver
 from camera_node.drivers.virtual import TruthFile
-from fringedic.errors import CameraError, FringedicError, WaitTimeoutError
+from camera_node.parameters import CameraParameters
+from fringedic.errors import CameraError, CameraTimeoutError, ClockJumpError, FringedicError, WaitTimeoutError
 from fringedic.rig import RigModel
 from fringedic.sequence import FrameRecord, PatternKind, Projection, projection_of
-from fringedic_msgs.msg import Exposure, LoadState, ReferencePlane, RigCalibration
+from fringedic_msgs.msg import ClockDrift, Exposure, LoadState, ReferencePlane, RigCalibration
 from fringedic_msgs.srv import CaptureFrame
 from fringedic_ros.camera_info import camera_info
 from fringedic_ros.images import image_array, image_message
-from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
+from fringedic_ros.lifecycle import HardwareNode
 from fringedic_ros.main import run
 from fringedic_ros.qos import IMAGES, LATCHED, OVERRIDABLE, STATE
 from fringedic_ros.records import exposure_message
 from fringedic_ros.stamps import to_msg, to_nanoseconds
-from fringedic_ros.virtual import VirtualRigText, virtual_configuration
 from fringedic_ros.waiting import Condition, sleep, until, wait_for
 from fringedic_ros.work import Worker
 
 FRAME_ID = "camera_optical_frame"
 Request = CaptureFrame.Request
 _TRUTH_TIMEOUT_S = 10.0
+_LONGEST_EXPOSURE_S = 60.0
 _BUFFERS = 4  # exposures of the free run that may be under way, as in a camera driver
 _BROWN_RESIDUAL_PX = 0.05
 _KEPT_PATTERNS = 16  # that a slow projector may still show beside the latest
 _LOST_CAMERA_PAUSE_S = 0.05  # between attempts to take a frame
-
-
-class CameraParameters(HardwareParameters):
-    """Parameters of the camera node."""
-
-    source: Literal["virtual", "files", "aravis"] = Field(
-        "virtual", description="Where frames come from; aravis: a GigE Vision or USB3 Vision camera."
-    )
-    exposure_time_s: float = Field(0.01, gt=0, le=60, description="Exposure time [s].")
-    settle_time_s: float = Field(
-        0.0, ge=0, le=60, description="From the pattern on the screen to the start of the exposure [s]."
-    )
-    timeout_s: float = Field(
-        10.0, gt=0, le=600, description="For subscribers, the scene and the frame, each; then the capture fails [s]."
-    )
-    frame_rate_hz: float = Field(
-        0.0,
-        ge=0,
-        le=1000,
-        description="Free run: frames per second; 0: only on `camera/capture` [Hz].",
-    )
-    virtual_rig: VirtualRigText = "{preset: plate}"
-    truth_folder: str = Field(
-        "", description="Folder for the virtual rig's `truth.nc`, one entry per completed step; empty: none."
-    )
-    files: str = Field("", description="Images of the source `files`: a folder, or a pattern such as `folder/*.tif`.")
-    repeat: bool = Field(False, description="Source `files`: begin again after the last image.")
-    camera: str = Field(
-        "", description="Source `aravis`: identifier or network address of the camera; empty: the only one there is."
-    )
-    pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono16"] = Field(
-        "Mono8", description="Source `aravis`: depth of the pixels."
-    )
-    region_px: list[int] = Field(
-        [], description="Source `aravis`: first column, first row, width and height [px]; empty: the whole sensor."
-    )
-    gain_db: float = Field(0.0, ge=-100, le=100, description="Source `aravis`: gain, when the camera has one [dB].")
-    trigger: Trigger = Field(Trigger.SOFTWARE, description="Source `aravis`: what begins an exposure.")
-    trigger_line: str = Field("Line1", description="Source `aravis`: input of the external triggers.")
-    packet_size_byte: int = Field(
-        0, ge=0, le=65535, description="Source `aravis`: network packets [byte]; 0 finds the largest that passes."
-    )
-
-    @model_validator(mode="after")
-    def _files_are_named(self) -> Self:
-        if self.source == "files" and not self.files:
-            raise ValueError("source files needs the parameter files: a folder of images")
-        if len(self.region_px) not in (0, 4):
-            raise ValueError("region_px needs four numbers: first column, first row, width, height")
-        return self
-
-    def aravis(self) -> AravisSettings:
-        """The settings of a GenICam camera."""
-        region = None
-        if self.region_px:
-            column, row, width, height = self.region_px
-            region = column, row, width, height
-        return AravisSettings(
-            camera=self.camera,
-            exposure_time=self.exposure_time_s,
-            gain=self.gain_db,
-            pixel_format=self.pixel_format,
-            region=region,
-            trigger=self.trigger,
-            trigger_line=self.trigger_line,
-            packet_size=self.packet_size_byte,
-            timeout=self.timeout_s / 2,
-        )
+_DRIVER_PERIOD_S = 1.0  # between two reports of the camera's clock and of what was lost on the way
+_BACK_NS = 100_000_000  # a frame is never so much older than the one before, unless a clock was set
 
 
 class NoSubscriberError(FringedicError, LookupError):
@@ -147,6 +70,8 @@ class CameraNode(HardwareNode[CameraParameters]):
         self._images = self.create_publisher(Image, "camera/image_raw", IMAGES, qos_overriding_options=OVERRIDABLE)
         self._infos = self.create_publisher(CameraInfo, "camera/camera_info", IMAGES)
         self._exposures = self.create_publisher(Exposure, "camera/exposure", IMAGES)
+        self._clocks = self.create_publisher(ClockDrift, "camera/clock", LATCHED)
+        self._told_of_driver = -math.inf
         self.create_subscription(Image, "projector/image", self._take_pattern, LATCHED)
         self.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
         self.create_subscription(ReferencePlane, "reference_plane/state", self._take_plane, LATCHED)
@@ -160,13 +85,7 @@ class CameraNode(HardwareNode[CameraParameters]):
 
     def open(self) -> None:
         """Open the camera that the parameters name."""
-        parameters = self.parameters.value
-        if parameters.source == "files":
-            self._driver = FilesDriver(parameters.files, repeat=parameters.repeat)
-        elif parameters.source == "aravis":
-            self._driver = AravisDriver(parameters.aravis())
-        else:
-            self._driver = VirtualDriver(virtual_configuration(parameters.virtual_rig))
+        self._driver = self.parameters.value.open(self)
 
     def activate(self) -> None:
         """Begin the free run, when one is asked for."""
@@ -240,10 +159,9 @@ class CameraNode(HardwareNode[CameraParameters]):
         self._placed_ns = to_nanoseconds(message.header.stamp)
         self._scene_changed.notify()
 
-    async def _scene(self, shown_ns: int, placed_ns: int) -> Scene:
+    async def _scene(self, shown_ns: int, placed_ns: int, exposure_time: float) -> Scene:
         """What the camera sees now: the pattern that was shown and the specimen at the middle of the exposure."""
         timeout = self.parameters.value.timeout_s
-        exposure_time = self.parameters.value.exposure_time_s
         stamp = self.get_clock().now().nanoseconds + round(exposure_time * 1e9 / 2)
         if not self._needs_scene():
             return Scene(stamp, (), 0.0, None, exposure_time)
@@ -287,14 +205,15 @@ class CameraNode(HardwareNode[CameraParameters]):
             self._check(request)
             await self._await_subscribers(request.image_subscribers, request.exposure_subscribers)
             await self._settle(to_nanoseconds(request.shown))
-            scene = await self._scene(to_nanoseconds(request.shown), to_nanoseconds(request.placed))
+            exposure_time = request.exposure_time or self.parameters.value.exposure_time_s
+            scene = await self._scene(to_nanoseconds(request.shown), to_nanoseconds(request.placed), exposure_time)
             frame = await self._expose(scene)
             response.stamp = to_msg(self._publish(frame, _record(request)))
             self._save_truth(request, scene)
             self.diagnostics.success(time.monotonic() - started)
         except NoSubscriberError as error:
             self._fail(request, response, Request.NO_SUBSCRIBER, error)
-        except WaitTimeoutError as error:
+        except (WaitTimeoutError, CameraTimeoutError) as error:
             self._fail(request, response, Request.CAMERA_TIMEOUT, error)
         except FringedicError as error:
             self._fail(request, response, Request.CAMERA_FAILED, error)
@@ -308,6 +227,8 @@ class CameraNode(HardwareNode[CameraParameters]):
             raise CameraError("the camera runs freely; set frame_rate_hz to 0 and activate it again")
         if request.index >= request.count:
             raise CameraError(f"index {request.index} is not below the count {request.count}")
+        if not 0 <= request.exposure_time <= _LONGEST_EXPOSURE_S:
+            raise CameraError(f"an exposure of {request.exposure_time:g} s is outside 0 to {_LONGEST_EXPOSURE_S:g} s")
         _record(request)
 
     def _subscribers(self) -> int:
@@ -336,9 +257,8 @@ class CameraNode(HardwareNode[CameraParameters]):
     async def _expose(self, scene: Scene) -> Frame:
         assert self._driver is not None, "an active camera has a driver"
         try:
-            return await wait_for(
-                self, self._worker.run(self._driver.expose, scene), self.parameters.value.timeout_s, "the frame"
-            )
+            timeout = self.parameters.value.timeout_s + scene.exposure_time
+            return await wait_for(self, self._worker.run(self._driver.expose, scene), timeout, "the frame")
         except WaitTimeoutError:
             # the thread hangs in the driver and is left to itself; the next capture gets a new one
             self._worker.stop(0.0)
@@ -354,17 +274,51 @@ class CameraNode(HardwareNode[CameraParameters]):
         self.diagnostics.failure(response.error_message)
 
     def _publish(self, frame: Frame, record: FrameRecord) -> int:
-        """Publish image, camera information and record under one stamp, later than every stamp before [ns]."""
+        """Publish image, camera information and record under one stamp, later than every stamp before [ns].
+
+        Raises
+        ------
+        ClockJumpError
+            The frame is older than the one before it; the next frame begins a new order.
+        """
+        back = self._stamp_ns - frame.stamp_ns
+        if back > _BACK_NS:
+            self._stamp_ns = frame.stamp_ns
+            raise ClockJumpError(
+                f"the clock jumped back by {1e-9 * back:.3g} s between two frames; take the step again, and let "
+                "nothing set the clock during a test"
+            )
         self._stamp_ns = max(frame.stamp_ns, self._stamp_ns + 1)
         image = image_message(frame.image, stamp_ns=self._stamp_ns, frame_id=FRAME_ID)
         exposure = exposure_message(record, frame_id=FRAME_ID)
         exposure.header = image.header
-        exposure.exposure_time = self.parameters.value.exposure_time_s
+        exposure.exposure_time = frame.exposure_time
         exposure.dropped = self._dropped + (0 if self._driver is None else self._driver.dropped)
         self._images.publish(image)
         self._infos.publish(self._info_of(image))
         self._exposures.publish(exposure)
+        self._tell_of_driver()
         return self._stamp_ns
+
+    def _tell_of_driver(self) -> None:
+        """Publish how the camera's clock runs, and report what was lost on the way, once a second at most."""
+        now = time.monotonic()
+        if self._driver is None or now - self._told_of_driver < _DRIVER_PERIOD_S:
+            return
+        self._told_of_driver = now
+        for name, count in self._driver.counts.items():
+            self.diagnostics.tell(name, str(count))
+        clock = self._driver.clock
+        if clock is not None:
+            message = ClockDrift(
+                clock="camera",
+                offset=clock.offset,
+                drift=clock.drift,
+                drift_sigma=clock.drift_sigma,
+                samples=clock.samples,
+            )
+            message.header.stamp = to_msg(clock.stamp_ns)
+            self._clocks.publish(message)
 
     def _info_of(self, image: Image) -> CameraInfo:
         """Return what is known of the camera; nothing of one that was calibrated with another size of images."""
@@ -418,26 +372,28 @@ class CameraNode(HardwareNode[CameraParameters]):
         taken = 0
         while self._streaming:
             dropped = driver.dropped
-            if self._publish_free_frame(Scene(self.get_clock().now().nanoseconds, (), 0.0), taken):
+            scene = Scene(
+                self.get_clock().now().nanoseconds, (), 0.0, exposure_time=self.parameters.value.exposure_time_s
+            )
+            if self._publish_free_frame(scene, taken):
                 taken += 1
             else:
                 time.sleep(_LOST_CAMERA_PAUSE_S)
             if driver.dropped > dropped:
                 self.diagnostics.drop(driver.dropped - dropped)
-            self.diagnostics.tell("camera_clock_drift_ppm", f"{1e6 * driver.drift:.1f}")
 
     def _publish_free_frame(self, scene: Scene, number: int) -> bool:
         """Expose and publish; False, and an error in the diagnostics, when there is no frame."""
         assert self._driver is not None, "an active camera has a driver"
         try:
             frame = self._driver.expose(scene)
+            # frames that the camera exposed and that did not arrive count as well
+            index = number + self._driver.dropped - self._dropped_before
+            self._publish(frame, FrameRecord("", 0, index, 0, Projection(PatternKind.OTHER), 0, 0.0, 0))
         except FringedicError as error:
             self.diagnostics.failure(str(error))
             self.get_logger().error(str(error), throttle_duration_sec=1.0)
             return False
-        # frames that the camera exposed and that did not arrive count as well
-        index = number + self._driver.dropped - self._dropped_before
-        self._publish(frame, FrameRecord("", 0, index, 0, Projection(PatternKind.OTHER), 0, 0.0, 0))
         self.diagnostics.success()
         return True
 

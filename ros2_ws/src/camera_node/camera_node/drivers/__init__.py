@@ -1,8 +1,12 @@
-"""Camera drivers without ROS: each turns one call into one frame."""
+"""Camera drivers: each turns one call into one frame."""
 
 from camera_node.drivers.aravis import AravisDriver, AravisSettings, Trigger
 from camera_node.drivers.driver import Driver, Frame, PlacedPlane, Scene, ShownPattern, StreamingDriver
 from camera_node.drivers.files import FilesDriver
+from camera_node.drivers.stamp_of import StampOf
+from camera_node.drivers.topic import TopicDriver, TopicSettings
+from camera_node.drivers.v4l2 import V4l2Driver, V4l2Settings
+from camera_node.drivers.video import VideoDriver
 from camera_node.drivers.virtual import VirtualDriver
 
 __all__ = [
@@ -14,7 +18,13 @@ __all__ = [
     "PlacedPlane",
     "Scene",
     "ShownPattern",
+    "StampOf",
     "StreamingDriver",
+    "TopicDriver",
+    "TopicSettings",
     "Trigger",
+    "V4l2Driver",
+    "V4l2Settings",
+    "VideoDriver",
     "VirtualDriver",
 ]

@@ -7,7 +7,7 @@ install it. It is loaded when the first such camera is opened.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from camera_node.drivers.device_clock import DeviceClock
+from camera_node.drivers.device_clock import ClockEstimate, DeviceClock
 from camera_node.drivers.driver import Frame, Scene
 from fringedic.errors import CameraError, CameraTimeoutError
 
@@ -23,6 +23,17 @@ Answer = TypeVar("Answer")
 
 _BUFFERS = 16  # frames that may wait in this process: half a second at 30 frames/s
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 8.0  # between attempts to find a camera that is gone
+_ATTEMPTS = 3  # to take a frame of which packets are lost, while its pattern stands still
+# what the receiver of a GigE Vision camera counts, and under which name it is told
+_COUNTED = {
+    "packets_lost": "n_missing_packets",
+    "packets_asked_for_again": "n_resend_requests",
+    "packets_resent": "n_resent_packets",
+    "frames_incomplete": "n_failures",
+    "frames_without_buffer": "n_underruns",
+}
+_LARGEST_DEVIATION = 0.05  # of the exposure time that a camera takes from the one asked for
+_PIXEL_FORMATS = {format: f"PIXEL_FORMAT_MONO_{format[4:]}" for format in ("Mono8", "Mono10", "Mono12", "Mono16")}
 _NUMBER_TYPES = {"Mono8": np.uint8, "Mono10": np.uint16, "Mono12": np.uint16, "Mono16": np.uint16}
 
 
@@ -78,16 +89,25 @@ class _Connection:
 
     camera: Any
     stream: Any
-    clock: DeviceClock = field(default_factory=DeviceClock)
+    asked_exposure_time: float  # [s]
+    exposure_time: float  # that the camera made of it [s]
+    automatic: tuple[tuple[str, Callable[[], Any]], ...]  # what the camera could do by itself, and how to ask
+    # by exposure time: whether the camera stamps the begin or the end of an exposure is not known
+    clocks: dict[float, DeviceClock] = field(default_factory=dict)
     last_frame: int | None = None  # number that the camera gave it
     running: bool = False
+
+
+class _IncompleteFrameError(CameraError):
+    """Packets of a frame were lost."""
 
 
 class AravisDriver:
     """A GenICam camera.
 
-    Automatic exposure and gain are switched off. A camera that is lost (unplugged, powered down) fails the exposures
-    of that time, and is looked for again at the next ones, with pauses that double up to 8 s.
+    Automatic exposure and gain are switched off, and an exposure is refused when one of them is found on. A frame of
+    which packets were lost is taken again, twice at most. A camera that is lost (unplugged, powered down) fails the
+    exposures of that time, and is looked for again at the next ones, with pauses that double up to 8 s.
 
     Parameters
     ----------
@@ -112,9 +132,18 @@ class AravisDriver:
         self._connection: _Connection | None = self._connect()
 
     @property
-    def drift(self) -> float:
-        """How much faster this computer's clock runs than the camera's [s/s]; NaN when it cannot be told."""
-        return float("nan") if self._connection is None else self._connection.clock.drift
+    def clock(self) -> ClockEstimate | None:
+        """The camera's clock against this computer's."""
+        known = [] if self._connection is None else [clock.estimate for clock in self._connection.clocks.values()]
+        return max((each for each in known if each is not None), key=lambda each: each.samples, default=None)
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What was lost on the way from the camera since it was connected."""
+        connection = self._connection
+        if connection is None or not connection.camera.is_gv_device():
+            return {}
+        return {name: connection.stream.get_info_uint64_by_name(key) for name, key in _COUNTED.items()}
 
     def start(self, rate_hz: float) -> None:
         """Expose at a rate [Hz] from now on; `expose` then gives one frame after the other.
@@ -147,24 +176,39 @@ class AravisDriver:
         CameraTimeoutError
             No frame came.
         CameraError
-            The frame is incomplete, or the camera is gone.
+            Packets of the frame were lost again and again, the camera sets itself, or it is gone.
+        ClockJumpError
+            The camera's clock or this computer's was set.
         """
         with self._in_use() as connection:
+            if scene.exposure_time != connection.asked_exposure_time:
+                connection.exposure_time = _set_exposure_time(self._aravis, connection.camera, scene.exposure_time)
+                connection.asked_exposure_time = scene.exposure_time
             if self._rate is not None:
                 return self._next(connection)
-            self._run(connection)
-            self._discard_waiting(connection)
-            asked = time.time_ns()
-            if self._settings.trigger is Trigger.SOFTWARE:
-                connection.camera.software_trigger()
-            while True:
-                frame = self._next(connection)
-                # a frame that was under way began before it was asked for
-                if (
-                    self._settings.trigger is not Trigger.INTERNAL
-                    or frame.stamp_ns - asked >= 0.5e9 * self._settings.exposure_time
-                ):
-                    return frame
+            self._refuse_automatic(connection)
+            for _ in range(_ATTEMPTS):
+                try:
+                    return self._take(connection)
+                except _IncompleteFrameError as error:
+                    lost = error
+                except CameraTimeoutError:
+                    self._stop(connection)  # a frame that comes still must not be taken for the next one
+                    raise
+            raise CameraError(f"{lost} ({_ATTEMPTS} attempts)")
+
+    def _take(self, connection: _Connection) -> Frame:
+        """Take one frame that begins now."""
+        self._run(connection)
+        self._discard_waiting(connection)
+        asked = time.time_ns()
+        if self._settings.trigger is Trigger.SOFTWARE:
+            connection.camera.software_trigger()
+        while True:
+            frame = self._next(connection)
+            # a frame that was under way began before it was asked for
+            if self._settings.trigger is not Trigger.INTERNAL or frame.stamp_ns - asked >= 0.5e9 * frame.exposure_time:
+                return frame
 
     def close(self) -> None:
         """Stop the camera and give it back."""
@@ -187,12 +231,14 @@ class AravisDriver:
             raise CameraError(f"the camera has no pixel format {settings.pixel_format}; it has {', '.join(offered)}")
         ask("pixel format", lambda: camera.set_pixel_format_from_string(settings.pixel_format))
         _set_region(aravis, camera, settings.region)
+        automatic = []
         if ask("automatic exposure", camera.is_exposure_auto_available):
             ask("automatic exposure", lambda: camera.set_exposure_time_auto(aravis.module.Auto.OFF))
+            automatic.append(("automatic exposure", camera.get_exposure_time_auto))
         if ask("automatic gain", camera.is_gain_auto_available):
             ask("automatic gain", lambda: camera.set_gain_auto(aravis.module.Auto.OFF))
-        ask("exposure time", lambda: _within(camera.get_exposure_time_bounds(), 1e6 * settings.exposure_time, "µs"))
-        ask("exposure time", lambda: camera.set_exposure_time(1e6 * settings.exposure_time))
+            automatic.append(("automatic gain", camera.get_gain_auto))
+        exposure_time = _set_exposure_time(aravis, camera, settings.exposure_time)
         if ask("gain", camera.is_gain_available):
             ask("gain", lambda: _within(camera.get_gain_bounds(), settings.gain, "dB"))
             ask("gain", lambda: camera.set_gain(settings.gain))
@@ -209,7 +255,15 @@ class AravisDriver:
         stream = ask("stream", lambda: camera.create_stream(None, None))
         for _ in range(_BUFFERS):
             stream.push_buffer(aravis.module.Buffer.new_allocate(camera.get_payload()))
-        return _Connection(camera, stream)
+        return _Connection(camera, stream, settings.exposure_time, exposure_time, tuple(automatic))
+
+    def _refuse_automatic(self, connection: _Connection) -> None:
+        for what, question in connection.automatic:
+            if question() != self._aravis.module.Auto.OFF:
+                raise CameraError(
+                    f"{what} is on, so grey levels of different frames cannot be compared; it was off when the camera "
+                    "was connected: what has switched it on?"
+                )
 
     def _set_trigger(self, camera: Any) -> None:
         trigger, ask = self._settings.trigger, self._aravis.ask
@@ -269,12 +323,12 @@ class AravisDriver:
         connection.last_frame = None
 
     def _next(self, connection: _Connection) -> Frame:
-        patience = self._settings.timeout + self._settings.exposure_time + 1 / (self._rate or np.inf)
+        patience = self._settings.timeout + connection.exposure_time + 1 / (self._rate or np.inf)
         buffer = connection.stream.timeout_pop_buffer(round(1e6 * patience))
         if buffer is None:
             connection.camera.get_exposure_time()  # a camera that is gone does not answer this
             raise CameraTimeoutError(
-                f"no frame within {patience:.1f} s; "
+                f"no frame within {patience:.3g} s; "
                 + (
                     "is the trigger's cable connected?"
                     if self._settings.trigger in (Trigger.EXTERNAL_EDGE, Trigger.EXTERNAL_LEVEL)
@@ -287,22 +341,32 @@ class AravisDriver:
             connection.stream.push_buffer(buffer)
 
     def _frame(self, connection: _Connection, buffer: Any) -> Frame:
-        number = buffer.get_frame_id()
+        number, status, statuses = buffer.get_frame_id(), buffer.get_status(), self._aravis.module.BufferStatus
         if connection.last_frame is not None and number > connection.last_frame + 1:
             self.dropped += number - connection.last_frame - 1
         connection.last_frame = number
-        status = buffer.get_status()
-        if status != self._aravis.module.BufferStatus.SUCCESS:
+        if status != statuses.SUCCESS:
             self.dropped += 1
+        if status == statuses.SIZE_MISMATCH:
+            raise CameraError(f"frame {number} has another size or pixel format than the camera was set to")
+        if status != statuses.SUCCESS:
+            raise _IncompleteFrameError(
+                f"frame {number} is incomplete ({status.value_nick}, {self.counts.get('packets_lost', 0)} packets lost "
+                "since the camera was connected); check cable, packet size and network load"
+            )
+        sent = buffer.get_image_pixel_format()
+        if sent != getattr(self._aravis.module, _PIXEL_FORMATS[self._settings.pixel_format]):
             raise CameraError(
-                f"frame {number} is incomplete ({status.value_nick}); check cable, packet size and network load"
+                f"frame {number} has the pixel format {sent:#010x}, not {self._settings.pixel_format}, to which the "
+                "camera was set"
             )
         width, height = buffer.get_image_width(), buffer.get_image_height()
         number_type = _NUMBER_TYPES[self._settings.pixel_format]
         image = np.frombuffer(buffer.get_image_data(), number_type, count=width * height).reshape(height, width).copy()
-        arrival = connection.clock.arrival(buffer.get_timestamp(), buffer.get_system_timestamp())
+        clock = connection.clocks.setdefault(connection.exposure_time, DeviceClock())
+        arrival = clock.arrival(buffer.get_timestamp(), buffer.get_system_timestamp())
         # the first data leave the camera when the exposure ends
-        return Frame(image, arrival - round(0.5e9 * self._settings.exposure_time))
+        return Frame(image, arrival - round(0.5e9 * connection.exposure_time), connection.exposure_time)
 
 
 @dataclass(frozen=True)
@@ -353,6 +417,16 @@ def _set_region(aravis: _Aravis, camera: Any, region: tuple[int, int, int, int] 
             f"region {list(wanted)} is not possible on this camera, the nearest is "
             f"{[given.x, given.y, given.width, given.height]} (column, row, width, height)"
         )
+
+
+def _set_exposure_time(aravis: _Aravis, camera: Any, wanted: float) -> float:
+    """Set an exposure time and return the one that the camera makes of it [s]."""
+    aravis.ask("exposure time", lambda: _within(camera.get_exposure_time_bounds(), 1e6 * wanted, "µs"))
+    aravis.ask("exposure time", lambda: camera.set_exposure_time(1e6 * wanted))
+    taken = 1e-6 * aravis.ask("exposure time", camera.get_exposure_time)
+    if abs(taken - wanted) > _LARGEST_DEVIATION * wanted:
+        raise CameraError(f"exposure time: the camera makes {1e3 * taken:g} ms of {1e3 * wanted:g} ms")
+    return taken
 
 
 def _within(bounds: tuple[float, float], value: float, unit: str) -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
+
+from camera_node.drivers.device_clock import ClockEstimate
 
 
 @dataclass(frozen=True)
@@ -76,10 +79,13 @@ class Frame:
         uint8 or uint16, (row, column).
     stamp_ns
         Middle of the exposure [ns].
+    exposure_time
+        That the camera really took [s].
     """
 
     image: np.ndarray
     stamp_ns: int
+    exposure_time: float
 
 
 class Driver(Protocol):
@@ -96,8 +102,18 @@ class Driver(Protocol):
     needs_scene: bool
     dropped: int
 
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """What else the way from the camera is known to have done, such as packets lost; told in the diagnostics."""
+        ...
+
+    @property
+    def clock(self) -> ClockEstimate | None:
+        """The clock of the camera's stamps against this computer's; None without such a clock or before a frame."""
+        ...
+
     def expose(self, scene: Scene) -> Frame:
-        """Take one frame that begins now.
+        """Take one frame of `scene.exposure_time` that begins now.
 
         Raises
         ------
@@ -127,9 +143,4 @@ class StreamingDriver(Driver, Protocol):
 
     def stop(self) -> None:
         """End what `start` began."""
-        ...
-
-    @property
-    def drift(self) -> float:
-        """How much faster this computer's clock runs than the camera's [s/s]; NaN when it cannot be told."""
         ...

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
 
+from camera_node.drivers.device_clock import ClockEstimate
 from camera_node.drivers.driver import Frame, Scene
+from camera_node.drivers.grey import luminance
 from fringedic.errors import CameraError
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
-# luminance weights of ITU-R 601 in 16 binary digits; they add up to 1, so that grey stays grey
-_BLUE_GREEN_RED = (7471, 38470, 19595)
 _KEPT_IMAGES = 16  # of a source that repeats, so that a short series costs no reading
 
 
@@ -37,6 +37,8 @@ class FilesDriver:
 
     needs_scene = False
     dropped = 0
+    counts: Mapping[str, int] = {}
+    clock: ClockEstimate | None = None
 
     def __init__(self, files: str, *, repeat: bool) -> None:
         place = Path(files)
@@ -65,7 +67,7 @@ class FilesDriver:
             )
         path = self._paths[self._next]
         self._next += 1
-        return Frame(self._read(path), time.time_ns())
+        return Frame(self._read(path), time.time_ns(), scene.exposure_time)
 
     def close(self) -> None:
         """Nothing is kept open."""
@@ -90,5 +92,4 @@ def read_grey(path: Path) -> np.ndarray:
         raise CameraError(f"{path} has pixels of type {image.dtype}; 8 or 16 bits are needed")
     if image.ndim == 2:
         return image
-    weighted = image[:, :, :3].astype(np.uint64) @ np.array(_BLUE_GREEN_RED, np.uint64)
-    return ((weighted + 0x8000) >> 16).astype(image.dtype)
+    return luminance(image)

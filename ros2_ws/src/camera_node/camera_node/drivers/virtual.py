@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import h5netcdf
 import numpy as np
 import xarray as xr
 
+from camera_node.drivers.device_clock import ClockEstimate
 from camera_node.drivers.driver import Frame, PlacedPlane, Scene
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration, pattern_weights
 
@@ -19,6 +21,8 @@ class VirtualDriver:
 
     needs_scene = True
     dropped = 0
+    counts: Mapping[str, int] = {}
+    clock: ClockEstimate | None = None
 
     def __init__(self, configuration: VirtualRigConfiguration) -> None:
         self.rig = VirtualRig(configuration)
@@ -37,7 +41,7 @@ class VirtualDriver:
             exposure_factor=1.0 if white is None else 1e3 * scene.exposure_time / white,
         )
         self._frames += 1
-        return Frame(image, scene.stamp_ns)
+        return Frame(image, scene.stamp_ns, scene.exposure_time)
 
     def close(self) -> None:
         """Nothing is kept open."""

@@ -1,0 +1,259 @@
+"""Images of another ROS 2 node: whatever driver the camera's maker or the community offers."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
+from rclpy.node import Node
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+from rclpy.topic_endpoint_info import TopicEndpointInfo
+from sensor_msgs.msg import Image
+
+from camera_node.drivers.device_clock import ClockEstimate, DeviceClock
+from camera_node.drivers.driver import Frame, Scene
+from camera_node.drivers.grey import luminance
+from camera_node.drivers.stamp_of import StampOf
+from fringedic.errors import CameraError, CameraTimeoutError, ClockJumpError
+from fringedic_ros.images import image_array
+from fringedic_ros.stamps import to_nanoseconds
+
+_TYPE = "sensor_msgs/msg/Image"
+_WAITING = 8  # images that may wait in this process, and in the middleware
+_LOOK_S = 0.2  # between two looks at who publishes
+_AHEAD_NS = 5_000_000  # by which synchronised clocks of two computers may differ
+_SAME_AS = {"8UC1": "mono8", "16UC1": "mono16"}
+_COLOURS = {"bgr8": slice(None), "rgb8": slice(None, None, -1)}  # order of channels that makes them blue, green, red
+
+
+@dataclass(frozen=True)
+class TopicSettings:
+    """Whose images are taken, and what is known of them.
+
+    Attributes
+    ----------
+    topic
+        Name of the image topic.
+    exposure_time
+        To which the camera is set there [s].
+    stamp_of
+        Moment of the exposure that the images' stamps are of.
+    timeout
+        How long to wait for an image beyond its exposure time [s].
+    """
+
+    topic: str
+    exposure_time: float
+    stamp_of: StampOf = StampOf.END
+    timeout: float = 5.0
+
+
+class TopicDriver:
+    """A camera that another node drives; it exposes by itself, and the first image that began late enough counts.
+
+    The subscription takes the reliability of whoever publishes, and follows when that changes.
+
+    Parameters
+    ----------
+    node
+        Owner of the subscription; its executor must be spinning while `expose` waits in another thread.
+    settings
+        Whose images.
+
+    Raises
+    ------
+    CameraError
+        The topic is this node's own.
+    """
+
+    needs_scene = False
+    counts: Mapping[str, int] = {}
+
+    def __init__(self, node: Node, settings: TopicSettings) -> None:
+        self.dropped = 0
+        self._node = node
+        self._settings = settings
+        self._topic = node.resolve_topic_name(settings.topic)
+        if any(publisher.topic_name == self._topic for publisher in node.publishers):
+            raise CameraError(f"{self._topic} is this node's own topic; give that of the camera's driver another name")
+        self._clock = DeviceClock("driver")
+        self._jump: ClockJumpError | None = None
+        self._last_stamp_ns = 0
+        self._images: deque[tuple[Image, int]] = deque()
+        self._arrived = threading.Condition()
+        self._streaming = False
+        self._converted = False
+        self._publishers: list[TopicEndpointInfo] = []
+        self._subscription: Subscription | None = None
+        self._reliability: ReliabilityPolicy | None = None
+        self._look()
+        self._timer = node.create_timer(_LOOK_S, self._look)
+
+    @property
+    def clock(self) -> ClockEstimate | None:
+        """The driver's clock against this computer's."""
+        return self._clock.estimate
+
+    def start(self, rate_hz: float) -> None:
+        """Keep every image from now on; their rate is the driver's own."""
+        self._streaming = True
+
+    def stop(self) -> None:
+        """End what `start` began."""
+        self._streaming = False
+
+    def expose(self, scene: Scene) -> Frame:
+        """Wait for the first image whose exposure begins from now on, or for the next one of a stream.
+
+        Raises
+        ------
+        CameraTimeoutError
+            No such image came; the message says what did come.
+        CameraError
+            The image or its stamp cannot be used, or another exposure time is asked for.
+        """
+        settings = self._settings
+        if scene.exposure_time != settings.exposure_time:
+            raise CameraError(
+                f"an exposure of {1e3 * scene.exposure_time:g} ms is asked for; the driver of {self._topic} exposes "
+                f"for {1e3 * settings.exposure_time:g} ms, which only it can change"
+            )
+        asked = 0 if self._streaming else self._node.get_clock().now().nanoseconds
+        deadline = time.monotonic() + settings.timeout + settings.exposure_time
+        if not self._streaming:
+            with self._arrived:
+                self._images.clear()
+                self._jump = None
+        passed_over, age = 0, 0.0
+        while True:
+            image = self._next(deadline)
+            if image is None:
+                raise CameraTimeoutError(self._silence(passed_over, age))
+            message, arrived = image
+            stamp = to_nanoseconds(message.header.stamp)
+            if settings.stamp_of.start_ns(stamp, settings.exposure_time) >= asked:
+                self._check_stamp(stamp, arrived)
+                middle = settings.stamp_of.middle_ns(stamp, settings.exposure_time)
+                return Frame(self._grey(message), middle, settings.exposure_time)
+            passed_over, age = passed_over + 1, 1e-9 * (arrived - stamp)
+
+    def close(self) -> None:
+        """Take no images any more."""
+        self._node.destroy_timer(self._timer)
+        self._unsubscribe()
+
+    # in the executor's thread
+
+    def _look(self) -> None:
+        """Subscribe with the reliability that is offered."""
+        self._publishers = self._node.get_publishers_info_by_topic(self._topic)
+        offered = {each.qos_profile.reliability for each in self._publishers if each.topic_type == _TYPE}
+        if not offered:
+            return  # a driver that is gone may come back as it was
+        reliable = offered == {ReliabilityPolicy.RELIABLE}
+        wanted = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
+        if wanted == self._reliability:
+            return
+        self._unsubscribe()
+        self._reliability = wanted
+        self._subscription = self._node.create_subscription(
+            Image,
+            self._topic,
+            self._take,
+            QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=_WAITING, reliability=wanted),
+            event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost),
+        )
+
+    def _unsubscribe(self) -> None:
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+            self._subscription = None
+
+    def _take(self, message: Image) -> None:
+        arrived = self._node.get_clock().now().nanoseconds
+        stamp = to_nanoseconds(message.header.stamp)
+        if stamp == self._last_stamp_ns:
+            return  # the same image once more
+        self._last_stamp_ns = stamp
+        with self._arrived:
+            try:
+                self._clock.arrival(stamp, arrived)
+            except ClockJumpError as jump:
+                self._node.get_logger().warning(f"{self._topic}: {jump}")
+                self._jump = jump
+            if len(self._images) == _WAITING:
+                self._images.popleft()
+                self.dropped += self._streaming
+            self._images.append((message, arrived))
+            self._arrived.notify()
+
+    def _count_lost(self, info: QoSMessageLostInfo) -> None:
+        self.dropped += info.total_count_change
+
+    # in the thread that waits
+
+    def _next(self, deadline: float) -> tuple[Image, int] | None:
+        """The next image and when it arrived [ns]; None when none comes before the deadline."""
+        with self._arrived:
+            self._arrived.wait_for(lambda: self._images or self._jump, max(deadline - time.monotonic(), 0.0))
+            jump, self._jump = self._jump, None
+            if jump is not None:
+                self._images.clear()
+                raise jump
+            return self._images.popleft() if self._images else None
+
+    def _silence(self, passed_over: int, age: float) -> str:
+        """Why no image can be had."""
+        settings, publishers = self._settings, self._publishers
+        waited = f"within {settings.timeout + settings.exposure_time:.3g} s"
+        images = [each for each in publishers if each.topic_type == _TYPE]
+        if not publishers:
+            return f"nobody publishes {self._topic}; is the camera's driver running?"
+        if not images:
+            return f"{self._topic} carries {publishers[0].topic_type}; {_TYPE} is needed"
+        if not passed_over:
+            return f"{_names(images)} publishes {self._topic} but no image came {waited}; is its camera connected?"
+        return (
+            f"{passed_over} images came on {self._topic} {waited}, the last {age:.3g} s after its stamp, and no "
+            "exposure began after it was asked for; synchronise the driver's clock with this computer's"
+        )
+
+    def _check_stamp(self, stamp_ns: int, arrived_ns: int) -> None:
+        settings = self._settings
+        if len(self._publishers) > 1:
+            raise CameraError(f"{_names(self._publishers)} publish {self._topic}; one camera is needed")
+        ended = settings.stamp_of.start_ns(stamp_ns, settings.exposure_time) + round(1e9 * settings.exposure_time)
+        if ended > arrived_ns + _AHEAD_NS:
+            raise CameraError(
+                f"an image of {self._topic} arrived {1e-9 * (ended - arrived_ns):.3g} s before the end of its exposure "
+                f"by its stamp; synchronise the driver's clock with this computer's, or correct exposure_time_s and "
+                f"stamp_of ({settings.stamp_of})"
+            )
+
+    def _grey(self, message: Image) -> np.ndarray:
+        """Grey levels of an image message, uint8 or uint16 (row, column)."""
+        message.encoding = _SAME_AS.get(message.encoding, message.encoding)
+        if message.encoding in ("mono8", "mono16"):
+            return image_array(message)
+        if message.encoding not in _COLOURS:
+            raise CameraError(
+                f"{self._topic} carries images of the encoding {message.encoding}; set the camera's driver to mono8 or "
+                "mono16"
+            )
+        if not self._converted:
+            self._converted = True
+            self._node.get_logger().warning(
+                f"{self._topic} carries colours ({message.encoding}); their luminance is taken, which is coarser and "
+                "noisier than the camera's grey: set its driver to mono8 or mono16 if it can"
+            )
+        return luminance(image_array(message)[:, :, _COLOURS[message.encoding]])
+
+
+def _names(publishers: list[TopicEndpointInfo]) -> str:
+    return ", ".join(f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in publishers)
