@@ -26,6 +26,7 @@ from fringedic_bringup.graph import Graph, NodeEntry
 # A node that is told to end finishes what it has in hand; a recorder still has a bag to close.
 PATIENCE_S = {signal.SIGINT: 15.0, signal.SIGTERM: 5.0, signal.SIGKILL: 5.0}
 SHARED_MEMORY = Path("/dev/shm")
+BETWEEN_LOOKS_S = 0.2
 _SEGMENT = re.compile(r"(?:sem\.)?(?P<name>fastrtps_(?:port\d+|[0-9a-f]{16}))(?:(?P<lock>_[es]l)|_mutex)?")
 # Domains above 101 would collide with the ports that Linux gives to outgoing connections.
 PRIVATE_DOMAINS = range(62, 102)
@@ -197,17 +198,24 @@ def remove_stale_segments() -> set[str]:
     """Remove this user's Fast DDS shared memory that no process uses any more, and return the names.
 
     Killed processes leave their segments behind, and even clean ones their ports. In use is what a process has mapped,
-    or what its owner keeps locked (``_el``: by one, ``_sl``: by several).
+    or what its owner keeps locked (``_el``: by one, ``_sl``: by several). Only what is unused at two looks is removed:
+    a process that has just made a segment is about to map it.
     """
+    stale = _unused_segments()
+    if stale:
+        time.sleep(BETWEEN_LOOKS_S)
+        stale = {path: name for path, name in _unused_segments().items() if path in stale}
+    for path in stale:
+        path.unlink(missing_ok=True)
+    return set(stale.values())
+
+
+def _unused_segments() -> dict[Path, str]:
+    """Files of this user's segments that no process has mapped or locked, with the names of the segments."""
     files = [(found, path) for path in SHARED_MEMORY.iterdir() if (found := _SEGMENT.fullmatch(path.name))]
     names = {found["name"] for found, _ in files} - mapped_segments()
     names -= {found["name"] for found, path in files if found["lock"] and _is_locked(path)}
-    removed = set()
-    for found, path in files:
-        if found["name"] in names and _is_mine(path):
-            path.unlink(missing_ok=True)
-            removed.add(found["name"])
-    return removed
+    return {path: found["name"] for found, path in files if found["name"] in names and _is_mine(path)}
 
 
 def mapped_segments() -> set[str]:
