@@ -10,13 +10,14 @@ with RigClient("rig") as rig:
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import rclpy
 from rcl_interfaces.srv import GetParameters
@@ -30,11 +31,15 @@ from rclpy.task import Future
 from experiment_node.topics import DERIVED_TOPICS, RAW_TOPICS
 from fringedic.calibration_session import place_in_words
 from fringedic.errors import NotAnsweredError, StepFailedError
+from fringedic.programme import Reading
 from fringedic_bringup.processes import node_environment
 from fringedic_msgs.action import CalibrateDistortion, CalibrateRig, MeasureStep, MoveCrosshead
-from fringedic_msgs.msg import RecorderStatus
+from fringedic_msgs.msg import LoadState, NodeParameters, RecorderStatus
 from fringedic_msgs.srv import PlaceReferencePlane, SetReference, StartExperiment
-from fringedic_ros.qos import LATCHED
+from fringedic_ros.qos import LATCHED, LATCHED_BY_MANY, STATE
+from fringedic_ros.stamps import to_nanoseconds
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
 
 MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
 START_TIMEOUT_S = 60.0
@@ -55,17 +60,31 @@ class RigClient:
         ROS_DOMAIN_ID; None takes the one of the environment.
     watch
         Called about ten times a second while waiting; what it raises ends the wait.
+    name
+        Of this controller, for others whom it keeps waiting.
+
+    Attributes
+    ----------
+    last_step
+        Number of the step that was measured last, whether it succeeded or not; -1 before the first.
     """
 
     def __init__(
-        self, namespace: str = "rig", *, domain: int | None = None, watch: Callable[[], None] = lambda: None
+        self,
+        namespace: str = "rig",
+        *,
+        domain: int | None = None,
+        watch: Callable[[], None] = lambda: None,
+        name: str = "client",
     ) -> None:
+        self.last_step = -1
+        self._name = name
         self._watch = watch
         self._context = Context()
         for name, value in node_environment().items():
             os.environ.setdefault(name, value)  # the same middleware settings as the nodes have
         rclpy.init(context=self._context, domain_id=domain)
-        self._node = Node("client", namespace=namespace, context=self._context)
+        self._node = Node(name, namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._measure = ActionClient(self._node, MeasureStep, "measure_step")
@@ -78,8 +97,16 @@ class RigClient:
         self._recorder_parameters = self._node.create_client(GetParameters, "recorder/get_parameters")
         self._recorder: RecorderStatus | None = None
         self._node.create_subscription(RecorderStatus, "recorder/status", self._take_recorder, LATCHED)
+        self._hold = self._node.create_client(Trigger, "load_frame/hold")
+        self._load: LoadState | None = None
+        self._strain = self._strain_of_step = math.nan
+        self._node.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
+        self._node.create_subscription(Float64, "extensometer/strain", self._take_strain, STATE)
+        self._started: dict[str, int] = {}  # when each node published its parameters last [ns]
+        self._node.create_subscription(NodeParameters, "node_parameters", self._take_parameters, LATCHED_BY_MANY)
+        self._running: Any = None  # goal whose result has not come
 
-    def __enter__(self) -> RigClient:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(
@@ -144,16 +171,105 @@ class RigClient:
         if not response.success:
             raise StepFailedError(response.message)
 
-    def move(self, position: float, speed: float = 1e-3) -> MoveCrosshead.Result:
+    @property
+    def reading(self) -> Reading:
+        """The latest force and strain that came; NaN where none did."""
+        return Reading(math.nan if self._load is None else self._load.force, self._strain)
+
+    @property
+    def strain_of_step(self) -> float:
+        """The last strain that the extensometer was sure of while the last step was measured [-]; NaN for none."""
+        return self._strain_of_step
+
+    def move(
+        self, position: float, speed: float = 1e-3, *, until: Callable[[Reading], object] | None = None
+    ) -> MoveCrosshead.Result:
         """Move the crosshead to a position [m] at a speed [m/s] and hold there.
+
+        Parameters
+        ----------
+        until
+            Asked at every sample of the load frame; when it says true the machine is told to hold where it is. The
+            machine stops with its ramp and after the way of the messages, so that it goes a little further.
 
         Raises
         ------
         StepFailedError
             The machine did not get there.
+        NotAnsweredError
+            `until` is given, and the load frame publishes no state.
         """
-        goal = MoveCrosshead.Goal(position=position, speed=speed)
-        return self._act(self._move, goal, f"crosshead to {position * 1e3:.4f} mm", lambda _: None)
+        goal = MoveCrosshead.Goal(position=position, speed=speed, controller=self._name)
+        what = f"crosshead to {position * 1e3:.4f} mm"
+        if until is None:
+            return self._act(self._move, goal, what, lambda _: None)
+        self._wait(lambda: self._load is not None, START_TIMEOUT_S, lambda: "load_frame/state: no sample")
+        handle = self._send(self._move, goal, what, lambda _: None)
+        ended = handle.get_result_async()
+        stopped = False
+
+        def over() -> bool:
+            nonlocal stopped
+            if not stopped and not ended.done() and until(self.reading):
+                stopped = True
+                handle.cancel_goal_async()
+            return ended.done()
+
+        self._wait(over, STEP_TIMEOUT_S, lambda: f"{what}: no answer")
+        self._running = None
+        result = ended.result().result
+        if result.error_code and not (stopped and result.error_code == MoveCrosshead.Result.CANCELLED):
+            raise StepFailedError(f"{result.error_message} (error {result.error_code})")
+        return result
+
+    def hold(self) -> None:
+        """Ask the machine to stop and hold.
+
+        Raises
+        ------
+        StepFailedError
+            It does not: nobody serves ``load_frame/hold``, or the machine refuses.
+        """
+        if not self._hold.service_is_ready():
+            raise StepFailedError("nobody serves load_frame/hold; stop the machine by hand")
+        response = self._call(self._hold, Trigger.Request())
+        if not response.success:
+            raise StepFailedError(response.message)
+
+    def cancel(self, timeout_s: float = 10.0) -> None:
+        """Cancel the move or the step whose wait was ended by `watch`, if there is one.
+
+        Raises
+        ------
+        NotAnsweredError
+            Who runs it does not answer any more.
+        """
+        handle, self._running = self._running, None
+        if handle is not None:
+            self._await(handle.cancel_goal_async(), timeout_s, "cancelling")
+            self._await(handle.get_result_async(), timeout_s, "the end of what was cancelled")
+
+    def wait_until_started(self, nodes: Iterable[str], since_ns: int, timeout_s: float = START_TIMEOUT_S) -> None:
+        """Wait for nodes that were started again: the middleware still lists the old ones for some seconds.
+
+        Parameters
+        ----------
+        nodes
+            Their names.
+        since_ns
+            Time on this computer's clock [ns] from which on their parameters have to come.
+
+        Raises
+        ------
+        NotAnsweredError
+            One of them did not come in time.
+        """
+        expected = set(nodes)
+
+        def missing() -> set[str]:
+            return {name for name in expected if self._started.get(name, 0) < since_ns}
+
+        self._wait(lambda: not missing(), timeout_s, lambda: f"not started: {', '.join(sorted(missing()))}")
 
     def measure(
         self,
@@ -178,8 +294,12 @@ class RigClient:
         StepFailedError
             The step ended with an error; the message names experiment and step.
         """
-        goal = MeasureStep.Goal(mode=MODES[mode], set_reference=set_reference)
-        return self._act(self._measure, goal, "measure_step", feedback)
+        goal = MeasureStep.Goal(mode=MODES[mode], set_reference=set_reference, controller=self._name)
+        self._strain_of_step = math.nan
+        result = self._goal(self._measure, goal, "measure_step", feedback)
+        if result.error_code != MeasureStep.Result.BUSY:
+            self.last_step = result.step
+        return _without_error(result)
 
     def calibrate_distortion(
         self,
@@ -309,17 +429,21 @@ class RigClient:
         self._wait(lambda: time.monotonic() >= end, seconds + 1.0, lambda: "the clock stands still")
 
     def _act(self, client: ActionClient, goal: Any, what: str, feedback: Callable[[Any], None]) -> Any:
-        result = self._goal(client, goal, what, feedback)
-        if result.error_code:
-            raise StepFailedError(f"{result.error_message} (error {result.error_code})")
-        return result
+        return _without_error(self._goal(client, goal, what, feedback))
 
     def _goal(self, client: ActionClient, goal: Any, what: str, feedback: Callable[[Any], None]) -> Any:
+        handle = self._send(client, goal, what, feedback)
+        result = self._await(handle.get_result_async(), STEP_TIMEOUT_S, what).result
+        self._running = None
+        return result
+
+    def _send(self, client: ActionClient, goal: Any, what: str, feedback: Callable[[Any], None]) -> Any:
         sent = client.send_goal_async(goal, feedback_callback=lambda message: feedback(message.feedback))
         handle = self._await(sent, START_TIMEOUT_S, what)
         if not handle.accepted:
             raise StepFailedError(f"{what}: refused")
-        return self._await(handle.get_result_async(), STEP_TIMEOUT_S, what).result
+        self._running = handle
+        return handle
 
     def _call(self, client: Any, request: Any) -> Any:
         return self._await(client.call_async(request), START_TIMEOUT_S, client.srv_name)
@@ -354,6 +478,24 @@ class RigClient:
 
     def _take_recorder(self, message: RecorderStatus) -> None:
         self._recorder = message
+
+    def _take_load(self, message: LoadState) -> None:
+        self._load = message
+
+    def _take_strain(self, message: Float64) -> None:
+        self._strain = message.data
+        if math.isfinite(message.data):
+            self._strain_of_step = message.data
+
+    def _take_parameters(self, message: NodeParameters) -> None:
+        stamp = to_nanoseconds(message.header.stamp)
+        self._started[message.node] = max(stamp, self._started.get(message.node, 0))
+
+
+def _without_error(result: Any) -> Any:
+    if result.error_code:
+        raise StepFailedError(f"{result.error_message} (error {result.error_code})")
+    return result
 
 
 def _absolute(folder: Path | None) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -17,6 +18,7 @@ from rich.table import Table
 
 from fringedic.errors import ExportError, FringedicError, ParameterError, RecordingError, RigFileError
 from fringedic_bringup.display import LiveProgress, report_table
+from fringedic_bringup.live_display import Pattern
 
 if TYPE_CHECKING:
     from fringedic_bringup.report import RunReport
@@ -137,6 +139,24 @@ def check(
         console.print(words, markup=False, highlight=False)
     if not result.holds:
         raise typer.Exit(1)
+
+
+@app.command(epilog="Example: fringedic live plate.yaml --pattern fringes --region 320,240,640,480")
+def live(
+    rig: Annotated[Path, typer.Argument(help="Rig file; those that come with fringedic are found by their name.")],
+    pattern: Annotated[Pattern, typer.Option(help="What is projected; focus: a grid of sharp lines.")] = Pattern.WHITE,
+    region: Annotated[
+        str, typer.Option(help="What is looked at: first column, first row, width and height in px, with commas.")
+    ] = "",
+    once: Annotated[bool, typer.Option("--once", help="Say once what is seen, and end.")] = False,
+) -> None:
+    """Show what the camera sees while the rig is set up: focus, grey levels, speckles, fringes and noise."""
+    from fringedic.rig_file import load_rig_file
+    from fringedic_bringup.live import show_live
+
+    path = _rig_path(rig)
+    with suppress(KeyboardInterrupt):
+        show_live(load_rig_file(path), path, pattern, console, region=region, once=once)
 
 
 @app.command(epilog="Example: fringedic demo --output demo plate leather")

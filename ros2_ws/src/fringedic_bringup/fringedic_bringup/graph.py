@@ -114,6 +114,28 @@ def calibration_graph(rig: RigFile, rig_path: Path, folder: Path) -> Graph:
     )
 
 
+def live_graph(rig: RigFile, rig_path: Path, region: Sequence[int] = ()) -> Graph:
+    """Return the nodes that show what the camera sees, for setting up; nothing is recorded.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file and where it was read.
+    region
+        First column, first row, width and height of what is looked at [px]; empty: all.
+    """
+    view: dict[str, Any] = {"full_scale_grey_level": _full_scale(rig)}
+    if region:
+        view["region_px"] = list(region)
+    return Graph(
+        rig.namespace,
+        (
+            NodeEntry("live_view", "camera_node", "live_view", view),
+            *_hardware(rig, rig_path, _camera(rig, rig_path)),
+        ),
+    )
+
+
 def replay_graph(
     bag: Path,
     output: Path,
@@ -218,6 +240,15 @@ def _camera(rig: RigFile, rig_path: Path) -> dict[str, Any]:
     return parameters
 
 
+def _full_scale(rig: RigFile) -> float:
+    """Return the grey level of a saturated pixel; 0 where only the images can tell."""
+    if rig.camera.source == "virtual":
+        return 2.0 ** rig.virtual_configuration().sensor.bits - 1
+    if rig.camera.source == "aravis":
+        return 2.0 ** int(rig.camera.pixel_format.removeprefix("Mono")) - 1
+    return 0.0
+
+
 def _load_frame(rig: RigFile, rig_path: Path) -> dict[str, Any]:
     load_frame = rig.load_frame
     assert load_frame is not None, "only of a rig with a load frame"
@@ -242,6 +273,9 @@ def _experiment(rig: RigFile, experiment: str) -> dict[str, Any]:
         "projector": rig.projector is not None,
         "recording_required": True,
     }
+    if rig.load_frame is not None:
+        names = ("hold_required", "load_drift_n", "position_drift_um")
+        parameters |= {name: getattr(rig.load_frame, name) for name in names}
     if rig.virtual_rig is not None:
         parameters["camera_timeout_s"] = RENDERING_TIMEOUT_S
     size = rig.projector_size()

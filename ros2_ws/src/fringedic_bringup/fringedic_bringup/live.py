@@ -1,0 +1,195 @@
+"""The camera's view while a rig is set up: starts what shows, exposes and looks, and draws the figures."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Generator, Sequence
+from contextlib import closing
+from itertools import count, islice
+from pathlib import Path
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from rich.console import Console
+from rich.live import Live
+
+from fringedic.errors import RigFileError, StepFailedError
+from fringedic.rig_file import RigFile
+from fringedic.sequence import PatternKind, Projection
+from fringedic_bringup.client import RigClient
+from fringedic_bringup.graph import live_graph
+from fringedic_bringup.live_display import Pattern, Rate, block, drawing
+from fringedic_bringup.processes import RunningGraph
+from fringedic_msgs.msg import LiveView
+from fringedic_msgs.srv import CaptureFrame, ShowPattern
+from fringedic_ros.qos import DERIVED
+
+FRAMES_OF_ONE_LOOK = 8  # two cycles of four shifts
+
+
+def show_live(rig: RigFile, rig_path: Path, pattern: Pattern, console: Console, *, region: str, once: bool) -> None:
+    """Draw what the camera sees until a person ends it; without a terminal, or `once`, print it one time.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file and where it was read.
+    pattern
+        What the projector shows.
+    console
+        Where to draw.
+    region
+        First column, first row, width and height of what is looked at, as "320,240,640,480" [px]; empty: all.
+    once
+        Print one block of lines and end.
+
+    Raises
+    ------
+    RigFileError
+        The region is no four numbers, or see `watch`.
+    """
+
+    def title(figures: LiveView) -> str:
+        place = f"{figures.width}x{figures.height} px from column {figures.column}, row {figures.row}"
+        return f"{rig_path.stem}, projector shows {pattern}: {place}"
+
+    with closing(watch(rig, rig_path, pattern, region=_four_numbers(region))) as frames:
+        if once or not console.is_terminal:
+            *_, figures = islice(frames, FRAMES_OF_ONE_LOOK)
+            console.print(block(figures, pattern, title(figures)), markup=False, highlight=False)
+            return
+        rate = Rate()
+        with Live(console=console, auto_refresh=False, screen=True) as screen:
+            for figures in frames:
+                speed = f"{rate.tick():.1f} frames/s"
+                screen.update(drawing(figures, pattern, f"{title(figures)}, {speed}"), refresh=True)
+
+
+def watch(
+    rig: RigFile,
+    rig_path: Path,
+    pattern: Pattern,
+    *,
+    region: Sequence[int] = (),
+    domain: int | None = None,
+) -> Generator[LiveView]:
+    """Start projector, camera and live view, and yield the figures of one frame after the other without end.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file and where it was read.
+    pattern
+        What the projector shows.
+    region
+        First column, first row, width and height of what is looked at [px]; empty: all.
+    domain
+        ROS_DOMAIN_ID; None takes the one of the environment.
+
+    Raises
+    ------
+    RigFileError
+        Something is to be shown by a rig without projector.
+    NodeDiedError, NotAnsweredError, StepFailedError
+        The nodes did not start, one of them ended, or a frame could not be taken.
+    """
+    if rig.projector is None and pattern is not Pattern.WHITE:
+        raise RigFileError(f"{rig_path}: has no projector that could show {pattern}")
+    graph = live_graph(rig, rig_path, region)
+    with (
+        tempfile.TemporaryDirectory(prefix="fringedic-live-") as folder,
+        RunningGraph(graph, Path(folder), domain=domain) as running,
+        _Viewer(graph.namespace, domain=domain, watch=running.check) as viewer,
+    ):
+        viewer.wait_until_ready(graph.names)
+        patterns = _patterns(rig, pattern)
+        for number in count():
+            projection, name = patterns[number % len(patterns)]
+            if (rig.projector is not None and number < len(patterns)) or len(patterns) > 1:
+                viewer.show(projection, name)
+            yield viewer.look(projection)
+
+
+class _Viewer(RigClient):
+    """Has one pattern shown and one frame taken after the other."""
+
+    def __init__(self, namespace: str, **options: Any) -> None:
+        super().__init__(namespace, **options)
+        self._show = self._node.create_client(ShowPattern, "projector/show")
+        self._capture = self._node.create_client(CaptureFrame, "camera/capture")
+        self._figures: LiveView | None = None
+        self._shown = Time()
+        self._node.create_subscription(LiveView, "live_view/figures", self._take_figures, DERIVED)
+
+    def show(self, projection: Projection, name: str) -> None:
+        """Have a pattern shown from now on."""
+        self._ready(self._show)
+        request = ShowPattern.Request(
+            kind=projection.kind,
+            name=name,
+            pitch=projection.pitch,
+            shift=projection.shift,
+            shifts=projection.shifts,
+            orientation=projection.orientation,
+        )
+        response = self._call(self._show, request)
+        if response.error_code:
+            raise StepFailedError(f"{response.error_message} (error {response.error_code})")
+        self._shown = response.shown
+
+    def look(self, projection: Projection) -> LiveView:
+        """Have a frame taken and return its figures."""
+        self._ready(self._capture)
+        request = CaptureFrame.Request(
+            experiment="live view",
+            count=1,
+            kind=projection.kind,
+            pitch=projection.pitch,
+            shift=projection.shift,
+            shifts=projection.shifts,
+            orientation=projection.orientation,
+            shown=self._shown,
+            image_subscribers=1,
+            exposure_subscribers=1,
+        )
+        response = self._call(self._capture, request)
+        if response.error_code:
+            raise StepFailedError(f"{response.error_message} (error {response.error_code})")
+
+        def arrived() -> bool:
+            return self._figures is not None and self._figures.header.stamp == response.stamp
+
+        self._wait(arrived, 30.0, lambda: "live_view/figures: nothing about this frame; see /diagnostics")
+        assert self._figures is not None, "they arrived"
+        return self._figures
+
+    def _ready(self, client: Any) -> None:
+        if not client.service_is_ready():
+            self._wait(client.service_is_ready, 30.0, lambda: f"{client.srv_name}: no such service")
+
+    def _take_figures(self, message: LiveView) -> None:
+        self._figures = message
+
+
+def _patterns(rig: RigFile, pattern: Pattern) -> list[tuple[Projection, str]]:
+    """What is shown in turns, with the names of set-up patterns."""
+    if pattern is Pattern.FRINGES:
+        finest = rig.projections()[-1]
+        return [
+            (Projection(PatternKind.FRINGES, finest.orientation, finest.pitch, shift, 4), "") for shift in (1, 2, 3, 4)
+        ]
+    if pattern is Pattern.WHITE:
+        return [(Projection(PatternKind.WHITE), "")]
+    return [(Projection(PatternKind.OTHER), "grid" if pattern is Pattern.FOCUS else "crosshair")]
+
+
+def _four_numbers(region: str) -> list[int]:
+    if not region:
+        return []
+    try:
+        numbers = [int(part) for part in region.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 4:
+        raise RigFileError(f"--region {region}: give first column, first row, width and height, as 320,240,640,480")
+    return numbers
