@@ -6,7 +6,7 @@ Whatever ends a block early, the number of steps is bounded from the beginning.
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from typing import Annotated, Any, Literal, NamedTuple
 
 from pydantic import Discriminator, Field, Tag, model_validator
@@ -215,44 +215,41 @@ class Programme(Section):
         """Return the largest number of steps."""
         return _count(self.entries())
 
+    def conditions(self) -> list[Until]:
+        """Return every condition, whether of a move, a ramp or a cycle."""
+        return _conditions(self.entries())
+
     def load_steps(self) -> list[ProgrammeStep]:
         """Return all steps one by one, as if no condition ended a block."""
-        walk, steps = self.walk(), []
-        for step in walk:
-            steps.append(step)
-        return steps
+        return list(self.walk())
 
-    def walk(self) -> Generator[ProgrammeStep, Reading | None, None]:
+    def walk(self, tell: Callable[[str], None] = lambda words: None) -> Generator[ProgrammeStep, Reading | None, None]:
         """Yield step after step; what is sent back decides which one follows.
 
-        Send the reading that a step gave, None when it gave none: then no condition is looked at.
+        Send the reading that a step gave, None when it gave none: then no condition is looked at. `tell` is called with
+        words when a condition ends a ramp or a cycle.
         """
-        yield from _walk(self.entries(), ())
-
-
-def conditions(entries: Sequence[ProgrammeStep | Ramp | Cycle]) -> list[Until]:
-    """Return every condition in a programme's entries."""
-    found = [entry.until for entry in entries if entry.until is not None]
-    for entry in entries:
-        if isinstance(entry, Cycle):
-            found += conditions(entry.entries())
-    return found
+        yield from _walk(self.entries(), (), tell)
 
 
 def _walk(
-    entries: Sequence[ProgrammeStep | Ramp | Cycle], untils: tuple[Until | None, ...]
+    entries: Sequence[ProgrammeStep | Ramp | Cycle],
+    blocks: tuple[Ramp | Cycle, ...],
+    tell: Callable[[str], None],
 ) -> Generator[ProgrammeStep, Reading | None, int | None]:
-    """Yield the steps of entries inside blocks with these conditions; return which block has to end, None for none."""
+    """Yield the steps of entries inside these blocks; return which of them has to end, None for none."""
     for entry in entries:
         if isinstance(entry, ProgrammeStep):
             reading = yield entry
-            for block, until in enumerate(untils):
-                if reading is not None and until is not None and until.met(reading):
-                    return block
+            for number, block in enumerate(blocks):
+                met = block.until.met(reading) if reading is not None and block.until is not None else ""
+                if met:
+                    tell(f"{type(block).__name__.lower()} ended: {met}")
+                    return number
             continue
         for _ in range(entry.times):
-            ended = yield from _walk(entry.entries(), (*untils, entry.until))
-            if ended is not None and ended < len(untils):
+            ended = yield from _walk(entry.entries(), (*blocks, entry), tell)
+            if ended is not None and ended < len(blocks):
                 return ended
             if ended is not None:
                 break
@@ -269,6 +266,14 @@ def _plain(entries: Sequence[ProgrammeStep | RampEntry | CycleEntry]) -> list[Pr
         else:
             plain.append(entry)
     return plain
+
+
+def _conditions(entries: Sequence[ProgrammeStep | Ramp | Cycle]) -> list[Until]:
+    found = [entry.until for entry in entries if entry.until is not None]
+    for entry in entries:
+        if isinstance(entry, Cycle):
+            found += _conditions(entry.entries())
+    return found
 
 
 def _count(entries: Sequence[ProgrammeStep | Ramp | Cycle]) -> int:

@@ -27,6 +27,8 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.task import Future
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
 
 from experiment_node.topics import DERIVED_TOPICS, RAW_TOPICS
 from fringedic.calibration_session import place_in_words
@@ -38,8 +40,6 @@ from fringedic_msgs.msg import LoadState, NodeParameters, RecorderStatus
 from fringedic_msgs.srv import PlaceReferencePlane, SetReference, StartExperiment
 from fringedic_ros.qos import LATCHED, LATCHED_BY_MANY, STATE
 from fringedic_ros.stamps import to_nanoseconds
-from std_msgs.msg import Float64
-from std_srvs.srv import Trigger
 
 MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
 START_TIMEOUT_S = 60.0
@@ -222,17 +222,32 @@ class RigClient:
             raise StepFailedError(f"{result.error_message} (error {result.error_code})")
         return result
 
-    def hold(self) -> None:
+    def wait_for_strain(self, timeout_s: float = START_TIMEOUT_S) -> None:
+        """Wait for somebody who publishes the strain.
+
+        Raises
+        ------
+        NotAnsweredError
+            Nobody does.
+        """
+        topic = self._node.resolve_topic_name("extensometer/strain")
+        self._wait(
+            lambda: self._node.count_publishers(topic) > 0, timeout_s, lambda: f"nobody publishes {topic}: no extensometer"
+        )
+
+    def hold(self, timeout_s: float = START_TIMEOUT_S) -> None:
         """Ask the machine to stop and hold.
 
         Raises
         ------
         StepFailedError
             It does not: nobody serves ``load_frame/hold``, or the machine refuses.
+        NotAnsweredError
+            Who serves it does not answer.
         """
         if not self._hold.service_is_ready():
             raise StepFailedError("nobody serves load_frame/hold; stop the machine by hand")
-        response = self._call(self._hold, Trigger.Request())
+        response = self._await(self._hold.call_async(Trigger.Request()), timeout_s, self._hold.srv_name)
         if not response.success:
             raise StepFailedError(response.message)
 
@@ -265,6 +280,8 @@ class RigClient:
             One of them did not come in time.
         """
         expected = set(nodes)
+        if "recorder" in expected:
+            self._recorder = None  # what was heard of it was said by the one that is gone
 
         def missing() -> set[str]:
             return {name for name in expected if self._started.get(name, 0) < since_ns}

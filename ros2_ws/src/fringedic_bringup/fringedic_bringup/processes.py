@@ -14,8 +14,10 @@ import tempfile
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import yaml
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix, get_package_share_directory
@@ -95,12 +97,19 @@ class RunningGraph:
         """Return how a node ended, None while it runs."""
         return self._processes[name].poll()
 
+    def dead(self) -> dict[str, str]:
+        """Return the nodes that have ended and should run, and how each ended."""
+        codes = {name: process.poll() for name, process in self._processes.items()}
+        return {
+            name: _how(code)
+            for name, code in codes.items()
+            if code is not None and not (code == 0 and name in self._may_end)
+        }
+
     def check(self) -> None:
         """Raise `NodeDiedError` with the end of its log when a node has ended that should run."""
-        for name, process in self._processes.items():
-            code = process.poll()
-            if code is not None and not (code == 0 and name in self._may_end):
-                raise NodeDiedError(f"{name} {_how(code)}. The end of {self.log(name)}:\n{self.log_tail(name)}")
+        for name, how in self.dead().items():
+            raise NodeDiedError(f"{name} {how}. The end of {self.log(name)}:\n{self.log_tail(name)}")
 
     def log_tail(self, name: str, lines: int = 20) -> str:
         """Return the last lines of a node's log."""
@@ -108,9 +117,10 @@ class RunningGraph:
         text = path.read_text(errors="replace") if path.exists() else ""
         return "\n".join(f"  {line}" for line in text.splitlines()[-lines:])
 
-    def restart(self, name: str) -> None:
-        """Start a node again that has ended; its log goes on in the same file."""
+    def restart(self, name: str, **changes: Any) -> None:
+        """Start a node again that has ended, with these parameters changed; its log goes on in the same file."""
         entry = next(each for each in self.graph.nodes if each.name == name)
+        entry = replace(entry, parameters={**entry.parameters, **changes})
         self._start(entry, _executable(entry))
 
     def stop(self, names: Iterable[str] | None = None) -> None:

@@ -32,8 +32,8 @@ class StepReport:
     ----------
     step
         Number in the experiment.
-    position, force
-        Mean over the exposures [m], [N].
+    position, force, force_range
+        Mean over the exposures [m], [N], and the range of the force [N].
     valid_fraction
         Measured points over all points.
     rms_displacement, white
@@ -51,6 +51,7 @@ class StepReport:
     step: int
     position: float = float("nan")
     force: float = float("nan")
+    force_range: float = float("nan")
     valid_fraction: float = float("nan")
     rms_displacement: float = float("nan")
     white: bool = False

@@ -12,19 +12,19 @@ import xarray as xr
 
 from camera_node.drivers.files import SUFFIXES
 from fringedic.calibration_session import in_force_words
-from fringedic.errors import RigFileError, StepFailedError
+from fringedic.errors import RigFileError
+from fringedic.forecast import forecast
 from fringedic.pictures import save_pictures
 from fringedic.programme import Programme
-from fringedic.recording import BagReader
+from fringedic.recording import BagReader, BagWriter
 from fringedic.report import write_report
 from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
 from fringedic.rig_file import VIRTUAL_RIG, RigFile, calibration_of, load_programme, load_rig_file
 from fringedic.sequence import frame_record, stamp_of
-from fringedic_bringup.client import RigClient
-from fringedic_bringup.graph import Graph, rig_graph
+from fringedic_bringup.driving import drive
+from fringedic_bringup.graph import rig_graph
 from fringedic_bringup.processes import RunningGraph
 from fringedic_bringup.report import Progress, RunReport, StepReport
-from fringedic_msgs.action import MeasureStep
 
 Reconstruct = Callable[[xr.DataArray], xr.Dataset]
 
@@ -76,7 +76,8 @@ def run_experiment(
 ) -> RunReport:
     """Run a programme on a rig and leave recording, dataset, pictures, report and logs in a folder.
 
-    A step that fails is reported and the programme goes on, unless a node has ended.
+    A step that fails is reported and the programme goes on. A node that ends is started again, and the step is done
+    once more.
 
     Parameters
     ----------
@@ -96,72 +97,68 @@ def run_experiment(
     ------
     RigFileError
         The folder holds a recording already.
+    DiskFullError
+        The disk has less room than the programme needs; nothing was started.
     NodeDiedError, NotAnsweredError, StepFailedError
-        The nodes did not start, or one of them ended.
+        The nodes did not start, or one of them ended again and again.
     """
     if (folder / "bag").exists():
         raise RigFileError(f"{folder} holds a recording already; choose another --output")
+    expected = forecast(rig, programme)
+    progress.note(f"{programme.experiment}: {expected.in_words()}")
+    expected.check_disk(folder)
     graph = rig_graph(rig, rig_path, folder, experiment=programme.experiment)
     if isinstance(rig.calibration, str) and rig.calibration != VIRTUAL_RIG:
         for words in in_force_words(rig_path.parent / rig.calibration, datetime.now(UTC)):
             progress.note(words)
     progress.stage(f"{programme.experiment}: starting {len(graph.nodes)} nodes")
     with RunningGraph(graph, folder / "logs", domain=domain) as running:
-        steps = drive(graph, programme, running.check, progress, domain=domain)
+        driven = drive(running, programme, progress, domain=domain)
         progress.stage(f"{programme.experiment}: closing the recording")
+    join_parts(folder / "bag", progress)
     progress.stage(f"{programme.experiment}: writing dataset, pictures and report")
-    return write_results(programme.experiment, folder, steps, exact=_exact(rig))
+    return write_results(
+        programme.experiment, folder, driven.steps, exact=_exact(rig), measure_again=driven.measure_again
+    )
 
 
-def drive(
-    graph: Graph,
-    programme: Programme,
-    watch: Callable[[], None],
-    progress: Progress,
-    *,
-    domain: int | None = None,
-) -> list[StepReport]:
-    """Move, hold and measure, step by step, as the controller of a load frame would."""
-    reports: list[StepReport] = []
-    steps = programme.load_steps()
-    with RigClient(graph.namespace, domain=domain, watch=watch) as rig:
-        rig.wait_until_ready(graph.names)
-        for number, step in enumerate(steps, start=1):
+def join_parts(bag: Path, progress: Progress) -> None:
+    """Make one recording of the parts that several recorders have left; the parts stay beside it.
 
-            def show(feedback: MeasureStep.Feedback, number: int = number) -> None:
-                progress.step(number, len(steps), feedback.stage, feedback.frame, feedback.frames)
-
-            report = StepReport(len(reports))
-            reports.append(report)
-            try:
-                if step.position is not None and "load_frame" in graph.names:
-                    progress.step(number, len(steps), f"move to {step.position * 1e3:.3f} mm")
-                    rig.move(step.position, step.speed)
-                if step.hold_s:
-                    progress.step(number, len(steps), "hold")
-                    rig.sleep(step.hold_s)
-                result = rig.measure(step.mode, set_reference=step.set_reference, feedback=show)
-            except StepFailedError as error:
-                report.error = str(error)
-                progress.note(report.error)
-                continue
-            report.step = result.step
-            report.position, report.force = result.position_mean, result.force_mean
-            report.rms_displacement, report.white = result.rms_displacement, step.mode == "white"
-            report.valid_fraction, report.processing_time = result.valid_fraction, result.processing_time
-        rig.wait_until_recorded()
-        if rig.recorder is not None and rig.recorder.error_message:
-            progress.note(f"recorder: {rig.recorder.error_message}")
-    return reports
+    Parameters
+    ----------
+    bag
+        Folder of the first part, and of the whole in the end; does nothing where it is the only one.
+    progress
+        Told what is done.
+    """
+    others = sorted(bag.parent.glob(f"{bag.name}-*"), key=lambda part: int(part.name.removeprefix(f"{bag.name}-")))
+    if not others:
+        return
+    first = bag.rename(bag.with_name(f"{bag.name}-1"))
+    progress.stage(f"joining {1 + len(others)} parts of the recording")
+    with BagWriter(bag) as whole:
+        for part in (BagReader(path) for path in (first, *others)):
+            for topic in part.topics.values():
+                whole.add_recorded_topic(topic)
+            for message in part.raw(part.topics):
+                whole.write(message.topic, message.data, message.log_time, message.publish_time)
 
 
 def write_results(
-    experiment: str, folder: Path, steps: list[StepReport], *, exact: Reconstruct | None = None
+    experiment: str,
+    folder: Path,
+    steps: list[StepReport],
+    *,
+    exact: Reconstruct | None = None,
+    measure_again: int | None = None,
 ) -> RunReport:
     """Write dataset, pictures and report of a recording; add losses and errors against the truth to the steps.
 
     Parameters
     ----------
+    measure_again
+        Step against which all are measured again from the recorded frames; None takes what the nodes have measured.
     exact
         Makes surfaces of phases by the exact calibration of a virtual rig that was measured with another one; then the
         errors of its heights are added as ``z_exact``.
@@ -171,21 +168,30 @@ def write_results(
     if not recorded.find_optional("camera/exposure"):
         return RunReport(experiment, folder, steps, [])
     target = folder / "results.nc"
-    if recorded.find_optional("phase/status"):
+    if measure_again is not None:
+        process_bag(bag, output=target, experiment=experiment, reference=measure_again)
+    elif recorded.find_optional("phase/status"):
         dataset_from_derived(bag, output=target, experiment=experiment)
     else:
         process_bag(bag, output=target, experiment=experiment)
     losses = frame_losses(bag)
     truth_file = folder / "truth.nc"
+    errors: xr.Dataset | None = None
+    pictures: list[Path] = []
+    heights: dict[int, dict[str, float]] = {}
     with open_experiment(target) as dataset:
-        errors = compare_with_truth(dataset, truth_file) if truth_file.exists() else None
+        untold = dataset
         if truth_file.exists():
             with open_truth(truth_file) as truth:
-                pictures = save_pictures(dataset, folder, truth=truth)
-                heights = {} if exact is None else _heights(dataset, truth, exact)
-        else:
-            pictures, heights = save_pictures(dataset, folder), {}
-    write_report(bag, folder / "report.html", overwrite=True)
+                # a step that failed, and those of a virtual camera that was started again, have no truth
+                is_told = dataset.step.values < truth.sizes["step"]
+                told, untold = dataset.isel(step=is_told), dataset.isel(step=~is_told)
+                errors = compare_with_truth(told, truth_file)
+                pictures += save_pictures(told, folder, truth=truth)
+                heights = {} if exact is None else _heights(told, truth, exact)
+        if untold.sizes["step"]:
+            pictures += save_pictures(untold, folder)
+    write_report(bag if measure_again is None else target, folder / "report.html", overwrite=True)
     for report in steps:
         report.dropped, report.missing = losses.get(report.step, (0, 0))
         if errors is not None and report.step in errors.step.values:

@@ -19,6 +19,7 @@ from experiment_node.topics import DERIVED_TOPICS
 from fringedic.errors import NodeDiedError, NodeNotInstalledError
 from fringedic.programme import Programme
 from fringedic.recording import BagReader
+from fringedic_bringup.driving import drive
 from fringedic_bringup.graph import Graph, NodeEntry, rig_graph
 from fringedic_bringup.processes import (
     SHARED_MEMORY,
@@ -27,7 +28,7 @@ from fringedic_bringup.processes import (
     private_domain,
     remove_stale_segments,
 )
-from fringedic_bringup.run import drive, load_rig
+from fringedic_bringup.run import load_rig
 
 CONFIG = Path(__file__).parent.parent / "config"
 TINY = CONFIG / "tiny.yaml"
@@ -170,10 +171,10 @@ def test_a_graph_leaves_no_process_and_no_shared_memory(tmp_path: Path) -> None:
         graph = rig_graph(rig, TINY, tmp_path / "run")
         with RunningGraph(graph, tmp_path / "run" / "logs", domain=domain) as running:
             pids = [running.pid(name) for name in graph.names]
-            reports = drive(graph, one, running.check, Silent(), domain=domain)
+            (report,), _ = drive(running, one, Silent(), domain=domain)
             owned = {name for pid in pids for name in shared_memory_of(pid)}
             os.kill(running.pid("phase"), signal.SIGKILL)
-        assert not reports[0].error and programme.experiment == "tiny"
+        assert not report.error and programme.experiment == "tiny"
     assert owned
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
     # ports are numbered through all domains, so that others may use some of the same
