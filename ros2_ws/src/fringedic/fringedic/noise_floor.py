@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -37,22 +37,33 @@ from fringedic.sequence import frame_record, stamp_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+COLUMNS = ("over points", "over steps", "mean", "as stated")
 FEWEST = 3
-USUAL = 10
 SAMPLED = 100_000  # pixels of each frame that the camera's noise is taken from
 CLASSES = 24  # of brightness
 STRAIN_POINTS = 5  # of the strain window, without a rig
 CLEAR = 4  # standard deviations that a pixel has to keep from either end of the scale
-UNITS = {  # name in the file, and its unit in that of the dataset
-    "displacement_x": ("displacement_x_px", 1.0),
-    "displacement_y": ("displacement_y_px", 1.0),
-    "u": ("u_um", 1e-6),
-    "v": ("v_um", 1e-6),
-    "w": ("w_um", 1e-6),
-    "shape_z": ("z_um", 1e-6),
-    "e_11": ("e_11_ustrain", 1e-6),
-    "e_22": ("e_22_ustrain", 1e-6),
-    "e_12": ("e_12_ustrain", 1e-6),
+
+
+class Quantity(NamedTuple):
+    """A quantity of the dataset as it is kept: its name with unit, what it is, the unit, and that in the dataset's."""
+
+    name: str
+    title: str
+    unit: str
+    factor: float
+
+
+QUANTITIES = {
+    "displacement_x": Quantity("displacement_x_px", "displacement along columns", "px", 1.0),
+    "displacement_y": Quantity("displacement_y_px", "displacement along rows", "px", 1.0),
+    "u": Quantity("u_um", "displacement u", "µm", 1e-6),
+    "v": Quantity("v_um", "displacement v", "µm", 1e-6),
+    "w": Quantity("w_um", "displacement w", "µm", 1e-6),
+    "shape_z": Quantity("z_um", "height z of one step", "µm", 1e-6),
+    "e_11": Quantity("e_11_ustrain", "strain e_11", "µstrain", 1e-6),
+    "e_22": Quantity("e_22_ustrain", "strain e_22", "µstrain", 1e-6),
+    "e_12": Quantity("e_12_ustrain", "strain e_12", "µstrain", 1e-6),
 }
 
 
@@ -236,16 +247,24 @@ def noise_figure(measured: NoiseMeasurement) -> Figure:
     axes.set(xlabel="brightness [grey level]", ylabel="noise of a pixel [grey level]", ylim=(0, None))
     axes.set_title(f"Camera; the light flickers by {100 * camera.flicker:.2g} %")
     axes.legend()
-    columns = (facts.spatial, facts.temporal, facts.predicted)
-    names = [name for name, _ in UNITS.values() if any(name in column for column in columns)]
-    rows = [[name, *(f"{column[name]:.4g}" if name in column else "-" for column in columns)] for name in names]
+    rows = [[f"{quantity.title} [{quantity.unit}]", *cells] for quantity, cells in table_of(facts)]
     table.axis("off")
-    table.set_title("Displacement, height and strain")
-    drawn = table.table(
-        rows, colLabels=["quantity", "over points", "over steps", "as stated"], loc="upper center", cellLoc="right"
-    )
-    drawn.scale(1, 1.5)
+    table.set_title("Displacement, height and strain: standard deviations")
+    drawn = table.table(rows, colLabels=["", *COLUMNS], loc="upper center", colWidths=[0.42, *[0.145] * len(COLUMNS)])
+    drawn.auto_set_font_size(False)
+    drawn.set_fontsize(10)
+    drawn.scale(1, 1.7)
     return figure
+
+
+def table_of(facts: NoiseFacts) -> list[tuple[Quantity, list[str]]]:
+    """Return the noise floors as cells of a table with the `COLUMNS`; "-" where not known."""
+    columns = (facts.spatial, facts.temporal, facts.bias, facts.predicted)
+    return [
+        (quantity, [f"{column[quantity.name]:.4g}" if quantity.name in column else "-" for column in columns])
+        for quantity in QUANTITIES.values()
+        if any(quantity.name in column for column in columns)
+    ]
 
 
 def _frames_at_rest(path: Path, experiment: str, steps: set[int]) -> list[list[np.ndarray]]:
@@ -275,13 +294,15 @@ def _height_floor(dataset: xr.Dataset, steps: Sequence[int]) -> NoiseFloor:
     maps = dataset["shape_z"].sel(step=list(steps)).values.astype(np.float64)
     common = np.isfinite(maps).all(axis=0)
     values = maps[:, common]
-    sigma = dataset["sigma_z"].sel(step=list(steps)).values[:, common] if "sigma_z" in dataset else np.array([])
+    sigma = np.array([])
+    if "shape_sigma_z" in dataset:
+        sigma = dataset["shape_sigma_z"].sel(step=list(steps)).values[:, common].astype(np.float64)
     return NoiseFloor(
         name="shape_z",
         spatial=math.nan,
         temporal=float(np.sqrt(values.var(axis=0, ddof=1).mean())),
         bias=math.nan,
-        predicted=float(np.sqrt(np.mean(sigma.astype(np.float64) ** 2))) if sigma.size else math.nan,
+        predicted=float(np.sqrt(np.mean(sigma**2))) if sigma.size else math.nan,
         points=int(common.sum()),
     )
 
@@ -300,7 +321,8 @@ def _settings(dataset: xr.Dataset) -> dict[str, int]:
 
 def _facts(camera: StaticCamera, floors: Sequence[NoiseFloor], steps: int, settings: dict[str, int]) -> NoiseFacts:
     def of(attribute: str) -> dict[str, float]:
-        values = {UNITS[floor.name][0]: getattr(floor, attribute) / UNITS[floor.name][1] for floor in floors}
+        kept = ((QUANTITIES[floor.name], getattr(floor, attribute)) for floor in floors)
+        values = {quantity.name: value / quantity.factor for quantity, value in kept}
         return {name: float(f"{value:.4g}") for name, value in values.items() if math.isfinite(value)}
 
     return NoiseFacts(

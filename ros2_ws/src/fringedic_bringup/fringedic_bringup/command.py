@@ -159,6 +159,66 @@ def live(
         show_live(load_rig_file(path), path, pattern, console, region=region, once=once)
 
 
+@app.command(epilog="Example: fringedic noise plate.yaml --output noise")
+def noise(
+    rig: Annotated[Path | None, typer.Argument(help="Rig file, its specimen mounted and at rest.")] = None,
+    images: Annotated[
+        list[Path] | None, typer.Option("--images", help="An image at rest, instead of a rig; repeat it.")
+    ] = None,
+    steps: Annotated[int, typer.Option(help="Steps at rest, with the reference.")] = 10,
+    window: Annotated[int, typer.Option(min=8, max=256, help="Of images: width of the window [px].")] = 32,
+    spacing: Annotated[int, typer.Option(min=1, max=256, help="Of images: distance of the points [px].")] = 4,
+    output: Annotated[Path, typer.Option(help="Folder for noise_floor.yaml, its picture and the recording.")] = Path(
+        "noise"
+    ),
+) -> None:
+    """Measure the noise floor of camera, displacement, height and strain with the specimen at rest."""
+    from fringedic_bringup.noise import measure_noise, measure_noise_of_images, noise_in_words
+
+    if (rig is None) == (not images):
+        raise ParameterError("name a rig file, or with --images at least three images at rest")
+    folder = _unused(output)
+    if images:
+        measured = measure_noise_of_images(images, folder, window=window, spacing=spacing)
+    else:
+        from fringedic.rig_file import load_rig_file
+
+        assert rig is not None, "there is one or the other"
+        path = _rig_path(rig)
+        with LiveProgress(console) as progress:
+            measured = measure_noise(load_rig_file(path), path, folder, progress, steps=steps)
+    typer.echo(noise_in_words(measured.facts))
+    file = folder / "noise_floor.yaml"
+    console.print(f"noise floor: {file}; name it in the rig file as noise_floor_file", markup=False, highlight=False)
+
+
+@app.command(epilog="Example: fringedic timing plate.yaml --output timing")
+def timing(
+    rig: Annotated[Path, typer.Argument(help="Rig file; those that come with fringedic are found by their name.")],
+    exposure_ms: Annotated[
+        float, typer.Option(min=0.05, max=1000, help="Of the frames: short against the refresh of the projector.")
+    ] = 3.0,
+    longest_ms: Annotated[
+        float, typer.Option(min=20, max=10_000, help="Time that the projector may take for a pattern.")
+    ] = 300.0,
+    output: Annotated[Path, typer.Option(help="Folder for timing.yaml and its picture.")] = Path("timing"),
+) -> None:
+    """Measure when the projector shows what it is asked for, and say what exposure and settle time to set."""
+    from fringedic.rig_file import load_rig_file
+    from fringedic_bringup.timing import measure_rig_timing
+
+    path = _rig_path(rig)
+    folder = _unused(output)
+    with LiveProgress(console) as progress:
+        report = measure_rig_timing(
+            load_rig_file(path), path, folder, progress, exposure_time=1e-3 * exposure_ms, longest=1e-3 * longest_ms
+        )
+    for words in report.words:
+        console.print(words, markup=False, highlight=False)
+    console.print(f"set in the rig file:\n{report.settings}", markup=False, highlight=False)
+    console.print(f"picture: {folder / 'timing.png'}", markup=False, highlight=False)
+
+
 @app.command(epilog="Example: fringedic demo --output demo plate leather")
 def demo(
     specimens: Annotated[list[Specimen] | None, typer.Argument(help="Which experiments; all by default.")] = None,
