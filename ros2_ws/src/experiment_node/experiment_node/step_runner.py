@@ -75,6 +75,7 @@ class StepRunner:
         self._capture = node.create_client(CaptureFrame, "camera/capture")
         self._connected = dict.fromkeys(("camera/exposure", *(f"{name}/status" for name in FAILED_NODE)), False)
         self._connected_at = time.monotonic()
+        self._newcomer = True  # somebody whom not everybody may know yet
         self._subscribe_connected(Exposure, "camera/exposure", self._take_exposure)
         for name in FAILED_NODE:
             self._subscribe_connected(NodeStatus, f"{name}/status", self._result_taker(name))
@@ -139,6 +140,8 @@ class StepRunner:
 
     def _take_recorder(self, message: RecorderStatus) -> None:
         self._recorder = message
+        if message.state == RecorderStatus.STARTING:
+            self._newcomer, self._connected_at = True, time.monotonic()
         step = self._running
         if step is not None and step.taken == len(step.projections):
             step.recorder_answered = True
@@ -159,6 +162,8 @@ class StepRunner:
 
         def matched(event: Any) -> None:
             self._connected[topic] = event.current_count > 0
+            if event.current_count_change > 0:
+                self._newcomer = True
             self._connected_at = time.monotonic()
             self._changed.notify()
 
@@ -168,7 +173,12 @@ class StepRunner:
     # before the first frame
 
     async def _become_ready(self, step: RunningStep, parameters: ExperimentParameters) -> None:
-        """Before the first frame of an experiment: whoever is there has to be connected, or would miss it."""
+        """Before the first frame of an experiment: whoever is there has to be connected, or would miss it.
+
+        So has a node that was started again meanwhile.
+        """
+        if self._newcomer:
+            self._newcomer = step.experiment.ready = False
         if step.experiment.ready:
             return
 

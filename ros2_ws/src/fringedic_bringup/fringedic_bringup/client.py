@@ -91,6 +91,11 @@ class RigClient:
         self._move = ActionClient(self._node, MoveCrosshead, "move_crosshead")
         self._calibrate_distortion = ActionClient(self._node, CalibrateDistortion, "calibrate_distortion")
         self._calibrate_rig = ActionClient(self._node, CalibrateRig, "calibrate_rig")
+        self._actions = {
+            "experiment": [self._measure, self._calibrate_distortion, self._calibrate_rig],
+            "load_frame": [self._move],
+        }
+        self._known_servers: dict[str, set[bytes]] = {}
         self._place = self._node.create_client(PlaceReferencePlane, "reference_plane/place")
         self._start = self._node.create_client(StartExperiment, "experiment/start")
         self._set_reference = self._node.create_client(SetReference, "experiment/set_reference")
@@ -135,8 +140,7 @@ class RigClient:
 
         def missing() -> list[str]:
             absent = sorted(expected - {name for name, _ in self._node.get_node_names_and_namespaces()})
-            actions = {"experiment": [self._measure, self._calibrate_distortion, self._calibrate_rig]}
-            for node, clients in (actions | {"load_frame": [self._move]}).items():
+            for node, clients in self._actions.items():
                 missed = [client for client in clients if node in expected and not client.server_is_ready()]
                 absent += [f"action {client._action_name}" for client in missed]
             if "stage" in expected and not self._place.service_is_ready():
@@ -146,6 +150,7 @@ class RigClient:
             return absent
 
         self._wait(lambda: not missing(), timeout_s, lambda: f"not ready: {', '.join(missing())}")
+        self._known_servers = self._servers(expected)
 
     def start_experiment(self, name: str) -> None:
         """Begin a new experiment with step 0.
@@ -232,7 +237,9 @@ class RigClient:
         """
         topic = self._node.resolve_topic_name("extensometer/strain")
         self._wait(
-            lambda: self._node.count_publishers(topic) > 0, timeout_s, lambda: f"nobody publishes {topic}: no extensometer"
+            lambda: self._node.count_publishers(topic) > 0,
+            timeout_s,
+            lambda: f"nobody publishes {topic}: no extensometer",
         )
 
     def hold(self, timeout_s: float = START_TIMEOUT_S) -> None:
@@ -284,7 +291,9 @@ class RigClient:
             self._recorder = None  # what was heard of it was said by the one that is gone
 
         def missing() -> set[str]:
-            return {name for name in expected if self._started.get(name, 0) < since_ns}
+            absent = {name for name in expected if self._started.get(name, 0) < since_ns}
+            known = self._known_servers
+            return absent | {name for name, gids in self._servers(expected).items() if gids <= known.get(name, set())}
 
         self._wait(lambda: not missing(), timeout_s, lambda: f"not started: {', '.join(sorted(missing()))}")
 
@@ -322,6 +331,8 @@ class RigClient:
         self,
         grid_pitch: float,
         *,
+        angles: Sequence[float] = (),
+        sigma_angle: float = 0.0,
         frames: int = 0,
         folder: Path | None = None,
         feedback: Callable[[CalibrateDistortion.Feedback], None] = lambda _: None,
@@ -332,6 +343,8 @@ class RigClient:
         ----------
         grid_pitch
             Distance of the printed lines [m].
+        angles, sigma_angle
+            Of the plane, at which the grid is seen besides 0, and their standard deviation [rad].
         frames
             Averaged; 0: 8.
         folder
@@ -344,7 +357,13 @@ class RigClient:
         CalibrateDistortion.Result
             Also of a measurement that failed: ``error_code`` and ``error_message`` say how, ``go`` is False.
         """
-        goal = CalibrateDistortion.Goal(grid_pitch=grid_pitch, frames=frames, folder=_absolute(folder))
+        goal = CalibrateDistortion.Goal(
+            grid_pitch=grid_pitch,
+            angles=list(angles),
+            sigma_angle=sigma_angle,
+            frames=frames,
+            folder=_absolute(folder),
+        )
         return self._goal(self._calibrate_distortion, goal, "calibrate_distortion", feedback)
 
     def calibrate_rig(
@@ -461,6 +480,15 @@ class RigClient:
             raise StepFailedError(f"{what}: refused")
         self._running = handle
         return handle
+
+    def _servers(self, nodes: set[str]) -> dict[str, set[bytes]]:
+        """Identities of the action servers that are listed; one that was killed stays so for some seconds."""
+        servers = {}
+        for node in nodes & self._actions.keys():
+            name = self._node.resolve_topic_name(self._actions[node][0]._action_name)
+            found = self._node.get_publishers_info_by_topic(f"{name}/_action/status")
+            servers[node] = {bytes(each.endpoint_gid) for each in found}
+        return servers
 
     def _call(self, client: Any, request: Any) -> Any:
         return self._await(client.call_async(request), START_TIMEOUT_S, client.srv_name)

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 import fringedic
-from experiment_node.topics import DERIVED_TOPICS
 from fringedic.errors import NodeDiedError, NodeNotInstalledError
 from fringedic.programme import Programme
 from fringedic.recording import BagReader
@@ -106,29 +105,6 @@ def test_several_recordings_are_processed_and_the_bad_one_is_named(recorded: Pat
         for name in ("phase", "displacement_y", "w", "reference_step"):
             assert np.array_equal(dataset[name].values, desk[name].values, equal_nan=True), name
     assert fringedic_command(*words[:4], "--reference", "7", "--output", tmp_path / "x").returncode == 1
-
-
-@pytest.mark.slow
-def test_a_killed_recorder_fails_the_run_with_its_name_and_leaves_a_readable_bag(tmp_path: Path) -> None:
-    process, say = start_run(tmp_path / "run", "--output", tmp_path / "run")
-    try:
-        wait_until(lambda: "step 2 of 3" in say(), "the second step", process)
-        os.kill(node_pid(tmp_path / "run", "recorder"), signal.SIGKILL)
-        assert process.wait(60) == 1
-    finally:
-        process.kill()
-    assert "recorder was ended by SIGKILL" in (tmp_path / "errors").read_text()
-    reader = BagReader(tmp_path / "run" / "bag")
-    assert "not closed" in reader.lost
-    assert reader.counts["/rig/camera/image_raw"] >= 12
-    saved = fringedic_command("recover", tmp_path / "run" / "bag", "--output", tmp_path / "saved")
-    assert saved.returncode == 0
-    replayed = fringedic_command("replay", tmp_path / "saved", "--output", tmp_path / "again")
-    assert replayed.returncode == 0, replayed.stdout + replayed.stderr
-    played, original = BagReader(tmp_path / "again" / "bag").counts, reader.counts
-    derived = {f"/rig/{name}" for name in (*DERIVED_TOPICS, "node_parameters")}
-    raw = {topic for topic, count in original.items() if count} - derived
-    assert {topic: played[topic] for topic in raw} == {topic: original[topic] for topic in raw}
 
 
 @pytest.mark.slow

@@ -1,0 +1,81 @@
+"""A killed node does not end a test: the command starts it again, and all that was planned gets measured."""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from running_system import CONFIG, WORKING, Told
+
+import fringedic
+from fringedic.programme import Programme
+from fringedic.recording import BagReader
+from fringedic_bringup.run import load_rig, run_experiment
+
+PROGRAMME = {
+    "experiment": "killed",
+    "ramp": {"from_mm": 0.0, "to_mm": 0.6, "steps": 4, "speed_mm_per_s": 5.0},
+}
+VICTIMS = ("experiment", "recorder", "dic")  # those that keep something in memory
+
+
+class Killer(Told):
+    """Kills a node when a step has taken its third frame.
+
+    Parameters
+    ----------
+    folder
+        Of the run.
+    victims
+        Which node in which step, counted from 1.
+    """
+
+    def __init__(self, folder: Path, victims: dict[int, str]) -> None:
+        super().__init__()
+        self._folder, self._victims = folder, dict(victims)
+
+    def step(self, number: int, steps: int, text: str, frame: int = 0, frames: int = 0) -> None:
+        super().step(number, steps, text, frame, frames)
+        if number in self._victims and frame == 3:
+            os.kill(_node_pid(self._folder, self._victims.pop(number)), signal.SIGKILL)
+
+
+def _node_pid(folder: Path, name: str) -> int:
+    """Process of a node, known by its parameter file."""
+    marker = str(folder / "logs" / f"{name}.yaml").encode()
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if marker in (process / "cmdline").read_bytes():
+                return int(process.name)
+        except OSError:
+            continue
+    raise AssertionError(f"no process of {name}")
+
+
+@pytest.mark.slow
+def test_the_test_goes_on_whichever_node_is_killed(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    rig, _ = load_rig(CONFIG / "tiny.yaml", None, None)
+    told = Killer(folder, dict(enumerate(VICTIMS, start=2)))
+    report = run_experiment(rig, CONFIG / "tiny.yaml", Programme.model_validate(PROGRAMME), folder, told)
+    print("\n".join(line for line in told.lines if "step" not in line or "killed" in line or "again" in line))
+    assert [step.error for step in report.steps] == [""] * 4, told.lines
+    positions = np.array([step.position for step in report.steps])
+    assert positions == pytest.approx(np.linspace(0, 0.6e-3, 4), abs=1e-8)
+    for name in VICTIMS:
+        assert any(f"{name} was ended by SIGKILL" in line and "started again" in line for line in told.lines), name
+
+    numbers = [step.step for step in report.steps]
+    assert numbers == sorted(set(numbers)) and numbers[-1] > 4, "numbers are not used twice, cut off steps have one"
+    assert not BagReader(folder / "bag").lost and (folder / "bag-1").exists() and (folder / "bag-2").exists()
+    assert all(step.missing == step.dropped == 0 for step in report.steps)
+    with fringedic.open_experiment(folder / "results.nc") as dataset:
+        measured = dataset.sel(step=numbers)
+        assert set(measured.reference_step.values.tolist()) == {0}, "the first reference, which dic had lost"
+        assert (np.isfinite(measured.w).mean(("row", "column")) > WORKING).all()
+        errors = {name: [round(step.errors[name], 1) for step in report.steps] for name in "uvw"}
+        print(f"errors against the truth [µm]: {errors}")
+        assert max(errors["v"]) < 12
