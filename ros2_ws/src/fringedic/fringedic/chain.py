@@ -15,7 +15,7 @@ from typing import Literal, TypeVar
 import cv2
 import numpy as np
 import xarray as xr
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from fringedic.correlation import Reference, measure_displacement
 from fringedic.errors import (
@@ -28,6 +28,7 @@ from fringedic.errors import (
 )
 from fringedic.increments import PixelGrid, Total, compose, interpolation_noise
 from fringedic.phase import CameraNoise, measure_phase
+from fringedic.region import Region
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation, PatternKind, Stack
 from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
@@ -114,6 +115,11 @@ class DicParameters(Parameters):
         32, ge=8, le=256, description="Width [px] of the bi-triangular window with the same noise as the one in use."
     )
     spacing: int = Field(1, ge=1, le=256, description="Distance of the measured points in both directions [px].")
+    region: str = Field(
+        "",
+        description="Part of the reference image that is measured: polygons as `fringedic region` writes them, as one "
+        "line of YAML; empty: all.",
+    )
     method: Literal["dense", "zoi"] = Field(
         "dense",
         description="dense: window-weighted gradient least squares at every point; zoi: the phase fit of the paper.",
@@ -131,6 +137,13 @@ class DicParameters(Parameters):
     kept_steps: int = Field(
         16, ge=1, le=1000, description="Latest steps whose texture is kept, so that each can become the reference."
     )
+
+    @field_validator("region")
+    @classmethod
+    def _is_a_region(cls, text: str) -> str:
+        if text:
+            Region.from_text(text)
+        return text
 
 
 class CouplingParameters(Parameters):
@@ -221,7 +234,7 @@ class DicResult:
     spacing
         Distance of the points [px].
     valid_fraction
-        Measured points over all points.
+        Measured points over all points of the region.
     rms
         Root mean square of the displacement's two components together [px].
     """
@@ -409,6 +422,7 @@ class DisplacementTracker:
         self._link: _Link | None = None
         self._last: _Link | None = None
         self._agreed = 0.0
+        self._wanted = 1.0  # part of the grid's points that lie in the region
 
     @property
     def parameters(self) -> DicParameters:
@@ -468,6 +482,7 @@ class DisplacementTracker:
         if link.displacement is not None:
             displacement, sigma = self._composed(link, measured)
         fraction = float(np.isfinite(displacement).all(axis=-1).mean())
+        fraction /= self._wanted
         _check_fraction("a displacement", fraction, parameters.minimum_valid_fraction, experiment, step)
 
         self._references.succeeded(experiment, step)
@@ -557,7 +572,10 @@ class DisplacementTracker:
             image = texture if key == reference_key else self._textures.get(reference_key)
             if image is None:
                 raise _no_reference(key, reference_key)
-            reference = Reference(image, window=self._parameters.window, spacing=self._parameters.spacing)
+            parameters = self._parameters
+            mask = Region.from_text(parameters.region).mask_for(image.shape) if parameters.region else None
+            self._wanted = 1.0 if mask is None else float(mask[:: parameters.spacing, :: parameters.spacing].mean())
+            reference = Reference(image, window=parameters.window, spacing=parameters.spacing, mask=mask)
         size = self._textures.get(reference_key, texture).shape
         if size != texture.shape:
             raise FrameMismatchError(
