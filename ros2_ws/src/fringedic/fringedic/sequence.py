@@ -6,6 +6,7 @@ One exposure is identified by (experiment, step, index). Frames are joined by th
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
@@ -135,6 +136,11 @@ class Stack:
         """What the whole step showed: FRINGES also when a Gray code or grey light belongs to them."""
         return _kind_of_step(self.records[-1].projection)
 
+    @property
+    def exposure_times(self) -> list[float]:
+        """Exposure time of each frame [s], in the order of the frames."""
+        return [record.exposure_time for record in self.records]
+
 
 @dataclass
 class _OpenStep:
@@ -262,7 +268,7 @@ class FrameCollector:
         if missing:
             raise _missing(where, missing, record.count, record.experiment, record.step)
         records = [step.records[index] for index in range(record.count)]
-        incomplete = _incomplete_periods([each.projection for each in records])
+        incomplete = _incomplete(records)
         if incomplete:
             raise FrameMismatchError(f"{where}: {incomplete}", **identity)
         return Stack(record.experiment, record.step, records, step.frames, records[-1].stamp)
@@ -331,6 +337,35 @@ def _missing(where: str, missing: list[int], count: int, experiment: str, step: 
         step=step,
         index=missing[0],
     )
+
+
+def exposure_groups(exposure_times: Sequence[float]) -> dict[float, list[int]]:
+    """Return which frames were exposed for each time, by the time, in the order in which the times occur first."""
+    groups: defaultdict[float, list[int]] = defaultdict(list)
+    for index, time in enumerate(exposure_times):
+        groups[time].append(index)
+    return dict(groups)
+
+
+def _incomplete(records: list[FrameRecord]) -> str:
+    """Return what the frames of a fringe step lack: an exposure of a pattern, or shifts; empty when they are whole."""
+    if _kind_of_step(records[-1].projection) != PatternKind.FRINGES:
+        return ""
+    groups = exposure_groups([record.exposure_time for record in records])
+    shown = {time: [records[index].projection for index in group] for time, group in groups.items()}
+    patterns = max(shown.values(), key=len)
+    for time, projections in shown.items():
+        lacking = list((Counter(patterns) - Counter(projections)).elements())
+        if lacking:
+            return f"{lacking[0]} was not exposed for {1e3 * time:g} ms, other patterns were"
+    times = list(shown)
+    for time, projections in shown.items():
+        words = _incomplete_periods(projections)
+        if words:
+            return words if len(times) == 1 else f"{words} (exposed for {1e3 * time:g} ms)"
+        if projections != patterns:
+            return f"the frames exposed for {1e3 * time:g} ms show the patterns in another order than the others"
+    return ""
 
 
 def _incomplete_periods(projections: list[Projection]) -> str:

@@ -15,6 +15,7 @@ from fringedic.errors import (
 )
 from fringedic.patterns import PatternSequence, fringe_sequence, gray_code_sequence
 from fringedic.phase import check_stack
+from fringedic.sequence import PatternKind
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
 
@@ -50,20 +51,25 @@ def measured(request: pytest.FixtureRequest, plate: VirtualRig) -> tuple[Pattern
 def test_a_good_stack_passes_without_a_word(preset: str) -> None:
     twin = rig_of(preset=preset)
     rows, columns = twin.projector_shape
-    for shifts in (3, 4, 5, 8):
+    for shifts in (3, 4, 5):
         for sequence in (sequence_of(twin, shifts), gray_code_sequence(columns, rows, 10, shifts)):
             assert check_stack(stack_of(twin, sequence), sequence.projections) == []
 
 
+@pytest.fixture(scope="module")
+def bent() -> VirtualRig:
+    return rig_of(preset="plate", projector={"gamma": 2.2})
+
+
 @pytest.mark.parametrize("shifts", [4, 5, 8])
-def test_gamma_is_no_fault_of_the_stack(shifts: int) -> None:
-    twin = rig_of(preset="plate", projector={"gamma": 2.2})
-    sequence = sequence_of(twin, shifts)
-    assert check_stack(stack_of(twin, sequence), sequence.projections) == []
+def test_gamma_is_no_fault_of_the_stack(bent: VirtualRig, shifts: int) -> None:
+    rows, columns = bent.projector_shape
+    for sequence in (sequence_of(bent, shifts), gray_code_sequence(columns, rows, 10, shifts)):
+        assert check_stack(stack_of(bent, sequence), sequence.projections) == []
 
 
-def test_gamma_with_three_shifts_is_named_where_it_spoils_the_orders() -> None:
-    twin = rig_of(preset="plate", projector={"gamma": 2.2})
+def test_gamma_with_three_shifts_is_named_where_it_spoils_the_orders(bent: VirtualRig) -> None:
+    twin = bent
     sequence = sequence_of(twin, 3)
     with pytest.raises(WrongPatternError, match="measure the response curve or show four"):
         check_stack(stack_of(twin, sequence), sequence.projections)
@@ -98,6 +104,36 @@ def test_a_frame_without_its_pattern_is_named(
     frames[index] = plate.expose(np.full(plate.projector_shape, shown, np.uint8), 0.0, 99)
     with pytest.raises(WrongPatternError, match=f"frame {index} does not show what it should"):
         check_stack(frames, sequence.projections)
+
+
+@pytest.mark.parametrize("shown", ["dark", "the pattern before"])
+@pytest.mark.parametrize("shifts", [3, 4])
+def test_every_frame_is_proven_to_show_its_pattern(plate: VirtualRig, shifts: int, shown: str) -> None:
+    """The first and the last of a pitch, too, and where three shifts fit any three grey levels; so is each bit."""
+    rows, columns = plate.projector_shape
+    dark = plate.expose(np.zeros(plate.projector_shape, np.uint8), 0.0, 99)
+    for sequence in (sequence_of(plate, shifts), gray_code_sequence(columns, rows, 10, shifts)):
+        good = stack_of(plate, sequence)
+        for index, projection in enumerate(sequence.projections):
+            frames = good.copy()
+            frames[index] = dark if shown == "dark" else good[index - 1]
+            with pytest.raises(WrongPatternError) as caught:
+                check_stack(frames, sequence.projections)
+            alone = projection.kind == PatternKind.FRINGES and shifts == 3 and sequence.projections[0].shifts != shifts
+            first = len(sequence) - shifts  # of one pitch with three shifts one frame is wrong, and nothing tells which
+            assert caught.value.index == (first if alone else index), (shown, index, str(caught.value))
+
+
+def test_the_number_of_a_frame_in_its_step_is_named(
+    plate: VirtualRig, measured: tuple[PatternSequence, np.ndarray]
+) -> None:
+    sequence, frames = measured
+    frames = frames.copy()
+    frames[2] = frames[1]
+    numbers = [2 * index + 1 for index in range(len(frames))]
+    with pytest.raises(WrongPatternError, match="frame 5 does not show") as caught:
+        check_stack(frames, sequence.projections, numbers=numbers)
+    assert caught.value.index == 5
 
 
 @pytest.mark.parametrize("group", [1, 2])
@@ -196,7 +232,8 @@ def test_a_surface_that_moves_during_its_stack_is_named(specimen: dict, travel_p
     twin = rig_of(preset="rigid", specimen={**still, **specimen})
     sequence = sequence_of(twin, 8)
     travel = travel_px * 1e-6 * twin.configuration.camera.pixel_size_um
-    frames = stack_of(twin, sequence, lambda index: travel * index / (len(sequence) - 1))
+    finest = len(sequence) - 8  # each position costs a second; the coarse pitches stand still
+    frames = stack_of(twin, sequence, lambda index: travel * max(index - finest, 0) / (len(sequence) - 1))
     with pytest.raises(MovedSurfaceError, match=words) as caught:
         check_stack(frames, sequence.projections)
     print(caught.value)

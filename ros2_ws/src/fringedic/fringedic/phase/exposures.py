@@ -2,13 +2,103 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit, prange
 
 from fringedic.errors import InvalidExposuresError, ShapeMismatchError
-from fringedic.phase.noise import CameraNoise, saturation_level
+from fringedic.phase.noise import CameraNoise, estimate_noise, saturation_level
+from fringedic.sequence import PatternKind, Projection, exposure_groups
+
+_NOISE_PIXELS = 60_000  # of each exposure, among which the noise is estimated
+
+
+@dataclass(frozen=True)
+class ExposedStack:
+    """Frames of a step that were exposed equally long.
+
+    Attributes
+    ----------
+    time
+        Exposure time [s].
+    frames
+        Grey levels, shape (frame, row, column).
+    projections
+        What each frame showed.
+    numbers
+        Number of each frame within the step.
+    """
+
+    time: float
+    frames: np.ndarray
+    projections: list[Projection]
+    numbers: list[int]
+
+    def without_grey(self) -> ExposedStack:
+        """Return the frames that a stepped phase is measured from."""
+        kept = [index for index, each in enumerate(self.projections) if each.kind != PatternKind.GREY]
+        return self if len(kept) == len(self.projections) else self._only(kept)
+
+    def _only(self, kept: Sequence[int]) -> ExposedStack:
+        return replace(
+            self,
+            frames=self.frames[kept],
+            projections=[self.projections[index] for index in kept],
+            numbers=[self.numbers[index] for index in kept],
+        )
+
+
+def split_exposures(
+    frames: np.ndarray, projections: Sequence[Projection], exposure_times: Sequence[float] | None
+) -> list[ExposedStack]:
+    """Sort the frames of a step by their exposure times, in the order in which these occur first.
+
+    Raises
+    ------
+    ShapeMismatchError
+        There is not one exposure time for each frame, or not every pattern was taken at each.
+    """
+    times = [0.0] * len(projections) if exposure_times is None else list(exposure_times)
+    if len(times) != len(projections):
+        raise ShapeMismatchError(f"{len(times)} exposure times for {len(projections)} frames: give one for each")
+    whole = ExposedStack(times[0] if times else 0.0, frames, list(projections), list(range(len(projections))))
+    groups = exposure_groups(times)
+    if len(groups) < 2:
+        return [whole]
+    found = []
+    for time, kept in groups.items():
+        part = replace(whole, time=time)._only(kept)
+        found.append(part)
+        if part.projections != found[0].projections:
+            raise ShapeMismatchError(f"exposures of {1e3 * time:g} ms show other patterns than the first ones")
+    return found
+
+
+def merge_stacks(
+    exposures: Sequence[ExposedStack], noise: CameraNoise, saturation: float | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Merge the exposures of a step, see `merge_exposures`."""
+    stacks, times = [each.frames for each in exposures], [each.time for each in exposures]
+    return merge_exposures(stacks, times, noise=noise, saturation=saturation)
+
+
+def noise_of_exposures(exposures: Sequence[ExposedStack], saturation: float | None) -> CameraNoise | None:
+    """Estimate the noise of a grey level, which does not depend on the exposure time, from all exposures together."""
+    skip = max(1, math.isqrt(exposures[0].frames[0].size // _NOISE_PIXELS))
+    pixels = np.concatenate([each.frames[:, ::skip, ::skip] for each in exposures], axis=2)
+    return estimate_noise(pixels, exposures[0].projections, saturation=saturation)
+
+
+def fill_glare(texture: np.ndarray, exposures: Sequence[ExposedStack]) -> None:
+    """Put a finite grey level where every exposure saturates: the clipped one of the shortest, in the first's units."""
+    lost = ~np.isfinite(texture)
+    if lost.any():
+        shortest = min(exposures, key=lambda each: each.time)
+        scale = exposures[0].time / shortest.time
+        texture[lost] = scale * shortest.frames[:, lost].mean(axis=0, dtype=np.float32)
 
 
 def merge_exposures(

@@ -3,25 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
 from typing import Literal
 
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import FramesOutOfOrderError, InvalidSequenceError, NoFringesError, WrongPatternError
+from fringedic.errors import (
+    DarkStackError,
+    InvalidSequenceError,
+    NoFringesError,
+    SaturatedStackError,
+    StepError,
+    WrongPatternError,
+)
 from fringedic.phase.blur import correct_lens_blur
+from fringedic.phase.exposures import (
+    ExposedStack,
+    fill_glare,
+    merge_stacks,
+    noise_of_exposures,
+    split_exposures,
+)
 from fringedic.phase.faults import check_stack
+from fringedic.phase.gray_code import check_code_order
 from fringedic.phase.layout import layout_of, shift_angles
-from fringedic.phase.noise import CameraNoise
+from fringedic.phase.noise import ROUNDING_NOISE, CameraNoise
 from fringedic.phase.one_image import one_image_phase
 from fringedic.phase.order import unwrap_spatial
 from fringedic.phase.steps import absolute_phase
 from fringedic.sequence import Orientation, PatternKind, Projection
 
 _AMBIGUOUS_LINES = 0.05  # of the lines across the fringes; more jump by a turn when one fringe does not cover the view
-_FEWER_JUMPS = 0.5  # of the jumps remain when frames of the code are put in their right order
-_CODE_LINES = 60  # lines that are looked at for the order of the code's frames
 
 Method = Literal["auto", "steps", "one_image"]
 
@@ -32,6 +44,7 @@ def measure_phase(
     *,
     method: Method = "auto",
     accept_relative: bool = False,
+    exposure_times: Sequence[float] | None = None,
     noise: CameraNoise | None = None,
     saturation: float | None = None,
     minimum_modulation: float = 0.0,
@@ -54,8 +67,10 @@ def measure_phase(
     accept_relative
         Whether a phase that is true up to whole fringes only is a result: that of one image, and that of one pitch
         without a code that repeats in view. Refused otherwise.
+    exposure_times
+        Of each frame [s]; several of each pattern are merged, see `merge_exposures`. By default all are alike.
     noise, saturation, minimum_modulation
-        See `absolute_phase`.
+        See `absolute_phase`; grey levels are those of the first frame's exposure time.
     lens_blur
         Blur of the camera's lens to correct for [px], see `correct_lens_blur`; 0 corrects nothing.
     largest_error, largest_motion
@@ -75,30 +90,20 @@ def measure_phase(
     SaturatedStackError, DarkStackError, WrongPatternError, FramesOutOfOrderError, FlickerError, MovedSurfaceError
         See `check_stack`.
     """
-    kinds = [each.kind for each in projections]
+    exposures = split_exposures(frames, projections, exposure_times)
+    kinds = [each.kind for each in exposures[0].projections]
     if method == "one_image" or (method == "auto" and kinds.count(PatternKind.FRINGES) == 1):
         if not accept_relative:
             raise InvalidSequenceError(
                 "one fringe image gives a phase up to whole fringes only: accept a relative phase, or show whole "
                 "cycles of shifts at several pitches"
             )
-        result, remarks = _from_one_image(frames, projections, noise, saturation)
+        result, remarks = _from_one_image(exposures, noise, saturation)
     else:
-        stepped = [index for index, kind in enumerate(kinds) if kind != PatternKind.GREY]
-        shown = [projections[index] for index in stepped]
-        levels = frames if len(stepped) == len(frames) else frames[stepped]
-        remarks = check_stack(
-            levels,
-            shown,
-            noise=noise,
-            saturation=saturation,
-            largest_error=largest_error,
-            largest_motion=largest_motion,
-        )
-        result = absolute_phase(
-            levels, shown, noise=noise, saturation=saturation, minimum_modulation=minimum_modulation
-        )
-        remarks += _settle_orders(result, levels, shown, accept_relative)
+        exposures = [each.without_grey() for each in exposures]
+        remarks = _check(exposures, noise, saturation, largest_error, largest_motion)
+        result = _from_steps(exposures, noise, saturation, minimum_modulation)
+        remarks += _settle_orders(result, exposures[0], accept_relative)
     if lens_blur > 0:
         relative = result.phase.attrs["relative"]
         result["phase"] = result.phase.copy(data=correct_lens_blur(result.phase, result.modulation, lens_blur))
@@ -106,14 +111,72 @@ def measure_phase(
     return result, remarks
 
 
+def _check(
+    exposures: Sequence[ExposedStack],
+    noise: CameraNoise | None,
+    saturation: float | None,
+    largest_error: float,
+    largest_motion: float,
+) -> list[str]:
+    """Look for faults in every exposure that shows something; one of several may be too bright or too dark.
+
+    The shortest one alone tells how much saturates.
+    """
+    remarks: list[str] = []
+    useless: list[SaturatedStackError | DarkStackError] = []
+    for rank, exposure in enumerate(sorted(exposures, key=lambda each: each.time)):
+        words = f"exposed for {1e3 * exposure.time:g} ms: " if len(exposures) > 1 else ""
+        try:
+            found = check_stack(
+                exposure.frames,
+                exposure.projections,
+                noise=noise,
+                saturation=saturation,
+                largest_error=largest_error,
+                largest_motion=largest_motion,
+                numbers=exposure.numbers,
+                tell_glare=rank == 0,
+            )
+        except (SaturatedStackError, DarkStackError) as error:
+            useless.append(error)
+            found = [str(error)]
+        except StepError as error:
+            raise type(error)(f"{words}{error}", index=error.index) from error
+        remarks += [f"{words}{each}" for each in found]
+    if len(useless) == len(exposures):
+        raise useless[0] if isinstance(useless[0], SaturatedStackError) else useless[-1]
+    return remarks
+
+
+def _from_steps(
+    exposures: Sequence[ExposedStack], noise: CameraNoise | None, saturation: float | None, minimum_modulation: float
+) -> xr.Dataset:
+    shown = exposures[0].projections
+    if len(exposures) == 1:
+        return absolute_phase(
+            exposures[0].frames, shown, noise=noise, saturation=saturation, minimum_modulation=minimum_modulation
+        )
+    known = noise or noise_of_exposures(exposures, saturation)
+    frames, sigma = merge_stacks(exposures, known or CameraNoise(ROUNDING_NOISE), saturation)
+    result = absolute_phase(frames, shown, noise=sigma, minimum_modulation=minimum_modulation)
+    if known is None:
+        result.sigma.values.fill(np.nan)
+    fill_glare(result.texture.values, exposures)
+    return result
+
+
 def _from_one_image(
-    frames: np.ndarray, projections: Sequence[Projection], noise: CameraNoise | None, saturation: float | None
+    exposures: Sequence[ExposedStack], noise: CameraNoise | None, saturation: float | None
 ) -> tuple[xr.Dataset, list[str]]:
+    frames, projections = exposures[0].frames, exposures[0].projections
+    if len(exposures) > 1:
+        frames, _ = merge_stacks(exposures, noise or CameraNoise(ROUNDING_NOISE), saturation)
+        saturation = None
     fringes = [index for index, each in enumerate(projections) if each.kind == PatternKind.FRINGES]
     if not fringes:
         raise InvalidSequenceError("no frame shows fringes")
     grey = [index for index, each in enumerate(projections) if each.kind == PatternKind.GREY]
-    shown = projections[fringes[-1]]
+    shown, number = projections[fringes[-1]], exposures[0].numbers[fringes[-1]]
     try:
         result = one_image_phase(
             frames[fringes[-1]],
@@ -124,14 +187,13 @@ def _from_one_image(
             saturation=saturation,
         )
     except NoFringesError as error:
-        raise WrongPatternError(str(error)) from error
+        raise WrongPatternError(f"frame {number}: {error}", index=number) from error
     return result, ["the phase of one image is relative: true up to the same number of whole fringes everywhere"]
 
 
-def _settle_orders(
-    result: xr.Dataset, frames: np.ndarray, projections: Sequence[Projection], accept_relative: bool
-) -> list[str]:
+def _settle_orders(result: xr.Dataset, stack: ExposedStack, accept_relative: bool) -> list[str]:
     """Unwrap over the image where the frames do not tell the orders; refuse orders that cannot be."""
+    projections = stack.projections
     layout = layout_of(projections)
     result.phase.attrs["relative"] = 0
     if layout.code == 0 and len(layout.pitches) > 1:
@@ -142,7 +204,7 @@ def _settle_orders(
     jumps = known & (np.abs(growth) > np.pi)
     if layout.code:
         if jumps.sum() > np.sum(known.any(axis=along)):  # more than one on every line, as at a step of the surface
-            _check_code(frames, projections, along)
+            check_code_order(stack.frames, projections, stack.numbers)
         return []
     lines = known.any(axis=along)
     if not lines.any() or np.mean(jumps.any(axis=along)[lines]) < _AMBIGUOUS_LINES:
@@ -163,27 +225,3 @@ def _settle_orders(
         f"the phase of one pitch of {pitch:g} px is relative: unwrapped over the image, true up to whole fringes, and "
         "wrong behind steps and shadows"
     ]
-
-
-def _check_code(frames: np.ndarray, projections: Sequence[Projection], along: int) -> None:
-    """Raise when the orders jump less with two frames of the Gray code interchanged."""
-    skip = max(1, frames.shape[2 - along] // _CODE_LINES)
-    part = np.ascontiguousarray(frames[:, ::skip] if along == 1 else frames[:, :, ::skip])
-    bits = layout_of(projections).code
-
-    def jumps(order: Sequence[int]) -> int:
-        phase = absolute_phase(part[order], projections).phase.values
-        return int(np.sum(np.abs(np.diff(phase, axis=along)) > np.pi))
-
-    recorded = list(range(len(projections)))
-    found = []
-    for first, second in combinations(range(bits), 2):
-        order = list(recorded)
-        order[first], order[second] = second, first
-        found.append((jumps(order), first, second))
-    fewest, first, second = min(found)
-    if fewest < _FEWER_JUMPS * jumps(recorded):
-        raise FramesOutOfOrderError(
-            f"the orders that the Gray code tells jump, less so with frames {first} and {second} interchanged: frames "
-            "are out of order"
-        )

@@ -79,9 +79,11 @@ def one_image_phase(
     camera = noise if noise is not None else CameraNoise(ROUNDING_NOISE)
     levels = image.astype(np.float32)
     measured = levels < saturation_level(image, saturation)
+    levels[~np.isfinite(levels)] = 0.0  # merged exposures that all saturate
     relief: np.ndarray = levels
     if white is not None:
         light = white.astype(np.float32)
+        light[~np.isfinite(light)] = 0.0
         measured &= (light < saturation_level(white, saturation)) & (
             light > CONFIDENCE * np.sqrt(camera.variance(light))
         )
