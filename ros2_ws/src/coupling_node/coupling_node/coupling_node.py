@@ -9,7 +9,7 @@ from rclpy.parameter import parameter_value_to_python
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from coupling_node.camera_transform import CameraTransform
-from fringedic.chain import CouplingParameters, DicParameters, ShapeTracker
+from fringedic.chain import CouplingParameters, DicParameters, ShapeTracker, StepSurface
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation, PatternKind
 from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, Reference, RigCalibration
@@ -22,10 +22,14 @@ from fringedic_ros.stamps import to_nanoseconds
 
 FRAME = "reference_plane"
 MAPS = ("phase/map", "phase/sigma", "dic/displacement", "dic/sigma")
+SURFACE = ("phase/map", "phase/sigma", "camera/exposure", "phase/status")  # what the surface of a step is made from
 
 
 class CouplingNode(ProcessingNode[CouplingParameters]):
-    """Joins everything that carries a step's stamp and hands it to a `ShapeTracker`."""
+    """Joins everything that carries a step's stamp and hands it to a `ShapeTracker`.
+
+    The surface is made as soon as the phase is there, while the dic node still measures.
+    """
 
     def __init__(self) -> None:
         super().__init__("coupling", CouplingParameters)
@@ -35,6 +39,8 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         self._tracker = ShapeTracker(self.parameters.value)
         self._parts = StampJoin((*MAPS, "dic/camera_info", "camera/exposure", "phase/status", "dic/status"))
         self._window: tuple[int | None, str] = (None, DicParameters().method)
+        self._begun = 0  # stamp of the surface asked for last
+        self._surface: tuple[int, StepSurface | None] = (0, None)  # made last, in the worker's thread
         self.create_subscription(NodeParameters, "node_parameters", self._take_parameters, LATCHED_BY_MANY)
         self.create_subscription(RigCalibration, "calibration", self._take_calibration, LATCHED)
         self.create_subscription(Reference, "experiment/reference", self._take_reference, LATCHED)
@@ -102,10 +108,24 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
                 stamp,
                 partial(self._couple, status, stamp, parts, self.parameters.value),
             )
+        elif stamp != self._begun and (begun := self._parts.waiting(stamp, SURFACE)):
+            self._begun = stamp
+            self.worker.submit(self._make_surface, stamp, begun, self.parameters.value)
+
+    def _make_surface(self, stamp: int, parts: dict[str, Any], parameters: CouplingParameters) -> None:
+        exposure: Exposure = parts["camera/exposure"]
+        self._tracker.parameters = parameters
+        phase, sigma = (image_array(parts[topic]) for topic in SURFACE[:2])
+        orientation = Orientation(exposure.orientation)
+        self._surface = (
+            stamp,
+            self._tracker.surface(phase, sigma, pitch=exposure.pitch, orientation=orientation),
+        )
 
     def _couple(self, status: NodeStatus, stamp: int, parts: dict[str, Any], parameters: CouplingParameters) -> Outcome:
         grid: CameraInfo = parts["dic/camera_info"]
         exposure: Exposure = parts["camera/exposure"]
+        (made, surface), self._surface = self._surface, (0, None)
         self._tracker.parameters = parameters
         result = self._tracker.step(
             status.experiment,
@@ -118,10 +138,12 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
             origin=(grid.roi.y_offset, grid.roi.x_offset),
             window=self._window[0],
             method=self._window[1],
+            surface=surface if made == stamp else None,
         )
         # the displacement is what is waited for; the shape, at every pixel, is larger
         for publisher, fields in ((self._displacement, result.displacement), (self._shape, result.shape)):
-            publisher.publish(cloud_message(fields, stamp_ns=stamp, frame_id=FRAME))
+            if publisher.get_subscription_count():
+                publisher.publish(cloud_message(fields, stamp_ns=stamp, frame_id=FRAME))
         remark = f"heights are off by an unknown height: {status.error_message}" if status.relative else ""
         return Outcome(result.valid_fraction, result.rms, status.frames, remark, status.relative)
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import queue
 import shutil
 import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -31,6 +33,8 @@ BACKLOG = 1024
 # Both are larger than a sequence or half a second of a 2 kHz load cell, whatever the publisher keeps itself.
 RECORDING_DEPTH = 1000
 IMAGE_DEPTH = 128
+# Of the thread that compresses and writes: measuring a step is more urgent.
+NICENESS = 10
 
 
 class RecorderParameters(BaseModel):
@@ -118,11 +122,13 @@ class RecorderNode(Node):
         unmatched = False
         for name in self._topics:
             topic = self.resolve_topic_name(name)
-            publishers = [each for each in self.get_publishers_info_by_topic(topic) if each.topic_type]
-            if publishers and topic not in self._subscriptions_by_topic and topic not in self._refused:
-                self._subscribe(name, topic, publishers)
+            announced = self.count_publishers(topic)  # ten times a second: asking who they are would keep a core busy
+            if announced and topic not in self._subscriptions_by_topic and topic not in self._refused:
+                publishers = [each for each in self.get_publishers_info_by_topic(topic) if each.topic_type]
+                if publishers:
+                    self._subscribe(name, topic, publishers)
             subscription = self._subscriptions_by_topic.get(topic)
-            if subscription and name in RAW_TOPICS and subscription.get_publisher_count() < len(publishers):
+            if subscription and name in RAW_TOPICS and subscription.get_publisher_count() < announced:
                 unmatched = True
         if self._status.state == RecorderStatus.STARTING and self._subscriptions_by_topic and not unmatched:
             self._status.state = RecorderStatus.RECORDING
@@ -228,6 +234,8 @@ class _WritingThread:
         self._thread.join()
 
     def _run(self) -> None:
+        with suppress(OSError):  # Linux alone has priorities of single threads
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
         ended = False
         while not ended:
             try:

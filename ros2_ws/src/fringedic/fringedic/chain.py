@@ -32,9 +32,11 @@ from fringedic.region import Region
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation, PatternKind, Stack
 from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
+from fringedic.vector_statistics import measured_part_and_rms
 
 Kept = TypeVar("Kept")
 LIT_NEIGHBOURHOOD = 9  # [px], larger than a speckle
+MEDIAN_POINTS = 20_000  # of a field, enough for how far the whole of it has moved
 WORTH = 0.1  # part of the points in view that a later reference has to bring back, since it adds noise
 
 
@@ -306,6 +308,7 @@ def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
         measured, remarks = measure_phase(
             stack.frames,
             stack.projections,
+            exposure_times=stack.exposure_times,
             method=parameters.method,
             accept_relative=parameters.relative_phase == "accept",
             noise=CameraNoise(read_noise, parameters.shot_noise_grey_level) if read_noise else None,
@@ -316,7 +319,9 @@ def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
             largest_motion=parameters.maximum_motion_px,
         )
     except StepError as error:
-        raise type(error)(f"{where}: {error}", experiment=stack.experiment, step=stack.step) from error
+        raise type(error)(
+            f"{where}: {error}", experiment=stack.experiment, step=stack.step, index=error.index
+        ) from error
     fraction = float(measured.valid.mean())
     _check_fraction("a phase", fraction, parameters.minimum_valid_fraction, stack.experiment, stack.step)
     sigma = measured.sigma.values
@@ -470,18 +475,18 @@ class DisplacementTracker:
         link = self._link or _Link(reference_key[1], texture, prepared=reference)
         if key == reference_key:
             measured = self._measure(link, texture, None)
+            agreed = _agreement(measured, texture.shape)
         else:
-            link, measured = self._follow(link, texture, step)
+            link, measured, agreed = self._follow(link, texture, step)
         found = np.stack([measured.displacement_x.values, measured.displacement_y.values], axis=-1)
         sigma = np.stack([measured.sigma_x.values, measured.sigma_y.values], axis=-1)
-        agreed = _agreement(measured, texture.shape)
         if key == reference_key:
             found = np.where(measured.valid.values[..., np.newaxis], np.float32(0), np.float32(np.nan))
             found = np.repeat(found, 2, axis=-1)
         displacement = found
         if link.displacement is not None:
             displacement, sigma = self._composed(link, measured)
-        fraction = float(np.isfinite(displacement).all(axis=-1).mean())
+        fraction, length = measured_part_and_rms(displacement[..., 0], displacement[..., 1])
         fraction /= self._wanted
         _check_fraction("a displacement", fraction, parameters.minimum_valid_fraction, experiment, step)
 
@@ -505,7 +510,7 @@ class DisplacementTracker:
             origin=(int(measured.row[0]), int(measured.column[0])),
             spacing=parameters.spacing,
             valid_fraction=fraction,
-            rms=_rms(displacement, axis=-1),
+            rms=length,
         )
 
     def _begin(self) -> None:
@@ -518,29 +523,31 @@ class DisplacementTracker:
         assert link.prepared is not None
         return measure_displacement(link.prepared, texture, initial=initial, method=self._parameters.method)
 
-    def _follow(self, link: _Link, texture: np.ndarray, step: int) -> tuple[_Link, xr.Dataset]:
+    def _follow(self, link: _Link, texture: np.ndarray, step: int) -> tuple[_Link, xr.Dataset, float]:
         """Measure against the present link, or against the last good step where that is worth it.
 
-        Returns the link that was used and what was measured against it.
+        Returns the link that was used, what was measured against it, and how much agrees.
         """
-        measured, failure, last = None, None, self._last
+        measured, agreed, failure, last = None, 0.0, None, self._last
         try:
             measured = self._measure(self._ready(link), texture, self._predicted(step))
+            agreed = _agreement(measured, texture.shape)
         except NoCorrelationError as error:
             failure = error
         least = self._parameters.rereference_fraction
-        if measured is not None and _agreement(measured, texture.shape) >= least * self._agreed:
-            return self._ready(link), measured
+        if measured is not None and agreed >= least * self._agreed:
+            return self._ready(link), measured, agreed
         if least > 0 and last is not None and last.step != link.step:
             fresh = self._ready(last)
             with suppress(NoCorrelationError):
                 other = self._measure(fresh, texture, None)
-                if measured is None or _agreement(other, texture.shape) > _agreement(measured, texture.shape) + WORTH:
-                    return fresh, other
+                other_agreed = _agreement(other, texture.shape)
+                if measured is None or other_agreed > agreed + WORTH:
+                    return fresh, other, other_agreed
         if measured is None:
             assert failure is not None
             raise failure
-        return link, measured
+        return link, measured, agreed
 
     def _ready(self, link: _Link) -> _Link:
         """The link with its texture prepared for comparison."""
@@ -610,6 +617,16 @@ class _KeptPhase:
         return calibration.reconstruct(self.phase, self.pitch, self.sigma, self.orientation)
 
 
+@dataclass(frozen=True)
+class StepSurface:
+    """The surface of a step, made and prepared before its displacement is there; from `ShapeTracker.surface`."""
+
+    kept: _KeptPhase
+    calibration: RigModel
+    shape: xr.Dataset
+    prepared: PreparedShape
+
+
 class ShapeTracker:
     """Computes the surface of each step and its 3D displacement against the reference step (eq. 10 and 12).
 
@@ -637,6 +654,30 @@ class ShapeTracker:
         """Make a step the reference of the following ones; it may be one that is still to come."""
         self._references.set(experiment, step)
 
+    def surface(
+        self, phase: np.ndarray, sigma: np.ndarray, *, pitch: float, orientation: Orientation = Orientation.VERTICAL
+    ) -> StepSurface | None:
+        """Make the surface of a step whose displacement is still being measured, for `step`.
+
+        Parameters
+        ----------
+        phase, sigma, pitch, orientation
+            As for `step`.
+
+        Returns
+        -------
+        StepSurface or None
+            None while there is no calibration.
+        """
+        if self._calibration is None:
+            return None
+        return self._surface(_KeptPhase(phase, sigma, pitch, orientation), self._calibration)
+
+    def _surface(self, kept: _KeptPhase, calibration: RigModel) -> StepSurface:
+        shape = kept.surface(calibration)
+        prepared = PreparedShape(shape, z_filter=self.parameters.z_filter_px, calibration=calibration)
+        return StepSurface(kept, calibration, shape, prepared)
+
     def step(
         self,
         experiment: str,
@@ -653,6 +694,7 @@ class ShapeTracker:
         origin: tuple[int, int] = (0, 0),
         window: int | None = None,
         method: str = "dense",
+        surface: StepSurface | None = None,
     ) -> CouplingResult:
         """Couple the phase and the in-plane displacement of one step.
 
@@ -669,6 +711,9 @@ class ShapeTracker:
         window, method
             With which the displacement was measured: they tell how far its errors agree, which the sigma of the strain
             needs. None when unknown, the strain then comes without it.
+        surface
+            What `surface` made of this phase; made here when it is None, or the calibration or the filter has changed
+            since.
 
         Raises
         ------
@@ -690,7 +735,7 @@ class ShapeTracker:
             )
         key = (experiment, step)
         reference_key = (experiment, self._references.of(experiment, step))
-        current = _KeptPhase(phase, sigma, pitch, orientation)
+        current = _KeptPhase(phase, sigma, pitch, orientation) if surface is None else surface.kept
         first = current if key == reference_key else self._phases.get(reference_key)
         if first is None:
             raise _no_reference(key, reference_key)
@@ -701,12 +746,16 @@ class ShapeTracker:
                 experiment=experiment,
                 step=step,
             )
-        shape = current.surface(calibration)
-        prepared = PreparedShape(shape, z_filter=parameters.z_filter_px, calibration=calibration)
-        reference = prepared if first is current else self._prepared_reference(first, calibration)
+        if (
+            surface is None
+            or surface.calibration is not calibration
+            or surface.prepared.z_filter != parameters.z_filter_px
+        ):
+            surface = self._surface(current, calibration)
+        reference = surface.prepared if first is current else self._prepared_reference(first, calibration)
         cloud = couple(
             reference,
-            prepared,
+            surface.prepared,
             displacement_dataset(displacement, displacement_sigma, spacing, origin, window, method),
             calibration=calibration,
             z_filter=parameters.z_filter_px,
@@ -722,8 +771,7 @@ class ShapeTracker:
             names = ["e_11", "e_22", "e_12", "sigma_e_11", "sigma_e_22", "sigma_e_12"]
             fields |= {name: strain[name] for name in names if name in strain}
         arrays = _float32(fields)
-        moved = np.stack([arrays["u"], arrays["v"], arrays["w"]], axis=-1)
-        fraction = float(np.isfinite(moved).all(axis=-1).mean())
+        fraction, length = measured_part_and_rms(arrays["u"], arrays["v"], arrays["w"])
         _check_fraction("a 3D displacement", fraction, parameters.minimum_valid_fraction, experiment, step)
 
         self._references.succeeded(experiment, step)
@@ -734,10 +782,10 @@ class ShapeTracker:
             step=step,
             stamp=stamp,
             reference_step=reference_key[1],
-            shape=_float32({name: shape[name] for name in ("x", "y", "z", "sigma_z")}),
+            shape=_float32({name: surface.shape[name] for name in ("x", "y", "z", "sigma_z")}),
             displacement=arrays,
             valid_fraction=fraction,
-            rms=_rms(moved, axis=-1),
+            rms=length,
         )
 
     def _prepared_reference(self, first: _KeptPhase, calibration: RigModel) -> PreparedShape:
@@ -765,7 +813,7 @@ def displacement_dataset(
         "displacement_y": displacement[..., 1],
         "sigma_x": sigma[..., 0],
         "sigma_y": sigma[..., 1],
-        "valid": np.isfinite(displacement).all(axis=-1),
+        "valid": np.isfinite(displacement[..., 0]) & np.isfinite(displacement[..., 1]),
     }
     return xr.Dataset(
         {name: (("row", "column"), value) for name, value in values.items()},
@@ -780,18 +828,14 @@ def _float32(fields: Mapping[str, xr.DataArray]) -> dict[str, np.ndarray]:
 
 def _agreement(measured: xr.Dataset, shape: tuple[int, ...]) -> float:
     """Measured points over those that should still be in view, had all moved like the median."""
+    valid = measured.valid.values
+    count = int(np.count_nonzero(valid))
     staying = 1
     for axis, name, length in (("row", "displacement_y", shape[0]), ("column", "displacement_x", shape[1])):
-        there = measured[axis].values + float(measured[name].median())
+        known = measured[name].values[valid][:: max(1, count // MEDIAN_POINTS)]
+        there = measured[axis].values + (float(np.median(known)) if count else 0.0)
         staying *= int(np.count_nonzero((there >= 0) & (there <= length - 1)))
-    return float(measured.valid.sum()) / max(1, staying)
-
-
-def _rms(vectors: np.ndarray, axis: int) -> float:
-    """Root mean square length of the vectors that are measured."""
-    squared = np.sum(vectors.astype(np.float64) ** 2, axis=axis)
-    measured = squared[np.isfinite(squared)]
-    return float(np.sqrt(measured.mean())) if measured.size else float("nan")
+    return count / max(1, staying)
 
 
 def _check_fraction(what: str, fraction: float, minimum: float, experiment: str, step: int) -> None:

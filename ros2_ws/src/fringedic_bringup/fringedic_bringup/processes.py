@@ -165,6 +165,9 @@ def node_environment(domain: int | None = None) -> dict[str, str]:
         "PYTHONUNBUFFERED": "1",
         "RCUTILS_COLORIZED_OUTPUT": "0",
     }
+    # maps of a step come and go: memory that the process keeps need not be cleared by the kernel page by page each time
+    for name, value in (("ARENA_MAX", 1), ("MMAP_THRESHOLD_", 1 << 30), ("TRIM_THRESHOLD_", 1 << 32)):
+        environment.setdefault(f"MALLOC_{name}", str(value))
     if domain is not None:
         environment["ROS_DOMAIN_ID"] = str(domain)
     return environment

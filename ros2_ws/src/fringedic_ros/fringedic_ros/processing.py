@@ -114,6 +114,11 @@ class StampJoin:
             self.unjoined += len(self._waiting.popitem(last=False)[1])
         return None
 
+    def waiting(self, stamp: int, topics: Iterable[str]) -> dict[str, Any]:
+        """Return what has arrived with this stamp once all of these topics have, else nothing."""
+        parts = self._waiting.get(stamp, {})
+        return {topic: parts[topic] for topic in topics} if parts.keys() >= set(topics) else {}
+
     def discard(self, stamp: int) -> str:
         """Give up what has arrived with this stamp, and say what has not; empty when nothing has."""
         parts = self._waiting.pop(stamp, {})

@@ -54,12 +54,13 @@ class PhaseNode(ProcessingNode[PhaseParameters]):
     def _measure_phase(self, stack: Stack, parameters: PhaseParameters) -> Outcome:
         result = phase_step(stack, parameters)
         for publisher, array in (
+            (self._texture, result.texture),  # first: to be followed is what takes longest
             (self._map, result.phase),
             (self._sigma, result.sigma),
             (self._modulation, result.modulation),
-            (self._texture, result.texture),
         ):
-            publisher.publish(image_message(array, stamp_ns=result.stamp, frame_id=FRAME))
+            if publisher.get_subscription_count():
+                publisher.publish(image_message(array, stamp_ns=result.stamp, frame_id=FRAME))
         if self._preview.get_subscription_count():
             colours = phase_preview(result.phase)
             self._preview.publish(image_message(colours, stamp_ns=result.stamp, frame_id=FRAME))
