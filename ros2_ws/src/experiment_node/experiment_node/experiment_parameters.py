@@ -6,8 +6,8 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from fringedic.patterns import fringe_sequence, gray_code_sequence
-from fringedic.sequence import Projection
+from fringedic.patterns import FringeOrder, step_sequence
+from fringedic.sequence import PHASE_KINDS, Projection
 
 
 class ExperimentParameters(BaseModel):
@@ -33,10 +33,14 @@ class ExperimentParameters(BaseModel):
         [800.0, 160.0, 40.0, 10.0], description="Fringe pitches, coarse to fine [projector pixel]."
     )
     shifts: list[int] = Field([4, 4, 4, 8], description="Phase-shifted frames of each pitch, at least 3.")
-    fringe_order: Literal["pitches", "gray_code"] = Field(
+    fringe_order: FringeOrder = Field(
         "pitches",
         description="What tells the fringe orders. pitches: each coarser one the next; gray_code: a code of the finest "
-        "pitch, which is the only one then.",
+        "pitch, which is the only one then; one_image: nothing, a single image of the finest pitch is shown.",
+    )
+    grey_frame: bool = Field(False, description="With one_image: grey light before it, for the texture.")
+    exposure_times_s: list[float] = Field(
+        [], max_length=8, description="At which every pattern of a step is taken [s]; empty: as the camera is set up."
     )
     orientation: Literal["vertical", "horizontal"] = Field(
         "vertical", description="vertical: fringes along y, projector left or right; horizontal: projector above."
@@ -70,21 +74,46 @@ class ExperimentParameters(BaseModel):
         return self
 
     @model_validator(mode="after")
+    def _exposures_differ(self) -> Self:
+        times = self.exposure_times_s
+        if len(set(times)) < len(times) or not all(0 < time <= 60 for time in times):
+            raise ValueError("exposure_times_s must be above 0, 60 s at most, and differ from each other")
+        return self
+
+    @model_validator(mode="after")
     def _reference_was_before(self) -> Self:
         if self.reference_step >= self.first_step:
             raise ValueError(f"reference_step {self.reference_step} is not before first_step {self.first_step}")
         return self
 
     def projections(self) -> tuple[Projection, ...]:
-        """Return what the frames of a FRINGES step show.
+        """Return what the frames of a FRINGES step show, each pattern once for each exposure time.
 
         Raises
         ------
         InvalidPatternError
             The pitches, shifts and size do not make a sequence.
         """
-        width, height = self.projector_width_px, self.projector_height_px
-        sequence = fringe_sequence(width, height, self.pitches_px, self.shifts, self.orientation)
-        if self.fringe_order == "gray_code":
-            sequence = gray_code_sequence(width, height, self.pitches_px[-1], self.shifts[-1], self.orientation)
-        return sequence.projections
+        sequence = step_sequence(
+            self.projector_width_px,
+            self.projector_height_px,
+            self.pitches_px,
+            self.shifts,
+            self.orientation,
+            self.fringe_order,
+            grey_frame=self.grey_frame,
+        )
+        return tuple(projection for projection in sequence.projections for _ in self.exposure_times_s or [0.0])
+
+    def exposure_time(self, index: int, projection: Projection) -> float:
+        """Return how long a frame of a step is exposed [s], 0 as the camera is set up.
+
+        Parameters
+        ----------
+        index
+            Of the frame within its step.
+        projection
+            What it shows; patterns of a FRINGES step alone are taken at several exposure times.
+        """
+        times = self.exposure_times_s if projection.kind in PHASE_KINDS else ()
+        return times[index % len(times)] if times else 0.0

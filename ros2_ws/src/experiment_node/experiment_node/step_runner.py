@@ -245,8 +245,10 @@ class StepRunner:
     async def _take_frames(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         await step.turn.pause(parameters.settle_time_s)
         step.feed_back("capture", step)
+        shown, on_screen = Time(), None
         for index, projection in enumerate(step.projections):
-            shown = await self._show_pattern(step, projection, parameters) if parameters.projector else Time()
+            if parameters.projector and projection != on_screen:  # the next exposure of a pattern finds it there
+                shown, on_screen = await self._show_pattern(step, projection, parameters), projection
             await self._capture_frame(step, index, projection, shown, parameters)
             self._announce(step, StepStatus.CAPTURE)
             step.feed_back("capture", step)
@@ -287,6 +289,7 @@ class StepRunner:
             pitch=projection.pitch,
             shift=projection.shift,
             shifts=projection.shifts,
+            exposure_time=parameters.exposure_time(index, projection),
             shown=shown,
             placed=self.placed,
             image_subscribers=count("camera/image_raw") if first else 0,

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from fringedic.errors import InvalidPatternError
 from fringedic.response import ResponseCurve
 from fringedic.sequence import Orientation, PatternKind, Projection
 
+FringeOrder = Literal["pitches", "gray_code", "one_image"]
 DARKEST, BRIGHTEST = 5, 250  # clear of both ends of the 8-bit scale, where projectors clip
 SETUP_PATTERNS = ("dark", "grid", "crosshair")
 _GRID_SPACING = 50  # projector pixels between the lines of the set-up grid
@@ -166,6 +168,42 @@ def one_image_sequence(
     fringes = Projection(PatternKind.FRINGES, _direction(orientation), float(pitch), 1, 1)
     plain = (Projection(PatternKind.GREY, shift=1, shifts=2),) if grey else ()
     return _checked(PatternSequence(width, height, (*plain, fringes), response))
+
+
+def step_sequence(
+    width: int,
+    height: int,
+    pitches: Sequence[float],
+    shifts: Sequence[int],
+    orientation: str = "vertical",
+    fringe_order: FringeOrder = "pitches",
+    *,
+    grey_frame: bool = False,
+) -> PatternSequence:
+    """Return what a rig shows for one step.
+
+    Parameters
+    ----------
+    width, height, pitches, orientation
+        See `fringe_sequence`.
+    shifts
+        q of each pitch.
+    fringe_order
+        What tells the fringe orders. ``pitches``: each coarser one the next; ``gray_code``: a code, of the finest
+        pitch alone; ``one_image``: nothing, one image of the finest pitch is all there is.
+    grey_frame
+        With one image, show uniform grey first, for the texture of the surface.
+
+    Raises
+    ------
+    InvalidPatternError
+        See `fringe_sequence`.
+    """
+    if fringe_order == "gray_code":
+        return gray_code_sequence(width, height, pitches[-1], shifts[-1], orientation)
+    if fringe_order == "one_image":
+        return one_image_sequence(width, height, pitches[-1], orientation, grey=grey_frame)
+    return fringe_sequence(width, height, pitches, shifts, orientation)
 
 
 def render_pattern(

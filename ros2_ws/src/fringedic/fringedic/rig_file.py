@@ -21,10 +21,10 @@ from fringedic.camera import DistortionMap
 from fringedic.chain import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.errors import CalibrationFileError, FringedicError, InvalidCalibrationError, RigFileError
 from fringedic.facts import CalibrationFacts, Facts, HardwareFacts, NoiseFacts, SpecimenFacts
-from fringedic.patterns import gray_code_sequence
+from fringedic.patterns import FringeOrder, step_sequence
 from fringedic.programme import Programme
 from fringedic.rig import RigModel
-from fringedic.sequence import Orientation, PatternKind, Projection
+from fringedic.sequence import Projection
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 from fringedic.virtual_rig.configuration import LensConfiguration, ReferencePlaneSpecimen
 from fringedic.virtual_rig.optics import camera_optics, projector_optics
@@ -114,9 +114,20 @@ class SequenceSection(Section):
     )
     shifts: int = Field(4, ge=3, le=64, description="Phase shifts per pitch.")
     orientation: Literal["vertical", "horizontal"] = Field("vertical", description="Direction of the fringes.")
-    fringe_order: Literal["pitches", "gray_code"] = Field(
+    fringe_order: FringeOrder = Field(
         "pitches",
-        description="What tells the fringe orders: each coarser pitch the next, or a Gray code of the finest pitch.",
+        description="What tells the fringe orders: each coarser pitch the next, or a Gray code of the finest pitch; "
+        "one_image: nothing, a single image of the finest pitch is shown, for fast events.",
+    )
+    grey_frame: bool = Field(
+        False, description="With one_image: grey light before it, which takes the texture of the surface out."
+    )
+    exposures_ms: list[Annotated[float, Field(gt=0, le=60e3)]] | None = Field(
+        None,
+        min_length=2,
+        max_length=8,
+        description="Exposure times at which every pattern is taken, for surfaces with glare and dark parts [ms]; by "
+        "default the camera's own alone.",
     )
 
     @model_validator(mode="after")
@@ -125,6 +136,17 @@ class SequenceSection(Section):
         if any(fine >= coarse for coarse, fine in pairwise(pitches)):
             raise ValueError("pitches_px must become smaller from one to the next")
         return self
+
+    @model_validator(mode="after")
+    def _exposures_differ(self) -> SequenceSection:
+        if len(set(self.exposures_ms or [])) < len(self.exposures_ms or []):
+            raise ValueError("exposures_ms must differ from each other")
+        return self
+
+    @property
+    def exposure_times(self) -> list[float]:
+        """Exposure times of every pattern [s]; empty: the camera's own."""
+        return [time * MILLI for time in self.exposures_ms or ()]
 
 
 class CalibratedCamera(Section):
@@ -345,6 +367,15 @@ class RigFile(Section):
             raise ValueError(f"{users[0]} needs the section virtual_rig, for example virtual_rig: {{preset: plate}}")
         return self
 
+    @model_validator(mode="after")
+    def _relative_phases_are_wanted(self) -> RigFile:
+        if self.sequence.fringe_order == "one_image" and self.nodes.phase.relative_phase != "accept":
+            raise ValueError(
+                "sequence.fringe_order: one_image measures phases up to whole fringes only, and shapes that are off by "
+                "an unknown height; if that will do, set nodes.phase.relative_phase: accept"
+            )
+        return self
+
     def virtual_configuration(self) -> VirtualRigConfiguration:
         """Return the virtual rig of this file; only where there is one."""
         return VirtualRigConfiguration.from_dict(self.virtual_rig or {})
@@ -376,16 +407,19 @@ class RigFile(Section):
 
     def projections(self) -> list[Projection]:
         """What the frames of one step show, in their order."""
-        orientation = Orientation[self.sequence.orientation.upper()]
-        shifts = self.sequence.shifts
-        size = self.projector_size()
-        if size is not None and self.sequence.fringe_order == "gray_code":
-            return list(gray_code_sequence(*size, self.pitches()[-1], shifts, self.sequence.orientation).projections)
-        return [
-            Projection(PatternKind.FRINGES, orientation, pitch, shift, shifts)
-            for pitch in self.pitches()
-            for shift in range(1, shifts + 1)
-        ]
+        size, sequence = self.projector_size(), self.sequence
+        if size is None:
+            return []
+        pitches = self.pitches()
+        shown = step_sequence(
+            *size,
+            pitches,
+            [sequence.shifts] * len(pitches),
+            sequence.orientation,
+            sequence.fringe_order,
+            grey_frame=sequence.grey_frame,
+        )
+        return [projection for projection in shown.projections for _ in sequence.exposures_ms or [0]]
 
     def facts(self, path: str | os.PathLike[str]) -> Facts:
         """Return what is known of specimen, hardware and calibration; `path` is where this file was read."""

@@ -103,6 +103,9 @@ def calibration_graph(rig: RigFile, rig_path: Path, folder: Path) -> Graph:
         Gets the recording ``bag``.
     """
     settings = _experiment(rig, "") | {"nodes": ["phase"], "calibration_folder": str(folder.absolute())}
+    phase = rig.nodes.phase.model_dump()
+    if rig.sequence.fringe_order == "one_image":  # the places of planes are absolute
+        settings["fringe_order"], phase["relative_phase"] = "pitches", "refuse"
     return Graph(
         rig.namespace,
         (
@@ -288,6 +291,8 @@ def _experiment(rig: RigFile, experiment: str) -> dict[str, Any]:
             "shifts": [rig.sequence.shifts] * len(pitches),
             "orientation": rig.sequence.orientation,
             "fringe_order": rig.sequence.fringe_order,
+            "grey_frame": rig.sequence.grey_frame,
+            "exposure_times_s": rig.sequence.exposure_times,
         }
     return parameters
 
