@@ -219,6 +219,29 @@ def timing(
     console.print(f"picture: {folder / 'timing.png'}", markup=False, highlight=False)
 
 
+@app.command(epilog="Example: fringedic region plate.yaml --output region.png")
+def region(
+    source: Annotated[Path, typer.Argument(metavar="IMAGE|RIG", help="Image, or rig file: then one frame of it.")],
+    output: Annotated[Path, typer.Option(help="Mask image; the polygons go beside it as .yaml.")] = Path("region.png"),
+) -> None:
+    """Draw the region of interest in a window: a mask for fringedic measure, polygons for the rig file."""
+    from fringedic_bringup.region import RIG_SUFFIXES, image_of
+    from fringedic_bringup.region_window import draw_region
+
+    is_rig = source.suffix in RIG_SUFFIXES or not source.exists()
+    drawn = draw_region(image_of(_rig_path(source) if is_rig else source))
+    if drawn is None:
+        console.print("nothing was drawn", markup=False, highlight=False)
+        raise typer.Exit(1)
+    picture, corners = drawn.save(output)
+    share = 100 * drawn.mask().mean()
+    console.print(
+        f"mask: {picture}, {share:.0f} % of the image\npolygons: {corners}; name them in the rig file as region_file",
+        markup=False,
+        highlight=False,
+    )
+
+
 @app.command(epilog="Example: fringedic demo --output demo plate leather")
 def demo(
     specimens: Annotated[list[Specimen] | None, typer.Argument(help="Which experiments; all by default.")] = None,
@@ -342,13 +365,16 @@ def measure(
     images: Annotated[list[Path], typer.Argument(help="The reference image, then the deformed ones in their order.")],
     window: Annotated[int, typer.Option(min=8, max=256, help="Width of the correlation window [px].")] = 32,
     spacing: Annotated[int, typer.Option(min=1, max=256, help="Distance of the measured points [px].")] = 1,
+    mask: Annotated[
+        Path | None, typer.Option(help="What is measured: a mask image, or polygons, as fringedic region writes them.")
+    ] = None,
     output: Annotated[Path, typer.Option(help="Folder for dataset and pictures.")] = Path("measured"),
 ) -> None:
     """Measure the in-plane displacement between images and write it as NetCDF and PNG."""
     from fringedic_bringup.images import measure_images
 
     with LiveProgress(console) as progress:
-        dataset, pictures = measure_images(images, output, progress, window=window, spacing=spacing)
+        dataset, pictures = measure_images(images, output, progress, window=window, spacing=spacing, mask=mask)
     console.print(f"dataset: {dataset}\npictures: {len(pictures)} in {output}", markup=False, highlight=False)
 
 

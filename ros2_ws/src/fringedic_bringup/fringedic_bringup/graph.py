@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 
 from fringedic.recording import BagReader
+from fringedic.region import Region
 from fringedic.rig_file import RigFile, load_calibration
 
 PROCESSING_NODES = {"phase": "phase_node", "dic": "dic_node", "coupling": "coupling_node"}
@@ -73,7 +74,7 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         *_processing_nodes(
             {
                 "phase": rig.nodes.phase.model_dump(),
-                "dic": rig.nodes.dic.model_dump(),
+                "dic": rig.nodes.dic.model_dump() | _region(rig, rig_path),
                 "coupling": rig.nodes.coupling.model_dump(),
             }
         ),
@@ -110,7 +111,7 @@ def calibration_graph(rig: RigFile, rig_path: Path, folder: Path) -> Graph:
         rig.namespace,
         (
             NodeEntry("recorder", "experiment_node", "recorder", _recorder(rig, folder)),
-            NodeEntry("phase", PROCESSING_NODES["phase"], "phase", rig.nodes.phase.model_dump()),
+            NodeEntry("phase", PROCESSING_NODES["phase"], "phase", phase),
             *_hardware(rig, rig_path, _camera(rig, rig_path)),
             NodeEntry("experiment", "experiment_node", "experiment", settings),
         ),
@@ -137,6 +138,17 @@ def live_graph(rig: RigFile, rig_path: Path, region: Sequence[int] = ()) -> Grap
             *_hardware(rig, rig_path, _camera(rig, rig_path)),
         ),
     )
+
+
+def exposing_graph(rig: RigFile, rig_path: Path) -> Graph:
+    """Return projector and camera alone, a camera that waits for nothing after a pattern.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file and where it was read.
+    """
+    return Graph(rig.namespace, tuple(_hardware(rig, rig_path, _camera(rig, rig_path) | {"settle_time_s": 0.0})))
 
 
 def replay_graph(
@@ -241,6 +253,11 @@ def _camera(rig: RigFile, rig_path: Path) -> dict[str, Any]:
     if rig.virtual_rig is not None:
         parameters |= {"virtual_rig": _virtual_rig(rig), "timeout_s": RENDERING_TIMEOUT_S}
     return parameters
+
+
+def _region(rig: RigFile, rig_path: Path) -> dict[str, str]:
+    """Return the region of interest as the parameter that carries it, so that recordings need no other file."""
+    return {} if rig.region_file is None else {"region": Region.load(rig_path.parent / rig.region_file).to_text()}
 
 
 def _full_scale(rig: RigFile) -> float:
