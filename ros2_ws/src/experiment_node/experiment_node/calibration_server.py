@@ -23,6 +23,7 @@ from experiment_node.running_step import Experiment, RunningStep
 from experiment_node.step_runner import CONNECTING_TIME
 from experiment_node.turn import StepFailure, Turn
 from fringedic.calibration_session import CalibrationSession, Plane, Setting, grid_in_words, place_in_words
+from fringedic.camera.turned_grid import SMALLEST_TURN
 from fringedic.errors import FringedicError, WaitTimeoutError
 from fringedic.sequence import PatternKind, Projection
 from fringedic_msgs.action import CalibrateDistortion, CalibrateRig
@@ -124,28 +125,42 @@ class CalibrationServer:
             raise StepFailure(
                 result.INVALID_GOAL, f"grid_pitch is {request.grid_pitch:g} m; give the distance of the printed lines"
             )
+        angles = [0.0, *_grid_angles(request, result)]
         experiment = self._node.begin_experiment()
         result.experiment = result.identifier = experiment.name
         folder = self._folder(request.folder, experiment)
-        plane = ReferencePlane(kind=ReferencePlane.GRID, grid_pitch=request.grid_pitch)
+        feedback = CalibrateDistortion.Feedback(planes=len(angles))
+        white = (Projection(PatternKind.WHITE),) * (request.frames or GRID_FRAMES)
 
         def feed_back(words: str, step: RunningStep | None = None) -> None:
-            feedback = CalibrateDistortion.Feedback(words=words)
+            feedback.words, feedback.frame, feedback.frames = words, 0, 0
             if step is not None:
                 feedback.words = "measuring"
                 feedback.frame, feedback.frames = step.taken, len(step.projections)
             turn.goal.publish_feedback(feedback)
 
-        with self._listening({"camera/image_raw": IMAGES}) as heard:
-            feed_back(place_in_words(plane.kind, 0.0, 0.0))
-            await self._put(turn, result, plane)
-            white = (Projection(PatternKind.WHITE),) * (request.frames or GRID_FRAMES)
-            step = await self._step(turn, result, experiment, plane, white, (), feed_back)
-            images = heard["camera/image_raw"]
-            await self._arrived(turn, result, images, step.stamps, "camera/image_raw")
-            frames = np.stack([image_array(images[stamp]) for stamp in step.stamps])
-        feed_back("measuring the distortion")
-        grid = await self._compute(turn, result.GRID_REJECTED, self._session.measure_grid, frames, request.grid_pitch)
+        for feedback.plane, angle in enumerate(angles, start=1):
+            plane = ReferencePlane(
+                kind=ReferencePlane.GRID, angle=angle, grid_pitch=request.grid_pitch, sigma_angle=request.sigma_angle
+            )
+            with self._listening({"camera/image_raw": IMAGES}) as heard:
+                feed_back(place_in_words(plane.kind, angle, 0.0))
+                await self._put(turn, result, plane)
+                step = await self._step(turn, result, experiment, plane, white, (), feed_back)
+                images = heard["camera/image_raw"]
+                await self._arrived(turn, result, images, step.stamps, "camera/image_raw")
+                frames = np.stack([image_array(images[stamp]) for stamp in step.stamps])
+            code, session = result.GRID_REJECTED, self._session
+            if feedback.plane == 1:
+                feed_back("measuring the distortion")
+                await self._compute(turn, code, session.measure_grid, frames, request.grid_pitch)
+            else:
+                feed_back("finding the grid on the turned plane")
+                await self._compute(turn, code, session.measure_turned_grid, frames, plane.angle)
+        orientation = self._node.parameters.value.projections()[-1].orientation
+        grid = await self._compute(
+            turn, result.GRID_REJECTED, self._session.locate_pin_hole, request.sigma_angle, orientation
+        )
         await self._compute(turn, result.FILES_FAILED, self._session.save_grid, folder)
         result.residual, result.go, result.verdict = grid.residual, True, grid_in_words(grid)
         result.folder = str(folder)
@@ -221,7 +236,7 @@ class CalibrationServer:
         if not placed.success:
             raise StepFailure(result.PLACING_FAILED, f"{what}: {placed.message or 'refused without a reason'}")
         self._node.runner.placed = placed.placed
-        if plane.kind == ReferencePlane.PLANE:
+        if plane.kind == ReferencePlane.PLANE or plane.angle:
             plane.angle, plane.height = placed.angle, placed.height
 
     async def _step(
@@ -283,6 +298,19 @@ class CalibrationServer:
                 turn.check()
             except (FringedicError, OSError) as error:
                 raise StepFailure(code, str(error)) from error
+
+
+def _grid_angles(request: CalibrateDistortion.Goal, result: CalibrateDistortion.Result) -> list[float]:
+    """The angles at which the grid is seen besides 0: none, or some on both sides."""
+    angles = list(request.angles)
+    one_sided = bool(angles) and not min(angles) < -SMALLEST_TURN < SMALLEST_TURN < max(angles)
+    if one_sided or not all(abs(angle) < MAXIMUM_ANGLE for angle in angles) or not 0 <= request.sigma_angle < 1:
+        raise StepFailure(
+            result.INVALID_GOAL,
+            f"angles {angles} rad, sigma_angle {request.sigma_angle:g} rad: give no angles, or some on both sides of 0 "
+            "in radian",
+        )
+    return angles
 
 
 def _planes(request: CalibrateRig.Goal, result: CalibrateRig.Result) -> list[ReferencePlane]:

@@ -29,7 +29,7 @@ from fringedic_ros.testing import NodeProcess, Peer
 
 PITCHES = [100.0, 20.0, 5.0]
 SHIFTS = [3, 3, 3]
-GRID_PITCH = 2.8e-3
+GRID_PITCH = 3.0e-3
 SIGMA = 2 * math.pi * 0.002
 TWIN = VirtualRigConfiguration.from_dict(
     {"preset": "plate", "size": "tiny", "stage": {"grid_pitch_mm": 1e3 * GRID_PITCH, "grid_blur_um": 170.0}}

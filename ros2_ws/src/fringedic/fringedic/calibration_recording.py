@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from typing import Any
 
-from fringedic.calibration_session import CalibrationSession, Plane, PlaneKind, Setting
+from fringedic.calibration_session import CalibrationSession, Plane, PlaneKind, Setting, place_in_words
 from fringedic.chain import phase_step
 from fringedic.errors import RecordingError
 from fringedic.recording import BagReader
@@ -21,7 +21,7 @@ _TOPICS = ("camera/image_raw", "camera/exposure", "node_parameters")
 def calibrate_recording(
     path: str | os.PathLike[str], *, progress: Callable[[str], None] = lambda _: None
 ) -> CalibrationSession:
-    """Calibrate the rig once more from a recording: the latest planes in it, and the grid before them.
+    """Calibrate the rig once more from a recording: the latest planes in it, and the grids before them.
 
     With the same version of this library the numbers are those of the running system, bit by bit.
 
@@ -57,14 +57,19 @@ def calibrate_recording(
         plane = planes.pop((stack.experiment, stack.step))
         wanted.discard((stack.experiment, stack.step))
         if plane.kind == PlaneKind.GRID:
-            progress("the grid")
-            session.measure_grid(stack.frames, plane.grid_pitch)
+            progress(place_in_words(plane.kind, plane.angle, plane.height))
+            if plane.angle:
+                session.measure_turned_grid(stack.frames, plane.angle)
+            else:
+                session.measure_grid(stack.frames, plane.grid_pitch)
+            sigma_grid = plane.sigma_angle
             continue
         measured = phase_step(stack, parameters.phase)
         if not begun:
             others = parameters.settings(None).rig["experiment"]
             size = (others["projector_width_px"], others["projector_height_px"])
             finest = stack.projections[-1]
+            session.locate_pin_hole(sigma_grid, finest.orientation)
             session.begin(Setting(name, size, finest, plane.sigma_angle, plane.sigma_height))
             begun = True
         words = session.add_plane(Plane(plane.angle, plane.height, plane.held_out, measured.phase, measured.sigma))
@@ -77,14 +82,15 @@ def calibrate_recording(
 
 
 def _latest(planes: Mapping[tuple[str, int], Any]) -> tuple[set[tuple[str, int]], str]:
-    """Return the steps of the latest calibration with those of the grid before it, and its name; none when none is."""
-    grid: tuple[str, int] | None = None
+    """Return the steps of the latest calibration with those of the grids before it, and its name; none when none is."""
+    grids: set[tuple[str, int]] = set()
     steps: dict[str, set[tuple[str, int]]] = {}
     for key, plane in planes.items():
         if plane.kind == PlaneKind.GRID:
-            grid = key
-        elif grid is not None:
-            steps.setdefault(key[0], {grid}).add(key)
+            # on the turned plane in the same experiment
+            grids = {key, *(grids if plane.angle else ())}
+        elif grids:
+            steps.setdefault(key[0], set(grids)).add(key)
     return (steps[name], name) if (name := next(reversed(steps), "")) else (set(), "")
 
 

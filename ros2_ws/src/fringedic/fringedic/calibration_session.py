@@ -18,8 +18,9 @@ from fringedic.calibration.calibrate import calibrate_rig
 from fringedic.calibration.planes import PlaneBlocks, check_different, plane_name, reduce_plane
 from fringedic.calibration.result import RigCalibration
 from fringedic.camera.grid import GridMeasurement, measure_distortion
+from fringedic.camera.turned_grid import TurnedGrid, locate_pin_hole, measure_turned_grid
 from fringedic.errors import CalibrationFileError, CalibrationStateError, InvalidCalibrationError
-from fringedic.sequence import Projection
+from fringedic.sequence import Orientation, Projection
 
 DISTORTION_FILE = "distortion.yaml"
 REPORT_FILE = "report.html"
@@ -37,12 +38,14 @@ class PlaneKind(IntEnum):
 
 def place_in_words(kind: int, angle: float, height: float) -> str:
     """Return what an operator shall put in front of the camera; angle [rad], height [m]."""
-    if kind == PlaneKind.GRID:
-        return "lay the printed grid on the reference plane at 0 degree, turned in its plane by 1 to 3 degrees"
     if kind == PlaneKind.SPECIMEN:
         return "put the specimen back"
     degrees, lift = math.degrees(angle), _MM * height
     side = f" ({'right' if degrees > 0 else 'left'} side towards the camera)" if abs(degrees) > 1e-6 else ""
+    if kind == PlaneKind.GRID and not side:
+        return "lay the printed grid on the reference plane at 0 degree, turned in its plane by 1 to 3 degrees"
+    if kind == PlaneKind.GRID:
+        return f"turn the reference plane with the grid on it to {degrees:+.2f} degree{side}"
     lifted = f", {abs(lift):.3f} mm {'above' if lift > 0 else 'below'} its place" if abs(lift) > 1e-6 else ""
     return f"turn the plain reference plane to {degrees + 0.0:+.2f} degree{side}{lifted}"
 
@@ -54,6 +57,14 @@ def grid_in_words(grid: GridMeasurement) -> str:
         f"The lens distorts the image by {grid.magnitude:.3f} px RMS; {grid.residual:.4f} px are left at the points of "
         f"the grid, known to {grid.sigma:.4f} px. A pixel sees {_UM * plane.pixel_size:.4f} µm of the plane."
     )
+    if plane.pin_hole is not None:
+        camera, sigma = plane.camera(plane.pin_hole.distance), np.sqrt(np.diag(plane.pin_hole.covariance))
+        tilts = math.degrees(camera["camera_tilt_x"]), math.degrees(camera["camera_tilt_y"])
+        words += (
+            f" The camera stands {_MM * plane.pin_hole.distance:.2f} mm above it (known to {_MM * sigma[0]:.2g} mm), "
+            f"tilted by {tilts[0]:+.3f} degree about x and {tilts[1]:+.3f} degree about y (known to "
+            f"{math.degrees(sigma[1:].max() / plane.pin_hole.distance):.2g} degree)."
+        )
     return " ".join([words, *grid.warnings])
 
 
@@ -148,6 +159,7 @@ class CalibrationSession:
         self.result: RigCalibration | None = None
         self.drift = math.nan
         self._setting: Setting | None = None
+        self._turned: list[TurnedGrid] = []
         self._planes: list[Plane] = []
         self._blocks: list[PlaneBlocks] = []
 
@@ -166,8 +178,50 @@ class CalibrationSession:
         FringedicError
             The frames do not show a grid that can be measured; the message says why.
         """
-        self.grid = None
+        self.grid, self._turned = None, []
         self.grid = measure_distortion(frames.mean(axis=0, dtype=np.float64), pitch=grid_pitch)
+        return self.grid
+
+    def measure_turned_grid(self, frames: np.ndarray, angle: float) -> TurnedGrid:
+        """Find the grid in white frames of the turned plane; the grid at angle 0 comes first.
+
+        Parameters
+        ----------
+        frames : (frame, row, column)
+            Grey levels; their mean is used.
+        angle
+            Of the plane [rad].
+
+        Raises
+        ------
+        FringedicError
+            The frames do not show the grid well enough; the message says why.
+        """
+        if self.grid is None:
+            raise CalibrationStateError("the grid on the turned plane comes after that on the plane at 0 degree")
+        self._turned.append(measure_turned_grid(frames.mean(axis=0, dtype=np.float64), self.grid, angle))
+        return self._turned[-1]
+
+    def locate_pin_hole(self, sigma_angle: float, orientation: Orientation) -> GridMeasurement:
+        """Find where the camera stands from the grids on the turned plane, if there were any.
+
+        Parameters
+        ----------
+        sigma_angle
+            Standard deviation of the stage's single angles [rad].
+        orientation
+            Of the fringes, along which the stage's axis runs.
+
+        Raises
+        ------
+        GridAngleError
+            The plane was not turned by the angles that were said, or to one side only.
+        """
+        if self.grid is None:
+            raise CalibrationStateError("the printed grid was not measured")
+        if self._turned:
+            self.grid = locate_pin_hole(self.grid, self._turned, sigma_angle=sigma_angle, orientation=orientation)
+            self._turned = []
         return self.grid
 
     def begin(self, setting: Setting) -> None:

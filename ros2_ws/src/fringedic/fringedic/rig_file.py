@@ -31,6 +31,7 @@ from fringedic.virtual_rig.optics import camera_optics, projector_optics
 from fringedic.yaml_section import Section, load_sections
 
 MILLI = 1e-3
+_LEAST_TURN, _GOOD_TURN = 2.0, 12.0  # [degree] of the plane when the grid on it is seen once more
 FINEST_DEFAULT_PITCH_PX = 8.0
 LENS_ORDER = 20  # of the polynomials that stand for the lens of a virtual rig; 2e-6 px are left of an odd one
 LENS_POINTS = 60
@@ -230,6 +231,11 @@ class ReferencePlaneSection(Section):
     grid_pitch_mm: float | None = Field(
         None, gt=0, description="Distance of the printed grid's lines; known from a virtual rig."
     )
+    grid_angles_degree: list[Annotated[float, Field(gt=-80, lt=80)]] | None = Field(
+        None,
+        description="Angles at which the grid is seen besides 0, on both sides: they tell a tilted camera from a lens "
+        "off its axis. By default those of angles_degree that are nearest to -12 and 12; [] for none.",
+    )
     grid_frames: int = Field(8, ge=1, le=1000, description="Frames of the grid, averaged against noise.")
     angles_degree: list[Annotated[float, Field(gt=-80, lt=80)]] = Field(
         [0.0, -18.0, -12.0, -6.0, 6.0, 12.0, 18.0],
@@ -251,7 +257,19 @@ class ReferencePlaneSection(Section):
             raise ValueError(f"{count} angles_degree and {len(self.heights_mm)} heights_mm: give one of each per plane")
         if any(number > count for number in self.held_out):
             raise ValueError(f"held_out names planes {self.held_out}, there are {count}")
+        grid = self.grid_angles_degree
+        if grid and not min(grid) <= -_LEAST_TURN < _LEAST_TURN <= max(grid):
+            raise ValueError(f"grid_angles_degree {grid}: angles on both sides are needed, {_LEAST_TURN:g} or more")
         return self
+
+    @property
+    def grid_angles(self) -> list[float]:
+        """Angles of the plane at which the grid is seen besides 0 [rad]."""
+        chosen = self.grid_angles_degree
+        if chosen is None:
+            sides = [[angle for angle in self.angles_degree if side * angle >= _LEAST_TURN] for side in (-1, 1)]
+            chosen = [min(side, key=lambda angle: abs(abs(angle) - _GOOD_TURN)) for side in sides] if all(sides) else []
+        return [math.radians(angle) for angle in chosen]
 
     @property
     def angles(self) -> list[float]:

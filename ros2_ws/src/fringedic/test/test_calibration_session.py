@@ -20,7 +20,7 @@ SIGMA = 2 * math.pi * 0.002
 NOW = datetime(2026, 3, 1, 12, 0, tzinfo=UTC)
 TWIN = VirtualRig(
     VirtualRigConfiguration.from_dict(
-        {"preset": "plate", "size": "tiny", "stage": {"grid_pitch_mm": 2.8, "grid_blur_um": 170.0}}
+        {"preset": "plate", "size": "tiny", "stage": {"grid_pitch_mm": 3.0, "grid_blur_um": 170.0}}
     )
 )
 EXACT = RigModel(**TWIN.optics())
@@ -44,7 +44,7 @@ def measured() -> CalibrationSession:
     session = CalibrationSession()
     twin = TWIN.with_specimen({"kind": "reference_plane", "surface": "grid"})
     white = np.full(twin.projector_shape, 250, np.uint8)
-    session.measure_grid(np.stack([twin.expose(white, 0.0, frame) for frame in range(4)]), 2.8e-3)
+    session.measure_grid(np.stack([twin.expose(white, 0.0, frame) for frame in range(4)]), 3.0e-3)
     return session
 
 

@@ -55,7 +55,12 @@ def calibrate(
     plane = rig.reference_plane
     with calibration_client(rig, rig_path, folder, progress, ask=ask, domain=domain) as client:
         camera = client.calibrate_distortion(
-            grid_pitch, frames=plane.grid_frames, folder=folder, feedback=_Shown(progress)
+            grid_pitch,
+            angles=plane.grid_angles,
+            sigma_angle=plane.sigma_angle,
+            frames=plane.grid_frames,
+            folder=folder,
+            feedback=_Shown("grid", progress),
         )
         if camera.error_code:
             words = [_failure(camera)]
@@ -68,7 +73,7 @@ def calibrate(
                 sigma_angle=plane.sigma_angle,
                 sigma_height=plane.sigma_height,
                 folder=folder,
-                feedback=_Shown(progress),
+                feedback=_Shown("plane", progress),
             )
             words = [camera.verdict, _failure(result) if result.error_code else result.verdict]
         client.wait_until_recorded()
@@ -130,14 +135,13 @@ def with_angles(rig: RigFile, angles_degree: str) -> RigFile:
 class _Shown:
     """Shows what an action feeds back."""
 
-    def __init__(self, progress: Progress) -> None:
+    def __init__(self, what: str, progress: Progress) -> None:
+        self._what = what
         self._progress = progress
 
     def __call__(self, feedback: Any) -> None:
-        if hasattr(feedback, "planes"):
-            self._progress.step(feedback.plane, feedback.planes, feedback.words, feedback.frame, feedback.frames)
-        else:
-            self._progress.stage(f"camera: {feedback.words}")
+        words = f"{self._what}: {feedback.words}"
+        self._progress.step(feedback.plane, feedback.planes, words, feedback.frame, feedback.frames)
 
 
 def _failure(result: Any) -> str:

@@ -105,7 +105,7 @@ def calibrate_rig(
         Fringe pitch that the phases belong to [projector px].
     projector_size
         Width and height of the projector's image [px]. Its optical axis is taken to leave it in the middle (across the
-        fringes), unless translated planes or `camera_distance` allow to find where.
+        fringes), unless translated planes, `camera_distance` or grids on the turned plane allow to find where.
     sigma
         Standard deviation of each phase map [rad]; by default the scatter of neighbouring pixels tells it.
     heights
@@ -122,7 +122,8 @@ def calibrate_rig(
         From pixels of the image to ideal ones.
     plane
         What the image of a grid lying on the plane at angle 0 tells: the camera's tilt, pixel size and aspect. Without
-        it tilts up to some degree are sought.
+        it tilts up to some degree are sought. Where the grid was seen on the turned plane too, `PlaneView.pin_hole`
+        tells h0 and what part of the tilt is the lens's.
     sigma_angle, sigma_height
         Standard deviations of the errors of single angles [rad] and heights [m]: of the stage.
     sigma_pixel_size
@@ -200,7 +201,7 @@ def calibrate_rig(
         trials=trials,
         best=name,
         principal_effect=fitter.principal_effect(name, used, trials[name]),
-        tilt_known=plane is not None,
+        view=plane,
         identifier=identifier or f"{created:%Y-%m-%d %H:%M} UTC",
         source=source or "calibrate_rig",
         created=created,
@@ -223,7 +224,10 @@ class _Fitter:
         column, row = np.meshgrid(self.blocks[0].column, self.blocks[0].row)
         self.reference = self.camera.on_reference(*self.camera.ideal(column, row))
         # a plane translated as well as turned, or a known distance, tells where the projector's axis is
-        self.principal = "camera_distance" in self.priors or float(np.ptp(self.placement.heights)) > SMALLEST_MOVE
+        plane = self.camera.plane
+        self.pin_hole = None if plane is None else plane.pin_hole
+        known = "camera_distance" in self.priors or self.pin_hole is not None
+        self.principal = known or float(np.ptp(self.placement.heights)) > SMALLEST_MOVE
 
     def trials(self, planes: Sequence[int]) -> dict[str, Solution]:
         """Return the fits of all models to these planes by name.
@@ -234,7 +238,7 @@ class _Fitter:
             When there is no start.
         """
         found = {"paper": self._fit("paper", planes, paper_start(self._closed_form(planes), self.camera))}
-        start = general_start(found["paper"].values, self.camera, self._turned(planes))
+        start = self._general_start(found["paper"], planes)
         found["general"] = self._fit("general", planes, start)
         found["general + k1"] = self._fit("general + k1", planes, found["general"].values)
         bend = found["general + k1"]
@@ -253,8 +257,7 @@ class _Fitter:
             When there is no start.
         """
         paper = self._fit("paper", planes, paper_start(self._closed_form(planes), self.camera), _ROUGH)
-        start = general_start(paper.values, self.camera, self._turned(planes))
-        return self._fit("general + k1", planes, start, _ROUGH)
+        return self._fit("general + k1", planes, self._general_start(paper, planes), _ROUGH)
 
     def best(self, trials: dict[str, Solution]) -> str:
         """Return the name of the model that the data ask for."""
@@ -316,6 +319,13 @@ class _Fitter:
             [self.blocks[i] for i in some], *self.reference, self.placement.angles[some], self.placement.heights[some]
         )
 
+    def _general_start(self, paper: Solution, planes: Sequence[int]) -> dict[str, float]:
+        start = general_start(paper.values, self.camera, self._turned(planes))
+        if self.camera.plane is not None and self.pin_hole is not None:
+            seen = self.camera.plane.camera(self.pin_hole.distance)
+            start |= {name: seen[name] for name in ("camera_tilt_x", "camera_tilt_y")}
+        return start
+
     def _turned(self, planes: Sequence[int]) -> bool:
         return bool(np.ptp(self.placement.angles[list(planes)]) > SMALLEST_TURN)
 
@@ -324,7 +334,7 @@ class _Fitter:
         free = parameters_of(
             model,
             turned=self._turned(planes),
-            tilts=self.camera.plane is None,
+            tilts=self.camera.plane is None or self.pin_hole is not None,
             principal=self.principal,
             stage_errors=[*priors, *(["pixel_size"] if "pixel_size" in self.priors else [])],
         )

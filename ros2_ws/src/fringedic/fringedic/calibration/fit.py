@@ -24,6 +24,7 @@ from fringedic.calibration.geometry import (
     Placement,
     angle_error,
     height_error,
+    pin_hole_deviation,
     predict,
 )
 from fringedic.calibration.planes import PlaneBlocks
@@ -134,13 +135,15 @@ def fit(
     free
         Parameters to be found; the others of `start` stay as they are.
     priors
-        Of free parameters.
+        Of free parameters. What is known of the pin-hole by grids on the turned plane is added where the camera's tilt
+        is free.
     """
     names = tuple(free)
     fixed = dict(start)
     scales = np.array([_scale(name) for name in names])
     phases, sigmas = np.concatenate(observations.phases), np.concatenate(observations.sigmas)
     held = [(i, priors[name]) for i, name in enumerate(names) if name in priors]
+    pin_hole = camera.plane.pin_hole if camera.plane is not None and "camera_tilt_x" in names else None
 
     def residuals(scaled: np.ndarray) -> np.ndarray:
         values = {**fixed, **dict(zip(names, (scaled * scales).tolist(), strict=True))}
@@ -149,6 +152,8 @@ def fit(
         except InvalidCalibrationError:
             seen = np.full_like(phases, np.nan)
         known = [(scaled[i] * scales[i] - prior.value) / prior.sigma for i, prior in held]
+        if pin_hole is not None:
+            known += pin_hole_deviation(camera, pin_hole, values).tolist()
         return np.nan_to_num(np.concatenate([(seen - phases) / sigmas, known]), nan=_OUT_OF_REACH)
 
     def jacobian(scaled: np.ndarray) -> np.ndarray:
@@ -202,7 +207,7 @@ def parameters_of(
     turned
         Planes stand at several angles: the axis is sought.
     tilts, principal
-        The camera's tilts and the projector's principal point are sought.
+        The camera's tilts and the projector's principal point are sought, by the general model.
     stage_errors
         Names of errors of angles and heights.
     """

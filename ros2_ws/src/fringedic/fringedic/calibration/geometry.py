@@ -16,7 +16,7 @@ import numpy as np
 
 from fringedic.calibration.closed_form import PaperParameters
 from fringedic.camera import DistortionMap
-from fringedic.camera.plane_view import PlaneView
+from fringedic.camera.plane_view import PinHole, PlaneView
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation
 
@@ -78,7 +78,8 @@ class Camera:
     distortion
         From pixels of the image to ideal ones.
     plane
-        How the camera sees the reference plane; None when no grid was seen there: tilts are parameters then.
+        How the camera sees the reference plane; None when no grid was seen there. Tilts are parameters then, and when a
+        grid on the turned plane told more of them than a plane alone can.
     projector_width, projector_height
         Size of the projector's image [px].
     pitch
@@ -139,7 +140,8 @@ def rig_model(camera: Camera, values: Mapping[str, float]) -> RigModel:
         scale = pixel_size / camera.pixel_size
         seen = camera.plane.camera(distance / scale)
         pixel_size, pixel_aspect = scale * seen["pixel_size"], seen["pixel_aspect"]
-        tilts = (seen["camera_tilt_x"], seen["camera_tilt_y"])
+        if camera.plane.pin_hole is None:
+            tilts = (seen["camera_tilt_x"], seen["camera_tilt_y"])
     across, along = values["projector_across"], values.get("projector_along", 0.0)
     turn, nod, roll = (values.get(f"projector_{name}", 0.0) for name in ("turn", "nod", "roll"))
     columns = [(camera.projector_width - 1) / 2, (camera.projector_height - 1) / 2]
@@ -171,6 +173,13 @@ def rig_model(camera: Camera, values: Mapping[str, float]) -> RigModel:
         projector_k1=values.get("projector_k1", 0.0),
         model="paper" if paper else "general",
     )
+
+
+def pin_hole_deviation(camera: Camera, pin_hole: PinHole, values: Mapping[str, float]) -> np.ndarray:
+    """Return by how many standard deviations a rig's camera stands beside the pin-hole that grids told, (3,)."""
+    # a grid of another pitch tells the same angles of a larger or smaller rig
+    scale = values.get("pixel_size", camera.pixel_size) / camera.pixel_size
+    return pin_hole.deviation(values["camera_distance"] / scale, values["camera_tilt_x"], values["camera_tilt_y"])
 
 
 def place_plane(camera: Camera, values: Mapping[str, float], angle: float, height: float) -> tuple[np.ndarray, float]:

@@ -15,6 +15,7 @@ from fringedic.calibration.geometry import SCALES, Camera, Placement, place_plan
 from fringedic.calibration.planes import PlaneBlocks
 from fringedic.calibration.result import Candidate, Parameter, PlaneResult, RigCalibration
 from fringedic.calibration.suspects import unusual_ripple
+from fringedic.camera.plane_view import PlaneView
 from fringedic.errors import CalibrationAnglesError
 from fringedic.rig import RigModel
 from fringedic.rig_uncertainty import PARAMETERS, parameter_values, position_errors
@@ -63,7 +64,7 @@ def judge(
     trials: Mapping[str, Solution],
     best: str,
     principal_effect: float,
-    tilt_known: bool,
+    view: PlaneView | None,
     identifier: str,
     source: str,
     created: datetime,
@@ -132,7 +133,7 @@ def judge(
         verdict="",
         created=created,
     )
-    warnings = _warnings(calibration, blocks, placement, used, tilt_known)
+    warnings = _warnings(calibration, blocks, placement, used, view)
     go, verdict = _verdict(calibration)
     return dataclasses.replace(calibration, warnings=tuple(warnings), go=go, verdict=verdict)
 
@@ -325,7 +326,7 @@ def _warnings(
     blocks: Sequence[PlaneBlocks],
     placement: Placement,
     used: Sequence[int],
-    tilt_known: bool,
+    view: PlaneView | None,
 ) -> list[str]:
     warnings = [f"{plane.name}: {plane.problem}." for plane in calibration.planes if plane.problem]
     for plane in calibration.planes:
@@ -359,10 +360,16 @@ def _warnings(
             f"The angles span {math.degrees(np.ptp(angles)):.1f} degree only; 20 to 30 degree calibrate the heights "
             "several times better."
         )
-    if not tilt_known:
+    if view is None:
         warnings.append(
             "The camera's tilt was not measured by a grid on the plane: it is known to a degree only, which x, y and "
             "their sigmas feel."
+        )
+    elif view.pin_hole is None:
+        warnings.append(
+            "The grid was seen on the plane at 0 degree only, which does not tell a tilted camera from a lens that is "
+            "off its axis: some tenths of a percent of a motion towards the camera may turn up in x and y. Look at the "
+            "grid with the plane turned to both sides as well."
         )
     if len(used) < 5:
         warnings.append(f"{len(used)} planes were fitted: with 5 or more a bad one can be recognised.")

@@ -150,6 +150,20 @@ class DistortionMap:
             self.__dict__["_kept_field"] = kept
         return kept[1]
 
+    def followed_by(self, homography: np.ndarray) -> Self:
+        """Return the same lens for an ideal camera whose pixels are those of this one mapped by a homography (3, 3).
+
+        A product with a perspective is no polynomial; for tilts of a degree two more orders hold it to 1e-6 px.
+        """
+        order = max(self.order, 2) + 2
+        nodes = np.cos(np.pi * (np.arange(order + 1) + 0.5) / (order + 1))
+        column, row = np.meshgrid(0.5 * (self.width - 1) * (nodes + 1), 0.5 * (self.height - 1) * (nodes + 1))
+        ideal = np.stack([*self.ideal(column, row), np.ones(column.shape)])
+        mapped = np.tensordot(homography, ideal, axes=1)
+        inverse = np.linalg.inv(chebyshev.chebvander(nodes, order))
+        fields = [inverse @ (mapped[k] / mapped[2] - at) @ inverse.T for k, at in enumerate((column, row))]
+        return type(self)(self.width, self.height, *fields)
+
     def undistort(self, image: np.ndarray) -> np.ndarray:
         """Return the image that an ideal camera would have taken, for people to look at (cubic splines).
 

@@ -29,11 +29,11 @@ from fringedic.errors import (
 )
 
 SMALLEST_IMAGE = 64  # [px]
-_OUTLIER = 6.0  # robust standard deviations
+OUTLIER = 6.0  # robust standard deviations
 _SMALLEST_SCATTER = 1e-4  # [px]: images without noise have no outliers
 _BLOCK = 5.0  # periods
 # Points one period apart share noise: the sum over its correlations along one direction, for both.
-_OVERLAP = 315 / 151
+OVERLAP = 315 / 151
 _NOISIEST = 0.1  # [px] scatter of the points
 _FULL_SCALES = (255, 1023, 4095, 16383, 65535)
 _SATURATED_WARNING, _SATURATED_ERROR = 0.005, 0.1
@@ -130,7 +130,11 @@ def measure_distortion(
     ImageSizeError, ShapeMismatchError, InvalidDistortionError
         When the image is too small or no image, the mask of another size, or pitch or order not positive.
     """
-    image, usable, warnings = _checked(grid_image, mask, pitch, order)
+    if not pitch > 0 or not np.isfinite(pitch):
+        raise InvalidDistortionError(f"the grid's pitch is {pitch} m: it has to be above 0")
+    if order is not None and order < 1:
+        raise InvalidDistortionError(f"order {order}: it has to be 1 or more")
+    image, usable, warnings = checked_grid(grid_image, mask)
     carriers = find_carriers(np.where(usable, image, np.mean(image[usable])))
     warnings += check_aliasing(carriers, image.shape)
     period = float(np.mean(1 / np.hypot(*carriers.T)))
@@ -148,7 +152,7 @@ def measure_distortion(
         coefficients = basis.fit(shift[kept], chosen, weights[kept])
         if again:
             left = np.abs(shift - basis.evaluate(coefficients)).max(axis=1)
-            kept = left < max(_OUTLIER * 1.4826 * float(np.median(left)), _SMALLEST_SCATTER)
+            kept = left < max(OUTLIER * 1.4826 * float(np.median(left)), _SMALLEST_SCATTER)
     seen, shift, weights = seen[kept], shift[kept], weights[kept]
     left = shift - basis.evaluate(coefficients)
     residual = float(np.sqrt(np.average(np.sum(left**2, axis=1), weights=weights)))
@@ -173,7 +177,7 @@ def measure_distortion(
         cross_validation=errors,
         magnitude=magnitude,
         residual=residual,
-        sigma=_OVERLAP * residual * basis.uncertainty(chosen, weights),
+        sigma=OVERLAP * residual * basis.uncertainty(chosen, weights),
         columns=seen[:, 0],
         rows=seen[:, 1],
         residual_columns=left[:, 0],
@@ -183,17 +187,19 @@ def measure_distortion(
     )
 
 
-def _checked(
-    grid_image: ArrayLike, mask: ArrayLike | None, pitch: float, order: int | None
-) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Return the image as float64, where it may be used, and warnings."""
+def checked_grid(grid_image: ArrayLike, mask: ArrayLike | None) -> tuple[np.ndarray, np.ndarray, list[str]]:
+    """Return the image as float64, where it may be used, and warnings.
+
+    Raises
+    ------
+    ImageSizeError, ShapeMismatchError
+        When the image is too small or no image, or the mask has another size.
+    GridCoveredError, GridContrastError
+        When no pixel may be used, or too many are saturated.
+    """
     given = np.asarray(grid_image)
     if given.ndim != 2 or min(given.shape) < SMALLEST_IMAGE:
         raise ImageSizeError(f"an image (row, column) of at least {SMALLEST_IMAGE} px is needed, not {given.shape}")
-    if not pitch > 0 or not np.isfinite(pitch):
-        raise InvalidDistortionError(f"the grid's pitch is {pitch} m: it has to be above 0")
-    if order is not None and order < 1:
-        raise InvalidDistortionError(f"order {order}: it has to be 1 or more")
     image = given.astype(float)
     usable = np.isfinite(image)
     if mask is not None:

@@ -11,6 +11,35 @@ _ROUNDS = 20  # tilts of a few degrees settle to rounding errors in five
 
 
 @dataclass(frozen=True, eq=False)
+class PinHole:
+    """Where the camera's pin-hole stands above a plane, as the grid on the turned plane told.
+
+    Attributes
+    ----------
+    distance, foot_x, foot_y
+        Height above the plane, and the point of the plane below it in the coordinates of a `PlaneView` [m].
+    covariance : (3, 3)
+        Of the three [m^2].
+    """
+
+    distance: float
+    foot_x: float
+    foot_y: float
+    covariance: np.ndarray
+
+    def deviation(self, distance: float, tilt_x: float, tilt_y: float) -> np.ndarray:
+        """Return by how many standard deviations another camera disagrees, as three independent numbers.
+
+        The optical axis of a camera with the tilts [rad] of a `RigModel` meets the plane in the origin of the
+        `PlaneView`, h0 tan b / cos a beside the foot along x and -h0 tan a along y.
+        """
+        foot_x, foot_y = distance * math.tan(tilt_y) / math.cos(tilt_x), -distance * math.tan(tilt_x)
+        apart = np.array([distance - self.distance, foot_x - self.foot_x, foot_y - self.foot_y])
+        result: np.ndarray = np.linalg.solve(np.linalg.cholesky(self.covariance), apart)
+        return result
+
+
+@dataclass(frozen=True, eq=False)
 class PlaneView:
     """Homography from ideal pixels to the plane of the grid, and what it says about the camera.
 
@@ -22,17 +51,21 @@ class PlaneView:
         denominator there, 1.
     principal_column, principal_row
         Principal point [px]: the image's centre, as no plane can tell it.
+    pin_hole
+        Where the lines of sight come from; None when the grid was seen on one plane only.
 
     Notes
     -----
     A single plane says where every pixel's line of sight meets it and no more. Together with the height of the pin-hole
     above it follows the camera's attitude, `camera`. Any error of the assumed principal point, and the part of a
-    distortion that looks like a tilt, move the foot of the pin-hole on the plane and nothing on the plane itself.
+    distortion that looks like a tilt, move the foot of the pin-hole on the plane and nothing on the plane itself. With
+    `pin_hole` the homography's perspective is that of the pin-hole there, and what is left is the distortion's.
     """
 
     homography: np.ndarray
     principal_column: float
     principal_row: float
+    pin_hole: PinHole | None = None
 
     @property
     def pixel_size(self) -> float:
