@@ -67,8 +67,8 @@ def couple(
         without, the distance is an attribute of the shapes.
     z_filter
         Standard deviation [px] of a Gaussian that smooths both z first; 0 for none. Its weights are divided by the
-        variances of z, and it takes only pairs of points on opposite sides of a pixel, as far as both are measured:
-        so it neither shifts slopes nor crosses tears.
+        variances of z; that the mean of uneven weights stands beside the pixel is made up for by the surface's slope.
+        It takes only points on both sides of a pixel, as far as both are measured: so it does not cross tears.
     orientation
         Direction of the fringes, which the uncertainty of the calibration depends on.
 

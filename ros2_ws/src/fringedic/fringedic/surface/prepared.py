@@ -175,96 +175,116 @@ def _smooth(
     sample = variance[::8, ::8][np.isfinite(z[::8, ::8])]
     typical = np.float32(np.median(sample)) if len(sample) else np.float32(np.nan)
     # close to 1, or the squares of the weights leave the range of float32
-    relative = variance / typical if typical > 0 else np.ones_like(z)
-    z_rows, relative_rows = np.empty_like(z), np.empty_like(z)
-    _filter(z, relative, right, kernel, True, z_rows, relative_rows)
-    smooth, noise = np.empty_like(z), np.empty_like(z)
-    _filter(z_rows, relative_rows, down, kernel, False, smooth, noise)
-    return smooth, noise * typical
+    weight = typical / variance if typical > 0 else np.ones_like(z)
+    z_rows, weight_rows, spread_rows = np.empty_like(z), np.empty_like(z), np.empty_like(z)
+    _filter(z, weight, weight, right, kernel, True, z_rows, weight_rows, spread_rows)
+    smooth, total, spread = np.empty_like(z), np.empty_like(z), np.empty_like(z)
+    _filter(z_rows, weight_rows, spread_rows, down, kernel, False, smooth, total, spread)
+    return smooth, typical * spread / (total * total)
 
 
 @njit(cache=True, nogil=True)
-def _add_pairs(
-    twice: np.float32,
-    runs_before: np.ndarray,
-    runs_after: np.ndarray,
+def _join(whole: np.ndarray, runs_before: np.ndarray, runs_after: np.ndarray) -> None:
+    """Keep the pixels whose surface runs on to the next pair of neighbours as well."""
+    for j in range(len(whole)):
+        whole[j] = whole[j] & runs_before[j] & runs_after[j]
+
+
+@njit(cache=True, nogil=True)
+def _add_rise(
+    distance: np.float32, whole: np.ndarray, before: np.ndarray, after: np.ndarray, rise: np.ndarray, length: np.ndarray
+) -> None:
+    """Add a pair of heights to the sums whose ratio is the slope."""
+    zero, twice = np.float32(0), np.float32(2) * distance * distance
+    for j in range(len(whole)):
+        rise[j] += distance * (after[j] - before[j]) if whole[j] else zero
+        length[j] += twice if whole[j] else zero
+
+
+@njit(cache=True, nogil=True)
+def _add_mean(
+    share: np.float32,
+    whole: np.ndarray,
     z_before: np.ndarray,
     z_after: np.ndarray,
-    variance_before: np.ndarray,
-    variance_after: np.ndarray,
-    whole: np.ndarray,
+    before: np.ndarray,
+    after: np.ndarray,
     total: np.ndarray,
     mean: np.ndarray,
-    spread: np.ndarray,
 ) -> None:
-    """Add the pairs of a row at one distance, where the surface runs on as far as that on both sides."""
+    """Add a pair of neighbours to the sums of weights and of weighted heights."""
     zero = np.float32(0)
     for j in range(len(whole)):
-        joined = whole[j] & runs_before[j] & runs_after[j]
-        whole[j] = joined
-        both = variance_before[j] + variance_after[j]
-        share = twice / both
-        total[j] += np.float32(2) * share if joined else zero
-        mean[j] += share * (z_before[j] + z_after[j]) if joined else zero
-        spread[j] += share * share * both if joined else zero
+        total[j] += share * (before[j] + after[j]) if whole[j] else zero
+        mean[j] += share * (before[j] * z_before[j] + after[j] * z_after[j]) if whole[j] else zero
+
+
+@njit(cache=True, nogil=True)
+def _add_places(factor: np.float32, whole: np.ndarray, before: np.ndarray, after: np.ndarray, sums: np.ndarray) -> None:
+    """Add a pair of neighbours to the sum of weighted distances."""
+    for j in range(len(whole)):
+        sums[j] += factor * (after[j] - before[j]) if whole[j] else np.float32(0)
+
+
+@njit(cache=True, nogil=True)
+def _add_spread(factor: np.float32, whole: np.ndarray, before: np.ndarray, after: np.ndarray, sums: np.ndarray) -> None:
+    """Add a pair of neighbours to the sum of squared weights times variances."""
+    for j in range(len(whole)):
+        sums[j] += factor * (before[j] + after[j]) if whole[j] else np.float32(0)
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def _filter(
     z: np.ndarray,
-    variance: np.ndarray,
+    weight: np.ndarray,
+    spread: np.ndarray,
     runs_on: np.ndarray,
     kernel: np.ndarray,
     along_rows: bool,
     smooth: np.ndarray,
-    noise: np.ndarray,
+    total: np.ndarray,
+    spreads: np.ndarray,
 ) -> None:
-    """Smooth by pairs at equal distances from each pixel, as far as both sides run on.
+    """Weighted mean over the neighbours on both sides of each pixel, as far as both sides run on.
 
-    A pair weighs as much as its noise allows: the mean of two has the variance (v1 + v2)/4, and dark speckles have many
-    times the variance of their surroundings. Being weighed together the two keep any slope.
+    A neighbour weighs as much as its noise allows: dark speckles have many times the variance of their surroundings.
+    The weighted mean of the heights stands at the weighted mean of their places; the slope of the same neighbours,
+    without weights, brings it back to the pixel.
+
+    `weight` are inverse variances of z, or sums of them; `spread` are the variances of z times the squares of these
+    sums. `smooth`, `total` and `spreads` are the same after filtering.
     """
     rows, columns = z.shape
     for i in prange(rows):
-        total, mean = np.empty(columns, np.float32), np.empty(columns, np.float32)
-        spread, whole = np.empty(columns, np.float32), np.ones(columns, np.bool_)
+        sum_w, sum_wz, sum_s = (
+            np.empty(columns, np.float32),
+            np.empty(columns, np.float32),
+            np.empty(columns, np.float32),
+        )
+        sum_wk, rise = np.zeros(columns, np.float32), np.zeros(columns, np.float32)
+        length, whole = np.zeros(columns, np.float32), np.ones(columns, np.bool_)
         for j in range(columns):
-            share = kernel[0] / variance[i, j]
-            total[j] = share
-            mean[j] = share * z[i, j]
-            spread[j] = share * share * variance[i, j]
+            sum_w[j] = kernel[0] * weight[i, j]
+            sum_wz[j] = kernel[0] * weight[i, j] * z[i, j]
+            sum_s[j] = kernel[0] * kernel[0] * spread[i, j]
         for k in range(1, len(kernel)):
-            twice = np.float32(2) * kernel[k]
+            share, distance = kernel[k], np.float32(k)
             if along_rows and 2 * k < columns:
-                inner = slice(k, columns - k)
-                first, last = slice(0, columns - 2 * k), slice(2 * k, columns)
-                _add_pairs(
-                    twice,
-                    runs_on[i, first],
-                    runs_on[i, 2 * k - 1 : columns - 1],
-                    z[i, first],
-                    z[i, last],
-                    variance[i, first],
-                    variance[i, last],
-                    whole[inner],
-                    total[inner],
-                    mean[inner],
-                    spread[inner],
-                )
+                inner, first, last = slice(k, columns - k), slice(0, columns - 2 * k), slice(2 * k, columns)
+                joined, before, after = whole[inner], weight[i, first], weight[i, last]
+                _join(joined, runs_on[i, first], runs_on[i, 2 * k - 1 : columns - 1])
+                _add_rise(distance, joined, z[i, first], z[i, last], rise[inner], length[inner])
+                _add_mean(share, joined, z[i, first], z[i, last], before, after, sum_w[inner], sum_wz[inner])
+                _add_places(share * distance, joined, before, after, sum_wk[inner])
+                _add_spread(share * share, joined, spread[i, first], spread[i, last], sum_s[inner])
             elif not along_rows and i - k >= 0 and i + k < rows:
-                _add_pairs(
-                    twice,
-                    runs_on[i - k],
-                    runs_on[i + k - 1],
-                    z[i - k],
-                    z[i + k],
-                    variance[i - k],
-                    variance[i + k],
-                    whole,
-                    total,
-                    mean,
-                    spread,
-                )
+                _join(whole, runs_on[i - k], runs_on[i + k - 1])
+                _add_rise(distance, whole, z[i - k], z[i + k], rise, length)
+                _add_mean(share, whole, z[i - k], z[i + k], weight[i - k], weight[i + k], sum_w, sum_wz)
+                _add_places(share * distance, whole, weight[i - k], weight[i + k], sum_wk)
+                _add_spread(share * share, whole, spread[i - k], spread[i + k], sum_s)
         for j in range(columns):
-            smooth[i, j] = mean[j] / total[j]
-            noise[i, j] = spread[j] / (total[j] * total[j])
+            slope = rise[j] / max(length[j], np.float32(1))
+            smooth[i, j] = (sum_wz[j] - slope * sum_wk[j]) / sum_w[j]
+            total[i, j] = sum_w[j]
+            spreads[i, j] = sum_s[j]
