@@ -309,8 +309,9 @@ def _experiment(rig: RigFile, experiment: str) -> dict[str, Any]:
             "orientation": rig.sequence.orientation,
             "fringe_order": rig.sequence.fringe_order,
             "grey_frame": rig.sequence.grey_frame,
-            "exposure_times_s": rig.sequence.exposure_times,
         }
+        if rig.sequence.exposure_times:  # an empty list in a parameter file has no type
+            parameters["exposure_times_s"] = rig.sequence.exposure_times
     return parameters
 
 
