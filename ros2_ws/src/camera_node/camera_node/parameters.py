@@ -67,7 +67,7 @@ class CameraParameters(HardwareParameters):
     camera: str = Field(
         "",
         description="Source `aravis`: identifier or network address of the camera; empty: the only one there is. "
-        "Source `v4l2`: number or path of the device.",
+        "Source `v4l2`: path of the device.",
     )
     pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono16"] = Field(
         "Mono8", description="Sources `aravis` and `v4l2`: depth of the pixels."
@@ -91,7 +91,7 @@ class CameraParameters(HardwareParameters):
         if self.source == "topic" and not self.topic:
             raise ValueError("source topic needs the parameter topic: the images of the camera's driver")
         if self.source == "v4l2" and not self.camera:
-            raise ValueError("source v4l2 needs the parameter camera: a number, or a path such as /dev/video0")
+            raise ValueError("source v4l2 needs the parameter camera: a path such as /dev/video0")
         if len(self.region_px) not in (0, 4):
             raise ValueError("region_px needs four numbers: first column, first row, width, height")
         if self.source == "v4l2" and self.region_px[:2] not in ([], [0, 0]):

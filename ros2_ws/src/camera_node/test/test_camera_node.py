@@ -14,8 +14,10 @@ import pytest
 import rclpy
 import xarray as xr
 from builtin_interfaces.msg import Time
-from sensor_msgs.msg import CameraInfo, Image
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Image
 
+from camera_node.testing import Studio
 from fringedic.camera import DistortionMap
 from fringedic.patterns import render_pattern
 from fringedic.rig import RigModel
@@ -25,7 +27,7 @@ from fringedic_msgs.msg import Exposure, LoadState, RigCalibration
 from fringedic_msgs.srv import CaptureFrame
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.parameter_docs import documented
-from fringedic_ros.qos import IMAGES, LATCHED, STATE
+from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, STATE
 from fringedic_ros.records import calibration_message
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
@@ -36,15 +38,11 @@ Request = CaptureFrame.Request
 FRINGES = {"kind": int(PatternKind.FRINGES), "pitch": 25.0, "shift": 2, "shifts": 4}
 
 
-class Studio(Peer):
+class Bench(Studio):
     """Plays experiment, projector and load frame for one camera."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.images = self.listen(Image, "camera/image_raw", IMAGES)
-        self.infos = self.listen(CameraInfo, "camera/camera_info", IMAGES)
-        self.exposures = self.listen(Exposure, "camera/exposure", IMAGES)
-        self._capture = self.create_client(CaptureFrame, "camera/capture")
         self.position = 0.0
 
     def add_projector(self) -> None:
@@ -64,32 +62,11 @@ class Studio(Peer):
         self._patterns.publish(image_message(pattern, stamp_ns=shown, frame_id="projector_optical_frame"))
         return to_msg(shown)
 
-    def capture(self, index: int = 0, count: int = 100, **fields: object) -> CaptureFrame.Response:
-        self.wait(self._capture.service_is_ready, "the camera's service")
-        expected = {"image_subscribers": 1, "exposure_subscribers": 1}
-        request = Request(**{"experiment": "test", "index": index, "count": count, **expected, **fields})
-        future = self._capture.call_async(request)
-        self.wait(future.done, "the camera's answer", 30)
-        return future.result()
-
-    def frame(self, stamp: Time) -> tuple[Image, CameraInfo, Exposure]:
-        """What was published with a stamp."""
-
-        def with_stamp() -> list[tuple]:
-            found = [
-                [m for m in heard if m.header.stamp == stamp] for heard in (self.images, self.infos, self.exposures)
-            ]
-            return list(zip(*found, strict=False))
-
-        self.wait(with_stamp, "the three messages of a frame", 10)
-        assert len(with_stamp()) == 1
-        return with_stamp()[0]
-
 
 @pytest.fixture
-def studio() -> Iterator[Studio]:
+def studio() -> Iterator[Bench]:
     rclpy.init()
-    studio = Studio()
+    studio = Bench()
     yield studio
     studio.destroy_node()
     rclpy.shutdown()
@@ -99,7 +76,7 @@ def save(folder: Path, name: str, image: np.ndarray) -> None:
     assert cv2.imwrite(str(folder / name), image)
 
 
-def test_camera_info_tells_of_the_lens_once_calibrated(studio: Studio, tmp_path: Path) -> None:
+def test_camera_info_tells_of_the_lens_once_calibrated(studio: Bench, tmp_path: Path) -> None:
     # U = c r^2 (x, y) from the image's centre, 1 px at its corner: a cubic barrel in Chebyshev polynomials
     half_width, half_height = 79.5, 59.5
     c = 1 / np.hypot(half_width, half_height) ** 3
@@ -134,7 +111,7 @@ def test_camera_info_tells_of_the_lens_once_calibrated(studio: Studio, tmp_path:
     assert ideal.ravel() == pytest.approx(np.ravel(expected), abs=0.005)
 
 
-def test_virtual_frames_are_those_of_the_twin(studio: Studio, tmp_path: Path) -> None:
+def test_virtual_frames_are_those_of_the_twin(studio: Bench, tmp_path: Path) -> None:
     """Same pattern, position and frame number give the same image; the truth of each step is written."""
     rig = VirtualRig.from_preset("plate", size="tiny")
     rows, columns = rig.projector_shape
@@ -188,7 +165,7 @@ def test_virtual_frames_are_those_of_the_twin(studio: Studio, tmp_path: Path) ->
         assert np.isnan(truth.u.isel(step=2)).all() and not truth.valid.isel(step=2).any()
 
 
-def test_pattern_that_never_comes_and_then_the_next(studio: Studio, tmp_path: Path) -> None:
+def test_pattern_that_never_comes_and_then_the_next(studio: Bench, tmp_path: Path) -> None:
     studio.add_projector()
     white = np.full((75, 100), 250, np.uint8)
     with NodeProcess(MODULE, tmp_path, {"virtual_rig": '"{preset: plate, size: tiny}"', "timeout_s": 0.5}):
@@ -206,7 +183,7 @@ def test_pattern_that_never_comes_and_then_the_next(studio: Studio, tmp_path: Pa
         assert studio.capture(4).error_code == Request.NONE
 
 
-def test_files_with_faults_and_what_comes_after(studio: Studio, tmp_path: Path) -> None:
+def test_files_with_faults_and_what_comes_after(studio: Bench, tmp_path: Path) -> None:
     """Unreadable, hanging, of another size and 16 bits: each is told, and the next capture works."""
     folder = tmp_path / "images"
     folder.mkdir()
@@ -234,7 +211,7 @@ def test_files_with_faults_and_what_comes_after(studio: Studio, tmp_path: Path) 
         assert len(studio.images) == 3
 
 
-def test_waits_for_subscribers(studio: Studio, tmp_path: Path) -> None:
+def test_waits_for_subscribers(studio: Bench, tmp_path: Path) -> None:
     save(tmp_path, "0.png", np.zeros((4, 4), np.uint8))
     with NodeProcess(MODULE, tmp_path, {"source": "files", "files": str(tmp_path), "timeout_s": 0.5}):
         response = studio.capture(image_subscribers=2)
@@ -251,7 +228,7 @@ def test_waits_for_subscribers(studio: Studio, tmp_path: Path) -> None:
         other.destroy_node()
 
 
-def test_viewers_of_images_alone_hold_nothing_up(studio: Studio, tmp_path: Path) -> None:
+def test_viewers_of_images_alone_hold_nothing_up(studio: Bench, tmp_path: Path) -> None:
     save(tmp_path, "0.png", np.zeros((4, 4), np.uint8))
     with NodeProcess(MODULE, tmp_path, {"source": "files", "files": str(tmp_path), "timeout_s": 2.0}):
         viewers = [Peer(f"viewer_{number}") for number in range(2)]
@@ -264,7 +241,7 @@ def test_viewers_of_images_alone_hold_nothing_up(studio: Studio, tmp_path: Path)
             viewer.destroy_node()
 
 
-def test_free_run_counts_every_frame(studio: Studio, tmp_path: Path) -> None:
+def test_free_run_counts_every_frame(studio: Bench, tmp_path: Path) -> None:
     for name in range(3):
         save(tmp_path, f"{name}.tif", np.full((40, 60), name, np.uint8))
     parameters = {"source": "files", "files": str(tmp_path), "repeat": "true", "frame_rate_hz": 50}
@@ -278,19 +255,28 @@ def test_free_run_counts_every_frame(studio: Studio, tmp_path: Path) -> None:
         stamps = np.array([record.stamp for record in records])
         assert (np.diff(stamps) > 0).all()
         print(f"frames per second: {1e9 / np.diff(stamps).mean():.1f}, asked for 50; dropped {records[-1].dropped}")
-        response = studio.capture()
-        assert response.error_code == Request.CAMERA_FAILED
-        assert "runs freely" in response.error_message
+        steps = studio.create_publisher(StepStatus, "experiment/step", EVENTS)
+        studio.wait(steps.get_subscription_count, "the camera to hear of steps")
+        asked = [studio.capture(index, 2) for index in range(2)]
+        assert [response.error_code for response in asked] == [Request.NONE] * 2, "a step pauses the free run"
+        studio.serve(0.2)
+        studio.forget()
+        studio.serve(0.3)
+        assert not studio.exposures, "until its frames are taken"
+        steps.publish(StepStatus(experiment="test", stage=StepStatus.PROCESS))
+        studio.wait(lambda: len(studio.exposures) >= 3, "frames after the step")
+        assert [frame_record(exposure).experiment for exposure in studio.exposures[:3]] == [""] * 3
+        assert studio.exposures[0].index > records[-1].index, "the count goes on"
 
 
-def test_stopped_process_goes_on(studio: Studio, tmp_path: Path) -> None:
+def test_stopped_process_goes_on(studio: Bench, tmp_path: Path) -> None:
     """A camera process that is stopped answers when it continues; nothing is published twice."""
     for name in range(2):
         save(tmp_path, f"{name}.png", np.full((4, 4), name, np.uint8))
     with NodeProcess(MODULE, tmp_path, {"source": "files", "files": str(tmp_path)}) as node:
         studio.capture(0)
         node.process.send_signal(signal.SIGSTOP)
-        future = studio._capture.call_async(Request(experiment="test", index=1, count=2))
+        future = studio.capture_client.call_async(Request(experiment="test", index=1, count=2))
         studio.serve(0.5)
         assert not future.done()
         node.process.send_signal(signal.SIGCONT)
@@ -300,21 +286,44 @@ def test_stopped_process_goes_on(studio: Studio, tmp_path: Path) -> None:
         assert len(studio.images) == 2
 
 
-@pytest.mark.parametrize(
-    ("parameters", "words"),
-    [
+def test_bad_parameters_end_the_start_in_words(tmp_path: Path) -> None:
+    refused: list[tuple[dict[str, object], str]] = [
         ({"source": "files"}, "camera: value error, source files needs the parameter files"),
         ({"source": "files", "files": "/nowhere"}, "camera cannot configure: no images"),
+        ({"source": "v4l2", "camera": "/dev/video97"}, "camera cannot configure: there is no device /dev/video97"),
+        ({"source": "topic", "topic": "camera/image_raw"}, "/camera/image_raw is this node's own topic"),
         ({"exposure_time_s": ".nan"}, "camera.exposure_time_s = nan: must be a finite number"),
         ({"virtual_rig": '"{preset: tent}"'}, "tent"),
-    ],
-)
-def test_bad_parameters_end_the_start_in_words(tmp_path: Path, parameters: dict[str, object], words: str) -> None:
-    node = NodeProcess(MODULE, tmp_path, parameters)
-    with pytest.raises(AssertionError, match="the process ended with 1"), node:
-        node.process.wait(20)
-    assert words in node.log
-    assert "Traceback" not in node.log
+    ]
+    nodes = []
+    for number, (parameters, _) in enumerate(refused):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        nodes.append(NodeProcess(MODULE, folder, parameters).__enter__())  # side by side: a start takes its time
+    for node, (_, words) in zip(nodes, refused, strict=True):
+        assert node.process.wait(60) == 1, node.log
+        assert words in node.log
+        assert "Traceback" not in node.log
+
+
+def test_clock_that_is_set_back(studio: Bench, tmp_path: Path) -> None:
+    """The frame after it fails by name, the ones after that are in order again."""
+    clock = studio.create_publisher(Clock, "/clock", 10)
+    parameters = {"virtual_rig": '"{preset: plate, size: tiny}"', "use_sim_time": "true"}
+
+    def capture_at(seconds: int) -> CaptureFrame.Response:
+        clock.publish(Clock(clock=Time(sec=seconds)))
+        return studio.capture()
+
+    with NodeProcess(MODULE, tmp_path, parameters):
+        studio.wait(lambda: clock.get_subscription_count(), "the node's clock")
+        studio.wait(lambda: capture_at(1000).stamp.sec == 1000, "the time 1000 s")
+        responses = []
+        studio.wait(lambda: responses.append(capture_at(400)) or responses[-1].error_code, "the error")
+        assert responses[-1].error_code == Request.CAMERA_FAILED
+        assert "the clock jumped back by 600 s between two frames" in responses[-1].error_message
+        response = capture_at(401)
+        assert response.error_code == Request.NONE, response.error_message
 
 
 def test_page_is_up_to_date() -> None:

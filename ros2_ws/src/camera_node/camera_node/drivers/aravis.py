@@ -6,6 +6,8 @@ install it. It is loaded when the first such camera is opened.
 
 from __future__ import annotations
 
+import math
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -91,11 +93,18 @@ class _Connection:
     stream: Any
     asked_exposure_time: float  # [s]
     exposure_time: float  # that the camera made of it [s]
-    automatic: tuple[tuple[str, Callable[[], Any]], ...]  # what the camera could do by itself, and how to ask
+    automatic: tuple[str, ...]  # what the camera could do by itself
+    lost: threading.Event  # another has taken the camera over, or it was restarted
     # by exposure time: whether the camera stamps the begin or the end of an exposure is not known
     clocks: dict[float, DeviceClock] = field(default_factory=dict)
     last_frame: int | None = None  # number that the camera gave it
     running: bool = False
+
+    def abandon(self) -> None:
+        """Let go of a camera that does not answer; Aravis tries for ten seconds to take leave of it."""
+        parts = [self.stream, self.camera]
+        self.stream = self.camera = None
+        threading.Thread(target=parts.clear, daemon=True).start()
 
 
 class _IncompleteFrameError(CameraError):
@@ -182,7 +191,8 @@ class AravisDriver:
         """
         with self._in_use() as connection:
             if scene.exposure_time != connection.asked_exposure_time:
-                connection.exposure_time = _set_exposure_time(self._aravis, connection.camera, scene.exposure_time)
+                connection.asked_exposure_time = math.nan
+                connection.exposure_time = _set_exposure_time(connection.camera, scene.exposure_time)
                 connection.asked_exposure_time = scene.exposure_time
             if self._rate is not None:
                 return self._next(connection)
@@ -217,7 +227,7 @@ class AravisDriver:
             try:
                 self._stop(connection)
             except self._aravis.error:
-                return  # it is gone already
+                connection.abandon()  # it is gone already
 
     # connection
 
@@ -234,11 +244,11 @@ class AravisDriver:
         automatic = []
         if ask("automatic exposure", camera.is_exposure_auto_available):
             ask("automatic exposure", lambda: camera.set_exposure_time_auto(aravis.module.Auto.OFF))
-            automatic.append(("automatic exposure", camera.get_exposure_time_auto))
+            automatic.append("exposure_time")
         if ask("automatic gain", camera.is_gain_auto_available):
             ask("automatic gain", lambda: camera.set_gain_auto(aravis.module.Auto.OFF))
-            automatic.append(("automatic gain", camera.get_gain_auto))
-        exposure_time = _set_exposure_time(aravis, camera, settings.exposure_time)
+            automatic.append("gain")
+        exposure_time = ask("exposure time", lambda: _set_exposure_time(camera, settings.exposure_time))
         if ask("gain", camera.is_gain_available):
             ask("gain", lambda: _within(camera.get_gain_bounds(), settings.gain, "dB"))
             ask("gain", lambda: camera.set_gain(settings.gain))
@@ -252,17 +262,20 @@ class AravisDriver:
                 ),
             )
         self._set_trigger(camera)
+        lost = threading.Event()
+        camera.get_device().connect("control-lost", lambda _: lost.set())
         stream = ask("stream", lambda: camera.create_stream(None, None))
         for _ in range(_BUFFERS):
             stream.push_buffer(aravis.module.Buffer.new_allocate(camera.get_payload()))
-        return _Connection(camera, stream, settings.exposure_time, exposure_time, tuple(automatic))
+        return _Connection(camera, stream, settings.exposure_time, exposure_time, tuple(automatic), lost)
 
     def _refuse_automatic(self, connection: _Connection) -> None:
-        for what, question in connection.automatic:
-            if question() != self._aravis.module.Auto.OFF:
+        for what in connection.automatic:
+            if getattr(connection.camera, f"get_{what}_auto")() != self._aravis.module.Auto.OFF:
+                name = what.replace("_", " ")
                 raise CameraError(
-                    f"{what} is on, so grey levels of different frames cannot be compared; it was off when the camera "
-                    "was connected: what has switched it on?"
+                    f"automatic {name} is on, so grey levels of different frames cannot be compared; it was off when "
+                    "the camera was connected: what has switched it on?"
                 )
 
     def _set_trigger(self, camera: Any) -> None:
@@ -279,6 +292,9 @@ class AravisDriver:
     @contextmanager
     def _in_use(self) -> Iterator[_Connection]:
         """The connection, made again when it was lost; a device error ends it."""
+        if self._connection is not None and self._connection.lost.is_set():
+            self._lose()
+            self._next_attempt = 0.0  # it may be there again already
         if self._connection is None:
             wait = self._next_attempt - time.monotonic()
             if wait > 0:
@@ -298,7 +314,9 @@ class AravisDriver:
             raise CameraError(f"the camera does not answer: {_words(error)}; check its cable and power") from error
 
     def _lose(self) -> None:
-        self._connection = None
+        if self._connection is not None:
+            self._connection.abandon()
+            self._connection = None
         self._next_attempt = time.monotonic() + self._pause
         self._pause = min(2 * self._pause, _LONGEST_PAUSE_S)
 
@@ -419,13 +437,13 @@ def _set_region(aravis: _Aravis, camera: Any, region: tuple[int, int, int, int] 
         )
 
 
-def _set_exposure_time(aravis: _Aravis, camera: Any, wanted: float) -> float:
+def _set_exposure_time(camera: Any, wanted: float) -> float:
     """Set an exposure time and return the one that the camera makes of it [s]."""
-    aravis.ask("exposure time", lambda: _within(camera.get_exposure_time_bounds(), 1e6 * wanted, "µs"))
-    aravis.ask("exposure time", lambda: camera.set_exposure_time(1e6 * wanted))
-    taken = 1e-6 * aravis.ask("exposure time", camera.get_exposure_time)
+    _within(camera.get_exposure_time_bounds(), 1e6 * wanted, "µs")
+    camera.set_exposure_time(1e6 * wanted)
+    taken = 1e-6 * camera.get_exposure_time()
     if abs(taken - wanted) > _LARGEST_DEVIATION * wanted:
-        raise CameraError(f"exposure time: the camera makes {1e3 * taken:g} ms of {1e3 * wanted:g} ms")
+        raise CameraError(f"the camera makes an exposure of {1e3 * taken:g} ms of {1e3 * wanted:g} ms")
     return taken
 
 

@@ -127,9 +127,9 @@ class DeviceClock:
         changed = self._wall - last
         if abs(changed) > _SET_NS + _SLEW * abs(passed):
             raise ClockJumpError(_words("this computer's clock", changed))
-        if passed <= 0:
-            raise ClockJumpError(_words(f"the {self._device}'s clock", passed))
         faster = self._smallest - difference
+        if passed <= 0:
+            raise ClockJumpError(_words(f"the {self._device}'s clock", min(faster, passed)))
         if self._frames >= _KNOWN and faster > _JUMP_NS + _LARGEST_DRIFT * passed:
             raise ClockJumpError(_words(f"the {self._device}'s clock", faster))
 

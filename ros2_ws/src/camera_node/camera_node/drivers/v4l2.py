@@ -38,7 +38,7 @@ class V4l2Settings:
     Attributes
     ----------
     device
-        Its number, or a path; those in /dev/v4l/by-id stay the same when it is plugged in again.
+        Its path; those in /dev/v4l/by-id stay the same when it is plugged in again.
     exposure_time
         [s], in units of 0.1 ms.
     size
@@ -86,7 +86,7 @@ class V4l2Driver:
         if settings.pixel_format not in _FORMATS:
             raise CameraError(f"pixel format {settings.pixel_format}: Video4Linux has {', '.join(_FORMATS)}")
         self._settings = settings
-        self._path = f"/dev/video{settings.device}" if settings.device.isdecimal() else settings.device
+        self._path = settings.device
         self._pause = _FIRST_PAUSE_S
         self._next_attempt = 0.0
         self._rate: float | None = None
