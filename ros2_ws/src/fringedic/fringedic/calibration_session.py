@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from fringedic.calibration.calibrate import calibrate_rig
+from fringedic.calibration.history import recorded_checks
 from fringedic.calibration.planes import PlaneBlocks, check_different, plane_name, reduce_plane
 from fringedic.calibration.result import RigCalibration
 from fringedic.camera.grid import GridMeasurement, measure_distortion
@@ -69,7 +70,7 @@ def grid_in_words(grid: GridMeasurement) -> str:
 
 
 def in_force_words(file: Path, now: datetime) -> list[str]:
-    """Return what is to be said of a calibration before it is used: its age, what it lacks, and whether to check it.
+    """Return what is to be said of a calibration before it is used: its age, the last check, and what it lacks.
 
     Parameters
     ----------
@@ -80,12 +81,20 @@ def in_force_words(file: Path, now: datetime) -> list[str]:
     """
     try:
         calibration = RigCalibration.load(file.parent)
+        checks = recorded_checks(file.parent)
     except (CalibrationFileError, InvalidCalibrationError):
         return [f"calibration {file}: nothing tells when and how well it was measured"]
     age = calibration.age(now)
     words = [f"calibration {calibration.model.identifier}, {_span_in_words(age)} old. {calibration.verdict}"]
-    if age > CHECK_AFTER:
-        words.append(f"it is older than {_span_in_words(CHECK_AFTER)}: `fringedic check` tells whether it still holds")
+    since = age
+    if checks:
+        since = (now - datetime.fromisoformat(checks[-1].created)).total_seconds()
+        words.append(f"last checked {_span_in_words(since)} ago: {checks[-1].verdict}")
+    if since > CHECK_AFTER:
+        words.append(
+            f"{'the check' if checks else 'it'} is older than {_span_in_words(CHECK_AFTER)}: `fringedic check` tells "
+            "whether it still holds"
+        )
     return [*words, *calibration.warnings]
 
 

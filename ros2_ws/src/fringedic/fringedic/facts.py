@@ -50,6 +50,22 @@ class HardwareFacts(_Entries):
     calibration_target: str = Field("", description="Maker, kind and dimensions.")
 
 
+class CheckFacts(_Entries):
+    """One check of the calibration by a flat plane and a known distance; kept beside the calibration's files."""
+
+    created: str = Field("", description="Time of the check.")
+    holds: bool = Field(False, description="Whether the rig still held its calibration.")
+    verdict: str = Field("", description="The same in words, with warnings.")
+    flatness_um: float | None = Field(None, description="RMS of the plane about the best one, means over blocks.")
+    noise_um: float | None = Field(None, description="Predicted noise of a pixel's height.")
+    expected_mm: float | None = Field(None, description="The known distance.")
+    distance_mm: float | None = Field(None, description="The known distance as it was measured.")
+    drift_um: float | None = Field(None, description="RMS change of the plane during the check.")
+    response_fringe: float | None = Field(
+        None, description="Amplitude of the ripple, three times per fringe and more, that the response leaves."
+    )
+
+
 class CalibrationFacts(_Entries):
     """When and how well the rig was calibrated; not entered, but read from the files of the calibration."""
 
@@ -58,6 +74,10 @@ class CalibrationFacts(_Entries):
     predicted_um: float | None = Field(None, description="What the noise of the phase alone would leave.")
     held_out_um: float | None = Field(None, description="RMS of the planes kept out of the fit, as height.")
     verdict: str = Field("", description="The calibration's own judgement.")
+    response_fringe: float | None = Field(
+        None, description="Ripple of the planes, three times per fringe and more, that the response leaves."
+    )
+    checks: list[CheckFacts] = Field([], description="The latest checks of the calibration, the oldest first.")
 
 
 class NoiseFacts(_Entries):

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fringedic.calibration import check_rig
+from fringedic.calibration.history import record_check
 from fringedic.calibration_session import CalibrationSession, Plane, PlaneKind, Setting, in_force_words, place_in_words
 from fringedic.errors import CalibrationPlanesError, CalibrationStateError
 from fringedic.rig import RigModel
@@ -57,6 +59,7 @@ def session(measured: CalibrationSession) -> CalibrationSession:
 
 def test_words_for_an_operator() -> None:
     assert "grid" in place_in_words(PlaneKind.GRID, 0.0, 0.0)
+    assert "with the grid on it to +12.00 degree (right" in place_in_words(PlaneKind.GRID, math.radians(12), 0.0)
     assert place_in_words(PlaneKind.PLANE, math.radians(-12), 0.0).endswith(
         "-12.00 degree (left side towards the camera)"
     )
@@ -93,6 +96,12 @@ def test_drift_is_measured_and_said(session: CalibrationSession, tmp_path: Path)
     assert "of today, 5 hours old. GO" in words[0] and any("warm up" in each for each in words)
     old = in_force_words(tmp_path / "calibration.yaml", NOW + timedelta(days=9))
     assert "9 days old" in old[0] and "fringedic check" in old[1]
+    check = check_rig(result.model, plane(0.0).phase, pitch=PITCH, earlier=plane(0.0, lift=90e-6).phase)
+    record_check(tmp_path, check, NOW + timedelta(days=8))
+    checked = in_force_words(tmp_path / "calibration.yaml", NOW + timedelta(days=9))
+    assert "last checked 24 hours ago: The rig holds" in checked[1] and "have moved by" in checked[1]
+    assert not any("fringedic check" in words for words in checked)
+    assert "the check is older" in in_force_words(tmp_path / "calibration.yaml", NOW + timedelta(days=19))[2]
     (tmp_path / "calibration_fit.yaml").unlink()
     assert "nothing tells" in in_force_words(tmp_path / "calibration.yaml", NOW)[0]
 

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fringedic.calibration import check_rig
-from fringedic.errors import CalibrationPhaseError, CalibrationPlanesError, ShapeMismatchError
+from fringedic.calibration.history import CHECKS_FILE, record_check, recorded_checks
+from fringedic.errors import CalibrationFileError, CalibrationPhaseError, CalibrationPlanesError, ShapeMismatchError
+from fringedic.facts import CalibrationFacts, Facts
 from fringedic.rig import RigModel
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
@@ -111,3 +115,24 @@ def test_bad_input() -> None:
         check_rig(RIG, plate(9), SIGMA, pitch=PITCH, earlier=plate(9)[:-1])
     with pytest.raises(CalibrationPhaseError, match="flat plate: only 0 %"):
         check_rig(RIG, np.full(TWIN.shape, np.nan), SIGMA, pitch=PITCH)
+
+
+def test_checks_are_kept_beside_the_calibration(tmp_path: Path) -> None:
+    assert recorded_checks(tmp_path) == []
+    good = check_rig(RIG, plate(1), SIGMA, pitch=PITCH, distance=2e-3, lifted=plate(3, height=3.0), earlier=plate(2))
+    moved = dataclasses.replace(RIG, projector_rotation=(0.01, 0.0, 0.0))
+    bad = check_rig(moved, plate(4), SIGMA, pitch=PITCH)
+    for day, check in ((3, good), (4, bad)):
+        record_check(tmp_path, check, datetime(2026, 3, day, 9, 30, tzinfo=UTC))
+    first, second = recorded_checks(tmp_path)
+    print(first, second)
+    assert (first.holds, second.holds, first.created[:10]) == (True, False, "2026-03-03")
+    assert first.distance_mm == pytest.approx(2.0, abs=0.002) and first.drift_um is not None
+    assert first.response_fringe is not None and first.response_fringe < 5e-4
+    assert second.distance_mm is None and "scale is not checked" in second.verdict
+
+    facts = Facts(calibration=CalibrationFacts(verdict="GO.", checks=[first, second]))
+    assert Facts.from_text(facts.to_text()) == facts
+    (tmp_path / CHECKS_FILE).write_text("[1, 2]", encoding="utf-8")
+    with pytest.raises(CalibrationFileError, match="checks"):
+        recorded_checks(tmp_path)

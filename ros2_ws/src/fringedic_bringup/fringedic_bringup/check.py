@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from fringedic.calibration import RigCalibration, RigCheck, check_rig
+from fringedic.calibration.history import record_check
 from fringedic.errors import CalibrationFileError, InvalidCalibrationError, RigFileError
 from fringedic.recording import BagReader
 from fringedic.results import image_array
@@ -33,6 +35,8 @@ def check(
     domain: int | None = None,
 ) -> RigCheck:
     """Measure the reference plane at its place, lifted by a known distance, and at its place again.
+
+    The result is kept beside the calibration; later recordings and reports tell it.
 
     The plane has to come out flat, the distance right, and the plane unchanged, if the rig is warm and holds its
     calibration.
@@ -74,7 +78,7 @@ def check(
         client.wait_until_recorded()
     first, lifted, last = _maps(folder / "bag", "phase/map", stamps)
     finest = rig.projections()[-1]
-    return check_rig(
+    found = check_rig(
         model,
         last,
         _maps(folder / "bag", "phase/sigma", stamps)[-1],
@@ -85,14 +89,26 @@ def check(
         earlier=first,
         age=_age(rig, rig_path),
     )
+    calibrated = calibration_folder(rig, rig_path)
+    if calibrated is not None:
+        record_check(calibrated, found, datetime.fromtimestamp(1e-9 * stamps[-1], UTC))
+    return found
+
+
+def calibration_folder(rig: RigFile, rig_path: Path) -> Path | None:
+    """Return the folder of the calibration that a rig file names; None for the exact one of a virtual rig."""
+    if not isinstance(rig.calibration, str) or rig.calibration == VIRTUAL_RIG:
+        return None
+    return (rig_path.parent / rig.calibration).parent
 
 
 def _age(rig: RigFile, rig_path: Path) -> float:
     """Age of the calibration that a rig file names [s]; NaN when nothing tells."""
-    if not isinstance(rig.calibration, str) or rig.calibration == VIRTUAL_RIG:
+    folder = calibration_folder(rig, rig_path)
+    if folder is None:
         return math.nan
     try:
-        return RigCalibration.load((rig_path.parent / rig.calibration).parent).age()
+        return RigCalibration.load(folder).age()
     except (CalibrationFileError, InvalidCalibrationError):
         return math.nan
 

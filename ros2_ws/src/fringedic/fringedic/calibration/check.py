@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.calibration.judgement import GOOD
-from fringedic.calibration.planes import PlaneBlocks, reduce_plane
+from fringedic.calibration.planes import PlaneBlocks, reduce_plane, response_ripple
 from fringedic.errors import CalibrationPlanesError, ShapeMismatchError
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation
@@ -42,6 +42,9 @@ class RigCheck:
         z of the plate below the camera [m].
     distance, expected
         The known distance as measured and as given [m]; NaN when none was given.
+    response
+        Largest amplitude of the phase's ripple at three times the fringes' frequency and more, which the response of
+        projector and camera leaves [rad].
     drift
         Root mean square change of the plate against an earlier measurement, without noise [m]; NaN without one.
     age
@@ -62,6 +65,7 @@ class RigCheck:
     height: float
     distance: float
     expected: float
+    response: float
     drift: float
     age: float
     residual_map: xr.Dataset
@@ -147,6 +151,7 @@ def check_rig(
         height=float(plane[0]),
         distance=measured,
         expected=math.nan if distance is None else distance,
+        response=response_ripple(blocks.ripple),
         drift=drift,
         age=age,
         residual_map=xr.Dataset(

@@ -124,6 +124,15 @@ def check_planes(
     return turn, lift, fitted
 
 
+def response_ripple(ripple: Sequence[float]) -> float:
+    """Return the largest amplitude at three times the fringes' frequency and more [rad].
+
+    Light and motion ripple once and twice per fringe, a response that is no straight line more often.
+    """
+    known = [size for size in ripple[2:] if not math.isnan(size)]
+    return max(known, default=math.nan)
+
+
 def plane_name(index: int, angles: np.ndarray, heights: np.ndarray) -> str:
     """Return the name of a plane for people: "image 3 (angle +5 degree)"."""
     height = f", height {1e3 * heights[index]:+g} mm" if np.any(heights) else ""

@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 import yaml
 
+from fringedic.calibration.planes import response_ripple
 from fringedic.errors import CalibrationFileError, InvalidCalibrationError
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation
@@ -181,6 +182,11 @@ class RigCalibration:
     def bad_images(self) -> tuple[str, ...]:
         """Names of the images that something is wrong with."""
         return tuple(plane.name for plane in self.planes if plane.problem)
+
+    @property
+    def response(self) -> float:
+        """Ripple of the fitted planes that the response of projector and camera leaves, median over them [rad]."""
+        return float(np.median([response_ripple(plane.ripple) for plane in self.planes if plane.fitted]))
 
     def reconstruct(
         self, phase: np.ndarray | xr.DataArray, sigma_phase: np.ndarray | xr.DataArray | None = None

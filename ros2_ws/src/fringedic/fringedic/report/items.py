@@ -311,11 +311,23 @@ def _calibration_items(known: Known, rig: dict[str, Any]) -> list[Item]:
         noise = f"noise alone would leave {facts['predicted_um']:.3g} µm{kept}"
         items[-1] = Item("date of the calibration", created, _age(known.dataset, created))
         items.append(Item("plane residual", f"{residual:.3g} µm RMS", noise))
+    response = facts.get("response_fringe")
+    left = None if response is None else f"{response:.4f} fringe"
     return [
         *items,
-        Item("response (gamma) residual", None, "not measured"),
-        Item("known-distance check", None, "not in the recording; `fringedic check` measures it"),
+        Item("response (gamma) residual", left, "ripple of the calibration's planes" if left else "not measured"),
+        _known_distance(facts.get("checks", [])),
     ]
+
+
+def _known_distance(checks: list[dict[str, Any]]) -> Item:
+    """The latest check of the calibration by a flat plane and a known distance."""
+    if not checks:
+        return Item("known-distance check", None, "none was made; `fringedic check` does it")
+    last = checks[-1]
+    expected, measured = last.get("expected_mm"), last.get("distance_mm")
+    found = "no distance measured" if measured is None else f"{measured:.4g} mm for {expected:.4g} mm"
+    return Item("known-distance check", f"{found}, {last['created']}", last["verdict"])
 
 
 def _age(dataset: xr.Dataset, created: str) -> str:
