@@ -16,12 +16,11 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from fringedic.calibration.history import recorded_checks
 from fringedic.calibration.result import RigCalibration
 from fringedic.camera import DistortionMap
 from fringedic.chain import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.errors import CalibrationFileError, FringedicError, InvalidCalibrationError, RigFileError
-from fringedic.facts import CalibrationFacts, CheckFacts, Facts, HardwareFacts, NoiseFacts, SpecimenFacts
+from fringedic.facts import CalibrationFacts, Facts, HardwareFacts, NoiseFacts, SpecimenFacts
 from fringedic.patterns import FringeOrder, step_sequence
 from fringedic.programme import Programme
 from fringedic.rig import RigModel
@@ -32,7 +31,6 @@ from fringedic.virtual_rig.optics import camera_optics, projector_optics
 from fringedic.yaml_section import Section, load_sections
 
 MILLI = 1e-3
-LATEST_CHECKS = 5  # of the calibration that a recording tells
 _LEAST_TURN, _GOOD_TURN = 2.0, 12.0  # [degree] of the plane when the grid on it is seen once more
 FINEST_DEFAULT_PITCH_PX = 8.0
 LENS_ORDER = 20  # of the polynomials that stand for the lens of a virtual rig; 2e-6 px are left of an odd one
@@ -43,8 +41,9 @@ VIRTUAL_RIG = "virtual_rig"
 class CameraSection(Section):
     """The camera of the rig."""
 
-    source: Literal["virtual", "files", "aravis"] = Field(
-        description="virtual: the virtual rig; files: images from a folder; aravis: a GigE or USB3 Vision camera."
+    source: Literal["virtual", "files", "video", "aravis", "v4l2", "topic"] = Field(
+        description="virtual: the virtual rig; files: images from a folder; video: a video file; aravis: a GigE or "
+        "USB3 Vision camera; v4l2: a USB camera (UVC); topic: any camera with a ROS 2 driver of its own."
     )
     width: int | None = Field(None, ge=16, le=32768, description="Image width [px]; known from a virtual rig.")
     height: int | None = Field(None, ge=16, le=32768, description="Image height [px]; known from a virtual rig.")
@@ -52,9 +51,18 @@ class CameraSection(Section):
     settle_ms: float = Field(
         0.0, ge=0, le=60e3, description="Time between the pattern on the screen and the exposure [ms]."
     )
-    files: str | None = Field(None, description="Images for the source 'files': a folder or a pattern such as a/*.tif.")
+    files: str | None = Field(
+        None,
+        description="Images for the source 'files', a folder or a pattern such as a/*.tif; file of the source 'video'.",
+    )
+    topic: str | None = Field(None, description="Images of the source 'topic', such as /cam/image_raw.")
+    stamp_of: Literal["start", "middle", "end"] = Field(
+        "end", description="Moment of the exposure that stamps of the sources 'topic' and 'v4l2' are of; end is safe."
+    )
 
-    camera: str = Field("", description="Identifier or network address of a real camera; empty: the only one.")
+    camera: str = Field(
+        "", description="Identifier or network address of a real camera, empty: the only one; of 'v4l2' its path."
+    )
     pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono16"] = Field("Mono8", description="Of a real camera.")
     first_column: int = Field(0, ge=0, le=32768, description="Of the part of a real camera's sensor [px].")
     first_row: int = Field(0, ge=0, le=32768, description="Of the part of a real camera's sensor [px].")
@@ -67,10 +75,14 @@ class CameraSection(Section):
 
     @model_validator(mode="after")
     def _files_belong_to_their_source(self) -> CameraSection:
-        if (self.source == "files") != (self.files is not None):
-            raise ValueError("source: files needs the key files, and only this source has it")
-        if self.source == "aravis" and (self.width is None or self.height is None):
-            raise ValueError("source: aravis needs width and height, the size of its images")
+        if (self.source in ("files", "video")) != (self.files is not None):
+            raise ValueError("source: files needs the key files, and so does video; no other source has it")
+        if (self.source == "topic") != (self.topic is not None):
+            raise ValueError("source: topic needs the key topic, and only this source has it")
+        if self.source == "v4l2" and not self.camera:
+            raise ValueError("source: v4l2 needs the key camera, a path such as /dev/video0")
+        if self.source in ("aravis", "v4l2", "topic") and (self.width is None or self.height is None):
+            raise ValueError(f"source: {self.source} needs width and height, the size of its images")
         return self
 
     @property
@@ -566,16 +578,7 @@ def _distortion_of(virtual_rig: VirtualRigConfiguration) -> DistortionMap | None
 def _centre(principal: float | None, size: int) -> float:
     return (size - 1) / 2 if principal is None else principal
 
-        response_fringe=None if math.isnan(found.response) else found.response / (2 * math.pi),
-        checks=_checks(file.parent)[-LATEST_CHECKS:],
 
 def _triple(values: Any) -> tuple[float, float, float]:
     first, second, third = values
-def _checks(folder: Path) -> list[CheckFacts]:
-    try:
-        return recorded_checks(folder)
-    except CalibrationFileError:
-        return []  # an experiment does not wait for a list that nobody can read
-
-
     return first, second, third

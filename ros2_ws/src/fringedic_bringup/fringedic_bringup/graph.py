@@ -250,6 +250,15 @@ def _camera(rig: RigFile, rig_path: Path) -> dict[str, Any]:
             "trigger_line": camera.trigger_line,
             "packet_size_byte": camera.packet_size_byte,
         }
+    if camera.source == "v4l2":
+        parameters |= {
+            "camera": camera.camera,
+            "pixel_format": camera.pixel_format,
+            "region_px": [0, 0, camera.width, camera.height],
+            "stamp_of": camera.stamp_of,
+        }
+    if camera.source == "topic":
+        parameters |= {"topic": camera.topic, "stamp_of": camera.stamp_of}
     if rig.virtual_rig is not None:
         parameters |= {"virtual_rig": _virtual_rig(rig), "timeout_s": RENDERING_TIMEOUT_S}
     return parameters
@@ -264,7 +273,7 @@ def _full_scale(rig: RigFile) -> float:
     """Return the grey level of a saturated pixel; 0 where only the images can tell."""
     if rig.camera.source == "virtual":
         return 2.0 ** rig.virtual_configuration().sensor.bits - 1
-    if rig.camera.source == "aravis":
+    if rig.camera.source in ("aravis", "v4l2"):
         return 2.0 ** int(rig.camera.pixel_format.removeprefix("Mono")) - 1
     return 0.0
 

@@ -31,6 +31,24 @@ def test_real_devices_get_what_the_rig_file_says(tmp_path: Path) -> None:
     assert nodes["load_frame"] == {"source": "machine", "rate_hz": 500.0, "machine_file": str(tmp_path / "frame.yaml")}
 
 
+def test_other_cameras_get_what_the_rig_file_says(tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    size = "width: 640, height: 480"
+    for section, expected in (
+        (
+            f"source: v4l2, camera: /dev/video2, stamp_of: start, {size}",
+            {"camera": "/dev/video2", "stamp_of": "start", "region_px": [0, 0, 640, 480], "pixel_format": "Mono8"},
+        ),
+        (f"source: topic, topic: /cam/image_raw, {size}", {"topic": "/cam/image_raw", "stamp_of": "end"}),
+        ("source: video, files: test.mkv", {"files": str(tmp_path / "test.mkv")}),
+    ):
+        camera_line = next(line for line in REAL_RIG.splitlines() if line.startswith("camera:"))
+        path.write_text(REAL_RIG.replace(camera_line, f"camera: {{{section}}}"))
+        graph = rig_graph(load_rig_file(path), path, tmp_path / "out", experiment="tension")
+        camera = dict(next(node.parameters for node in graph.nodes if node.name == "camera"))
+        assert expected.items() <= camera.items()
+
+
 def test_controller_is_told_its_topics(tmp_path: Path) -> None:
     path = tmp_path / "bench.yaml"
     path.write_text(
