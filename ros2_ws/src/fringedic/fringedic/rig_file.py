@@ -16,11 +16,12 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from fringedic.calibration.history import recorded_checks
 from fringedic.calibration.result import RigCalibration
 from fringedic.camera import DistortionMap
 from fringedic.chain import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.errors import CalibrationFileError, FringedicError, InvalidCalibrationError, RigFileError
-from fringedic.facts import CalibrationFacts, Facts, HardwareFacts, NoiseFacts, SpecimenFacts
+from fringedic.facts import CalibrationFacts, CheckFacts, Facts, HardwareFacts, NoiseFacts, SpecimenFacts
 from fringedic.patterns import FringeOrder, step_sequence
 from fringedic.programme import Programme
 from fringedic.rig import RigModel
@@ -31,6 +32,7 @@ from fringedic.virtual_rig.optics import camera_optics, projector_optics
 from fringedic.yaml_section import Section, load_sections
 
 MILLI = 1e-3
+LATEST_CHECKS = 5  # of the calibration that a recording tells
 _LEAST_TURN, _GOOD_TURN = 2.0, 12.0  # [degree] of the plane when the grid on it is seen once more
 FINEST_DEFAULT_PITCH_PX = 8.0
 LENS_ORDER = 20  # of the polynomials that stand for the lens of a virtual rig; 2e-6 px are left of an odd one
@@ -564,9 +566,18 @@ def _distortion_of(virtual_rig: VirtualRigConfiguration) -> DistortionMap | None
     if camera.lens == LensConfiguration():
         return None
     # in front of the plane it needs no texture
+        response_fringe=None if math.isnan(found.response) else found.response / (2 * math.pi),
+        checks=_checks(file.parent)[-LATEST_CHECKS:],
     bare = VirtualRig(virtual_rig.model_copy(update={"specimen": ReferencePlaneSpecimen()}))
     rows, columns = (np.unique(np.linspace(0, n - 1, LENS_POINTS).astype(int)) for n in (camera.rows, camera.columns))
     fits = [
+def _checks(folder: Path) -> list[CheckFacts]:
+    try:
+        return recorded_checks(folder)
+    except CalibrationFileError:
+        return []  # an experiment does not wait for a list that nobody can read
+
+
         np.linalg.pinv(chebyshev.chebvander(2 * places / (n - 1) - 1, LENS_ORDER))
         for places, n in ((rows, camera.rows), (columns, camera.columns))
     ]
