@@ -566,18 +566,9 @@ def _distortion_of(virtual_rig: VirtualRigConfiguration) -> DistortionMap | None
     if camera.lens == LensConfiguration():
         return None
     # in front of the plane it needs no texture
-        response_fringe=None if math.isnan(found.response) else found.response / (2 * math.pi),
-        checks=_checks(file.parent)[-LATEST_CHECKS:],
     bare = VirtualRig(virtual_rig.model_copy(update={"specimen": ReferencePlaneSpecimen()}))
     rows, columns = (np.unique(np.linspace(0, n - 1, LENS_POINTS).astype(int)) for n in (camera.rows, camera.columns))
     fits = [
-def _checks(folder: Path) -> list[CheckFacts]:
-    try:
-        return recorded_checks(folder)
-    except CalibrationFileError:
-        return []  # an experiment does not wait for a list that nobody can read
-
-
         np.linalg.pinv(chebyshev.chebvander(2 * places / (n - 1) - 1, LENS_ORDER))
         for places, n in ((rows, camera.rows), (columns, camera.columns))
     ]
@@ -589,7 +580,16 @@ def _checks(folder: Path) -> list[CheckFacts]:
 def _centre(principal: float | None, size: int) -> float:
     return (size - 1) / 2 if principal is None else principal
 
+        response_fringe=None if math.isnan(found.response) else found.response / (2 * math.pi),
+        checks=_checks(file.parent)[-LATEST_CHECKS:],
 
 def _triple(values: Any) -> tuple[float, float, float]:
     first, second, third = values
+def _checks(folder: Path) -> list[CheckFacts]:
+    try:
+        return recorded_checks(folder)
+    except CalibrationFileError:
+        return []  # an experiment does not wait for a list that nobody can read
+
+
     return first, second, third
