@@ -10,11 +10,12 @@ from camera_node.drivers.files import read_grey
 from fringedic import Advice, Reference, advise_settings, measure_displacement
 from fringedic.errors import CameraError, FringedicError
 from fringedic.pictures import IN_PLANE, maps_figure
+from fringedic_bringup.region import mask_of
 from fringedic_bringup.report import Progress
 
 
 def measure_images(
-    images: list[Path], folder: Path, progress: Progress, *, window: int, spacing: int
+    images: list[Path], folder: Path, progress: Progress, *, window: int, spacing: int, mask: Path | None = None
 ) -> tuple[Path, list[Path]]:
     """Measure each image against the first one; each start from the result before, so that motions may add up.
 
@@ -28,6 +29,8 @@ def measure_images(
         Told which image is measured.
     window, spacing
         See `fringedic.measure_displacement` [px].
+    mask
+        Image or polygons of the region that is measured, see `mask_of`; None measures everywhere.
 
     Returns
     -------
@@ -43,7 +46,9 @@ def measure_images(
     """
     if len(images) < 2:
         raise CameraError("give a reference image and at least one deformed image")
-    reference = Reference(read_grey(images[0]), window=window, spacing=spacing)
+    first = read_grey(images[0])
+    region = None if mask is None else mask_of(mask, first.shape)
+    reference = Reference(first, window=window, spacing=spacing, mask=region)
     folder.mkdir(parents=True, exist_ok=True)
     fields: list[xr.Dataset] = []
     pictures = []

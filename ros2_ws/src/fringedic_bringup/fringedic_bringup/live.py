@@ -9,20 +9,19 @@ from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
-from builtin_interfaces.msg import Time
 from rich.console import Console
 from rich.live import Live
 
-from fringedic.errors import RigFileError, StepFailedError
+from fringedic.errors import RigFileError
 from fringedic.rig_file import RigFile
 from fringedic.sequence import PatternKind, Projection
-from fringedic_bringup.client import RigClient
+from fringedic_bringup.exposing import FRAME_TIMEOUT_S, ExposingClient
 from fringedic_bringup.graph import live_graph
 from fringedic_bringup.live_display import Pattern, Rate, block, drawing
 from fringedic_bringup.processes import RunningGraph
 from fringedic_msgs.msg import LiveView
-from fringedic_msgs.srv import CaptureFrame, ShowPattern
 from fringedic_ros.qos import DERIVED
+from fringedic_ros.stamps import to_nanoseconds
 
 FRAMES_OF_ONE_LOOK = 8  # two cycles of four shifts
 
@@ -107,65 +106,27 @@ def watch(
             projection, name = patterns[number % len(patterns)]
             if (rig.projector is not None and number < len(patterns)) or len(patterns) > 1:
                 viewer.show(projection, name)
-            yield viewer.look(projection)
+            yield viewer.look()
 
 
-class _Viewer(RigClient):
-    """Has one pattern shown and one frame taken after the other."""
+class _Viewer(ExposingClient):
+    """Has one pattern shown and one frame taken after the other, and hears what is said of it."""
 
     def __init__(self, namespace: str, **options: Any) -> None:
         super().__init__(namespace, **options)
-        self._show = self._node.create_client(ShowPattern, "projector/show")
-        self._capture = self._node.create_client(CaptureFrame, "camera/capture")
         self._figures: LiveView | None = None
-        self._shown = Time()
         self._node.create_subscription(LiveView, "live_view/figures", self._take_figures, DERIVED)
 
-    def show(self, projection: Projection, name: str) -> None:
-        """Have a pattern shown from now on."""
-        self._ready(self._show)
-        request = ShowPattern.Request(
-            kind=projection.kind,
-            name=name,
-            pitch=projection.pitch,
-            shift=projection.shift,
-            shifts=projection.shifts,
-            orientation=projection.orientation,
-        )
-        response = self._call(self._show, request)
-        if response.error_code:
-            raise StepFailedError(f"{response.error_message} (error {response.error_code})")
-        self._shown = response.shown
-
-    def look(self, projection: Projection) -> LiveView:
+    def look(self) -> LiveView:
         """Have a frame taken and return its figures."""
-        self._ready(self._capture)
-        request = CaptureFrame.Request(
-            experiment="live view",
-            count=1,
-            kind=projection.kind,
-            pitch=projection.pitch,
-            shift=projection.shift,
-            shifts=projection.shifts,
-            orientation=projection.orientation,
-            shown=self._shown,
-            image_subscribers=1,
-            exposure_subscribers=1,
-        )
-        response = self._call(self._capture, request)
-        if response.error_code:
-            raise StepFailedError(f"{response.error_message} (error {response.error_code})")
+        _, record = self.expose()
 
         def arrived() -> bool:
-            return self._figures is not None and self._figures.header.stamp == response.stamp
+            return self._figures is not None and to_nanoseconds(self._figures.header.stamp) == record.stamp
 
-        self._wait(arrived, 30.0, lambda: "live_view/figures: nothing about this frame; see /diagnostics")
+        self._wait(arrived, FRAME_TIMEOUT_S, lambda: "live_view/figures: nothing about this frame; see /diagnostics")
         assert self._figures is not None, "they arrived"
         return self._figures
-
-    def _ready(self, client: Any) -> None:
-        if not client.service_is_ready():
-            self._wait(client.service_is_ready, 30.0, lambda: f"{client.srv_name}: no such service")
 
     def _take_figures(self, message: LiveView) -> None:
         self._figures = message
