@@ -379,9 +379,6 @@ class RigFile(Section):
     noise_floor_file: str | None = Field(
         None, description="Noise floor that `fringedic noise` wrote, relative to this file; recordings carry it."
     )
-    region_file: str | None = Field(
-        None, description="Polygons that `fringedic region` wrote, relative to this file: what displacement is measured."
-    )
     virtual_rig: dict[str, Any] | None = None
     recording: RecordingSection = RecordingSection()
     specimen: SpecimenFacts = SpecimenFacts()
@@ -552,7 +549,16 @@ def _calibration_facts(file: Path) -> CalibrationFacts:
         predicted_um=found.predicted * 1e6,
         held_out_um=None if math.isnan(found.held_out) else found.held_out * 1e6,
         verdict=found.verdict,
+        response_fringe=None if math.isnan(found.response) else found.response / (2 * math.pi),
+        checks=_checks(file.parent)[-LATEST_CHECKS:],
     )
+
+
+def _checks(folder: Path) -> list[CheckFacts]:
+    try:
+        return recorded_checks(folder)
+    except CalibrationFileError:
+        return []  # an experiment does not wait for a list that nobody can read
 
 
 def calibration_of(virtual_rig: VirtualRigConfiguration) -> RigModel:
@@ -583,16 +589,7 @@ def _distortion_of(virtual_rig: VirtualRigConfiguration) -> DistortionMap | None
 def _centre(principal: float | None, size: int) -> float:
     return (size - 1) / 2 if principal is None else principal
 
-        response_fringe=None if math.isnan(found.response) else found.response / (2 * math.pi),
-        checks=_checks(file.parent)[-LATEST_CHECKS:],
 
 def _triple(values: Any) -> tuple[float, float, float]:
     first, second, third = values
-def _checks(folder: Path) -> list[CheckFacts]:
-    try:
-        return recorded_checks(folder)
-    except CalibrationFileError:
-        return []  # an experiment does not wait for a list that nobody can read
-
-
     return first, second, third
