@@ -379,6 +379,10 @@ class RigFile(Section):
     noise_floor_file: str | None = Field(
         None, description="Noise floor that `fringedic noise` wrote, relative to this file; recordings carry it."
     )
+    region_file: str | None = Field(
+        None,
+        description="Polygons that `fringedic region` wrote, relative to this file: what the displacement measures.",
+    )
     virtual_rig: dict[str, Any] | None = None
     recording: RecordingSection = RecordingSection()
     specimen: SpecimenFacts = SpecimenFacts()
