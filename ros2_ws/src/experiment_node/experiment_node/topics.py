@@ -15,6 +15,7 @@ RAW_TOPICS = (
     IMAGE,
     "camera/camera_info",
     EXPOSURE,
+    "camera/clock",
     STEP,
     REFERENCE,
     PLANE,
