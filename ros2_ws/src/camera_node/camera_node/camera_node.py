@@ -108,9 +108,10 @@ class CameraNode(HardwareNode[CameraParameters]):
             self._free_run = None
         if self._streaming:
             self._streaming = False
+            assert isinstance(self._driver, StreamingDriver), "only such a camera streams"
+            self._driver.interrupt()
             self._worker.stop(self.parameters.value.timeout_s)
             self._worker = Worker(self)
-            assert isinstance(self._driver, StreamingDriver), "only such a camera streams"
             self._driver.stop()
 
     def close(self) -> None:
@@ -391,8 +392,9 @@ class CameraNode(HardwareNode[CameraParameters]):
             index = number + self._driver.dropped - self._dropped_before
             self._publish(frame, FrameRecord("", 0, index, 0, Projection(PatternKind.OTHER), 0, 0.0, 0))
         except FringedicError as error:
-            self.diagnostics.failure(str(error))
-            self.get_logger().error(str(error), throttle_duration_sec=1.0)
+            if self._streaming or self._free_run is not None:  # otherwise it was interrupted
+                self.diagnostics.failure(str(error))
+                self.get_logger().error(str(error), throttle_duration_sec=1.0)
             return False
         self.diagnostics.success()
         return True
