@@ -169,6 +169,9 @@ class AravisDriver:
             self._aravis.ask("frame rate", lambda: connection.camera.set_frame_rate(rate_hz))
             self._run(connection)
 
+    def interrupt(self) -> None:
+        """Nothing: a frame is never long in coming."""
+
     def stop(self) -> None:
         """End what `start` began."""
         self._rate = None

@@ -141,6 +141,10 @@ class StreamingDriver(Driver, Protocol):
         """
         ...
 
+    def interrupt(self) -> None:
+        """Let an `expose` that waits in another thread raise soon, as the stream is about to end."""
+        ...
+
     def stop(self) -> None:
         """End what `start` began."""
         ...

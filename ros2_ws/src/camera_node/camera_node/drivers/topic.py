@@ -87,7 +87,7 @@ class TopicDriver:
         self._last_stamp_ns = 0
         self._images: deque[tuple[Image, int]] = deque()
         self._arrived = threading.Condition()
-        self._streaming = False
+        self._streaming = self._interrupted = False
         self._converted = False
         self._publishers: list[TopicEndpointInfo] = []
         self._subscription: Subscription | None = None
@@ -102,11 +102,17 @@ class TopicDriver:
 
     def start(self, rate_hz: float) -> None:
         """Keep every image from now on; their rate is the driver's own."""
-        self._streaming = True
+        self._streaming, self._interrupted = True, False
+
+    def interrupt(self) -> None:
+        """Wait no longer: the executor, whose thread ends the stream, cannot deliver an image meanwhile."""
+        with self._arrived:
+            self._interrupted = True
+            self._arrived.notify()
 
     def stop(self) -> None:
         """End what `start` began."""
-        self._streaming = False
+        self._streaming = self._interrupted = False
 
     def expose(self, scene: Scene) -> Frame:
         """Wait for the first image whose exposure begins from now on, or for the next one of a stream.
@@ -152,6 +158,10 @@ class TopicDriver:
 
     def _look(self) -> None:
         """Subscribe with the reliability that is offered."""
+        count = self._node.count_publishers(self._topic)
+        matched = 0 if self._subscription is None else self._subscription.get_publisher_count()
+        if count == matched == len(self._publishers):
+            return
         self._publishers = self._node.get_publishers_info_by_topic(self._topic)
         offered = {each.qos_profile.reliability for each in self._publishers if each.topic_type == _TYPE}
         if not offered:
@@ -201,7 +211,9 @@ class TopicDriver:
     def _next(self, deadline: float) -> tuple[Image, int] | None:
         """The next image and when it arrived [ns]; None when none comes before the deadline."""
         with self._arrived:
-            self._arrived.wait_for(lambda: self._images or self._jump, max(deadline - time.monotonic(), 0.0))
+            self._arrived.wait_for(
+                lambda: self._images or self._jump or self._interrupted, max(deadline - time.monotonic(), 0.0)
+            )
             jump, self._jump = self._jump, None
             if jump is not None:
                 self._images.clear()

@@ -105,6 +105,9 @@ class V4l2Driver:
         self._set_rate(self._device()[0], rate_hz)
         self._rate = rate_hz
 
+    def interrupt(self) -> None:
+        """Nothing: a frame is never long in coming."""
+
     def stop(self) -> None:
         """End what `start` began."""
         self._rate = None

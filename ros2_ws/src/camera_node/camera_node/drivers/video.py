@@ -63,6 +63,9 @@ class VideoDriver:
             raise CameraError(f"'{self._file}' has {own:g} frames/s, not {rate_hz:g}; set frame_rate_hz to {own:g}")
         self._began_ns = time.time_ns() - round(1e6 * self._video.get(cv2.CAP_PROP_POS_MSEC))
 
+    def interrupt(self) -> None:
+        """Nothing: a frame is never long in coming."""
+
     def stop(self) -> None:
         """End what `start` began; the next frame is the one after the last."""
         self._began_ns = None
