@@ -219,6 +219,26 @@ def timing(
     console.print(f"picture: {folder / 'timing.png'}", markup=False, highlight=False)
 
 
+@app.command(epilog="Example: fringedic response plate.yaml --output response")
+def response(
+    rig: Annotated[Path, typer.Argument(help="Rig file; those that come with fringedic are found by their name.")],
+    output: Annotated[Path, typer.Option(help="Folder for response.yaml and its picture.")] = Path("response"),
+) -> None:
+    """Measure how bright the projector's grey levels are in the image, and what correcting them does for the phase."""
+    from fringedic.rig_file import load_rig_file
+    from fringedic_bringup.response import PICTURE, measure_rig_response
+
+    path = _rig_path(rig)
+    folder = _unused(output)
+    with LiveProgress(console) as progress:
+        report = measure_rig_response(load_rig_file(path), path, folder, progress)
+    for words in report.words:
+        console.print(words, markup=False, highlight=False)
+    if report.setting:
+        console.print(f"set in the rig file:\n{report.setting}", markup=False, highlight=False)
+    console.print(f"picture: {folder / PICTURE}", markup=False, highlight=False)
+
+
 @app.command(epilog="Example: fringedic region plate.yaml --output region.png")
 def region(
     source: Annotated[Path, typer.Argument(metavar="IMAGE|RIG", help="Image, or rig file: then one frame of it.")],
