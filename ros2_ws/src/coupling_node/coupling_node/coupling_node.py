@@ -144,8 +144,10 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         for publisher, fields in ((self._displacement, result.displacement), (self._shape, result.shape)):
             if publisher.get_subscription_count():
                 publisher.publish(cloud_message(fields, stamp_ns=stamp, frame_id=FRAME))
-        remark = f"heights are off by an unknown height: {status.error_message}" if status.relative else ""
-        return Outcome(result.valid_fraction, result.rms, status.frames, remark, status.relative)
+        remarks = [f"heights are off by an unknown height: {status.error_message}"] if status.relative else []
+        if result.watched is not None and result.watched.words:
+            remarks.append(result.watched.words)
+        return Outcome(result.valid_fraction, result.rms, status.frames, "; ".join(remarks), status.relative)
 
 
 def main() -> int:

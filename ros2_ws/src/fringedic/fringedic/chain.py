@@ -33,6 +33,7 @@ from fringedic.rig import RigModel
 from fringedic.sequence import Orientation, PatternKind, Stack
 from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
 from fringedic.vector_statistics import measured_part_and_rms
+from fringedic.watch import WatchedMotion, watched_motion
 
 Kept = TypeVar("Kept")
 LIT_NEIGHBOURHOOD = 9  # [px], larger than a speckle
@@ -174,6 +175,18 @@ class CouplingParameters(Parameters):
     kept_steps: int = Field(
         16, ge=1, le=1000, description="Latest steps whose phase is kept, so that each can become the reference."
     )
+    watch_region_px: list[int] = Field(
+        [0, 0, 0, 0],
+        description="First column, first row, width and height [px] of what stands still during a test, such as a "
+        "textured marker on the frame: its motion is drift of the rig and is said. Width 0: nothing is watched.",
+    )
+
+    @field_validator("watch_region_px")
+    @classmethod
+    def _is_a_rectangle(cls, region: list[int]) -> list[int]:
+        if len(region) != 4 or min(region) < 0 or (region[2] == 0) != (region[3] == 0):
+            raise ValueError(f"{region}: first column, first row, width and height are needed, none below 0")
+        return region
 
 
 @dataclass
@@ -272,6 +285,8 @@ class CouplingResult:
         Measured points over all points of the displacement.
     rms
         Root mean square length of (u, v, w) [m].
+    watched
+        How far the watched region has moved; None when nothing is watched.
     """
 
     experiment: str
@@ -282,6 +297,7 @@ class CouplingResult:
     displacement: dict[str, np.ndarray]
     valid_fraction: float
     rms: float
+    watched: WatchedMotion | None = None
 
 
 def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
@@ -786,7 +802,16 @@ class ShapeTracker:
             displacement=arrays,
             valid_fraction=fraction,
             rms=length,
+            watched=self._watched(arrays, spacing, origin, reference_key[1]),
         )
+
+    def _watched(
+        self, displacement: dict[str, np.ndarray], spacing: int, origin: tuple[int, int], reference_step: int
+    ) -> WatchedMotion | None:
+        region = self.parameters.watch_region_px
+        if not region[2]:
+            return None
+        return watched_motion(displacement, region, spacing=spacing, origin=origin, reference_step=reference_step)
 
     def _prepared_reference(self, first: _KeptPhase, calibration: RigModel) -> PreparedShape:
         """The reference's shape, made and prepared once for the steps that share it."""

@@ -9,6 +9,7 @@ import numpy as np
 from fringedic.provenance import UNKNOWN
 from fringedic.report.items import Known
 from fringedic.report.static import NoiseFloor
+from fringedic.watch import watched_steps
 
 FEW_POINTS = 0.5
 _EXPLAINED = (0.8, 1.25)  # measured noise over stated one
@@ -38,6 +39,10 @@ def warnings(known: Known, static: Sequence[int], floors: Sequence[NoiseFloor]) 
             found.append(f"the noise of {floor.name} at rest is {ratio:.2f} times the one that its uncertainty states")
     if known.parameters.get("phase", {}).get("relative_phase") == "accept":
         found.append("relative phases were accepted: heights may be wrong by an unknown, constant number of fringes")
+    watched = known.parameters.get("coupling", {}).get("watch_region_px", [0, 0, 0, 0])
+    if watched[2]:
+        motions = watched_steps(dataset, watched)
+        found += [f"step {step}: {motion.words}" for step, motion in motions.items() if motion.words]
     if known.advice is not None:
         found += known.advice.warnings
     commit = str(dataset.attrs.get("commit", UNKNOWN))
