@@ -60,29 +60,32 @@ class Line:
 def words(figures: LiveView, pattern: Pattern) -> list[Line]:
     """Return the figures of a frame as lines for people: brightness, pattern, fringes and noise."""
     full_scale = figures.full_scale
+    over_the_surface = pattern in (Pattern.WHITE, Pattern.FRINGES)
     bright = _percentile(figures.histogram, 0.99)
     lines = [
-        Line(
-            "brightness",
-            f"mean {figures.mean:.0f} of {full_scale:.0f}, brightest {100 * bright:.0f} % of the range",
-            "good" if bright >= BRIGHT else "more light, a longer exposure or a wider aperture",
-            bright >= BRIGHT,
-        ),
         Line(
             "saturated",
             f"{100 * figures.saturated:.2f} % of the pixels",
             "good" if figures.saturated <= SATURATED else "expose less, close the aperture, or turn reflections away",
             figures.saturated <= SATURATED,
-        ),
-        Line(
-            "black",
-            f"{100 * figures.dark:.2f} % of the pixels",
-            "good" if figures.dark <= DARK else "more light, or raise the camera's black level",
-            figures.dark <= DARK,
-        ),
+        )
     ]
-    if pattern in (Pattern.WHITE, Pattern.FRINGES):
-        lines.append(_speckles(figures.speckle_size))
+    if over_the_surface:
+        lines += [
+            Line(
+                "brightness",
+                f"mean {figures.mean:.0f} of {full_scale:.0f}, brightest {100 * bright:.0f} % of the range",
+                "good" if bright >= BRIGHT else "more light, a longer exposure or a wider aperture",
+                bright >= BRIGHT,
+            ),
+            Line(
+                "black",
+                f"{100 * figures.dark:.2f} % of the pixels",
+                "good" if figures.dark <= DARK else "more light, or raise the camera's black level",
+                figures.dark <= DARK,
+            ),
+            _speckles(figures.speckle_size),
+        ]
     if pattern is Pattern.FRINGES:
         good = figures.modulation >= MODULATED * full_scale
         lines.append(

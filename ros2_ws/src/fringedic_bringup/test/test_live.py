@@ -61,6 +61,11 @@ def test_dark_images_ask_for_light() -> None:
     assert any("longer exposure" in line.verdict for line in words(view, Pattern.WHITE))
 
 
+def test_lines_on_a_dark_ground_need_no_light() -> None:
+    dark = figures(dark=0.5, speckle_size=float("nan"), mean=5.0)
+    assert all(line.good for line in words(dark, Pattern.FOCUS))
+
+
 def test_drawing_is_large() -> None:
     console = Console(width=100, force_terminal=False)
     with console.capture() as capture:
