@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -28,54 +28,87 @@ EXPOSURE_S = 0.01
 PERIOD_S = 0.03
 PARAMETERS = {"source": "topic", "topic": "/cam/image_raw", "exposure_time_s": EXPOSURE_S, "timeout_s": 5.0}
 
-# A driver as they are: exposes by itself, stamps the end of the exposure, delivers a little later. The image says its
-# number and, in its first row, when its exposure began.
-DRIVER = """
-import sys, time
+# A driver as they are: exposes by itself, stamps the end of the exposure, delivers a little later. The first row of
+# its image says when the exposure began. A line of JSON on standard input changes how it behaves.
+SCRIPT = """
+import json, select, sys, time
 import numpy as np, rclpy
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import Image
 from fringedic_ros.images import image_message
-reliability, encoding, exposure, period, offset, jump_after, jump = sys.argv[1:]
+exposure, period = map(float, sys.argv[1:])
 rclpy.init()
 node = rclpy.create_node("driver", namespace="cam")
-policy = ReliabilityPolicy.RELIABLE if reliability == "reliable" else ReliabilityPolicy.BEST_EFFORT
-images = node.create_publisher(Image, "image_raw", QoSProfile(depth=4, reliability=policy))
-number = 0
+images = None
+print(flush=True)
 while True:
+    if images is None or select.select([sys.stdin], [], [], 0)[0]:
+        now = json.loads(sys.stdin.readline())
+        if images is not None:
+            node.destroy_publisher(images)
+        images = None
+        if now["reliability"] is not None:
+            policy = ReliabilityPolicy[now["reliability"].upper()]
+            images = node.create_publisher(Image, "image_raw", QoSProfile(depth=4, reliability=policy))
+        sent = 0
+        continue
     begin = time.time_ns()
-    time.sleep(float(exposure))
-    end = time.time_ns() + round(1e9 * float(offset))
-    if 0 < int(jump_after) <= number:
-        end += round(1e9 * float(jump))
-    kind = np.uint16 if encoding in ("mono16", "16UC1") else np.uint8
-    shape = (24, 32, 3) if encoding in ("rgb8", "bgr8") else (24, 32)
-    pixels = np.full(shape, number % 200, kind)
-    if len(shape) == 2:
+    time.sleep(exposure)
+    offset = now["clock_offset_s"] + (now["jump_s"] if sent >= 30 else 0.0)
+    colours = now["encoding"] == "rgb8"
+    pixels = np.full((24, 32, 3) if colours else (24, 32), 100, np.uint16 if now["encoding"] == "16UC1" else np.uint8)
+    if not colours:
         pixels[0, :8] = np.frombuffer(np.int64(begin).tobytes(), np.uint8)
-    message = image_message(pixels, stamp_ns=end, frame_id="elsewhere")
-    message.encoding = encoding
+    message = image_message(pixels, stamp_ns=time.time_ns() + round(1e9 * offset), frame_id="elsewhere")
+    message.encoding = now["encoding"]
     images.publish(message)
-    number += images.get_subscription_count() > 0
-    time.sleep(max(float(period) - float(exposure), 0.0))
+    sent += images.get_subscription_count() > 0
+    time.sleep(period - exposure)
 """
 
 
-@contextmanager
-def driver(
-    reliability: str = "best_effort",
-    encoding: str = "mono8",
-    *,
-    clock_offset_s: float = 0.0,
-    jump_after: int = 0,
-    jump_s: float = 0.0,
-) -> Iterator[subprocess.Popen[bytes]]:
-    words = (reliability, encoding, EXPOSURE_S, PERIOD_S, clock_offset_s, jump_after, jump_s)
-    with subprocess.Popen([sys.executable, "-c", DRIVER, *map(str, words)]) as process:
-        try:
-            yield process
-        finally:
-            process.kill()
+class CameraDriver:
+    """Another node that publishes `/cam/image_raw`, in a process of its own."""
+
+    def __init__(self) -> None:
+        command = [sys.executable, "-c", SCRIPT, str(EXPOSURE_S), str(PERIOD_S)]
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        self.process.stdout.readline()
+
+    def behave(
+        self,
+        reliability: str | None = "best_effort",
+        *,
+        encoding: str = "mono8",
+        clock_offset_s: float = 0.0,
+        jump_s: float = 0.0,
+    ) -> None:
+        """Publish anew: with this reliability (None: no more), encoding, clock, and jump of it after 30 images."""
+        behaviour = {
+            "reliability": reliability,
+            "encoding": encoding,
+            "clock_offset_s": clock_offset_s,
+            "jump_s": jump_s,
+        }
+        assert self.process.stdin is not None
+        self.process.stdin.write(json.dumps(behaviour) + "\n")
+        self.process.stdin.flush()
+
+
+@pytest.fixture(scope="module")
+def process(domain: int) -> Iterator[CameraDriver]:
+    driver = CameraDriver()
+    with driver.process:
+        yield driver
+        driver.process.kill()
+
+
+@pytest.fixture
+def driver(process: CameraDriver) -> Iterator[CameraDriver]:
+    """The driver, silent before and after each test."""
+    yield process
+    process.behave(None)
 
 
 @pytest.fixture
@@ -94,10 +127,10 @@ def begin_ns(image: np.ndarray) -> int:
 
 @pytest.mark.parametrize(("reliability", "encoding"), [("best_effort", "mono8"), ("reliable", "16UC1")])
 def test_first_frame_that_began_after_pattern_and_settling(
-    studio: Studio, tmp_path: Path, reliability: str, encoding: str
+    driver: CameraDriver, studio: Studio, tmp_path: Path, reliability: str, encoding: str
 ) -> None:
-    parameters = {**PARAMETERS, "settle_time_s": 0.02}
-    with driver(reliability, encoding), NodeProcess(MODULE, tmp_path, parameters):
+    driver.behave(reliability, encoding=encoding)
+    with NodeProcess(MODULE, tmp_path, {**PARAMETERS, "settle_time_s": 0.02}):
         delays = []
         for index in range(6):
             shown = time.time_ns()
@@ -114,55 +147,47 @@ def test_first_frame_that_began_after_pattern_and_settling(
             assert late >= -0.01, f"stamp {late:.2f} ms after the middle of the exposure"
             assert exposure.exposure_time == EXPOSURE_S
         print(f"exposures begin {np.round(delays, 1)} ms after their patterns")
+        other = studio.capture(exposure_time=0.02)
+        assert other.error_code == Request.CAMERA_FAILED
+        assert "20 ms is asked for; the driver of /cam/image_raw exposes for 10 ms" in other.error_message
         studio.wait(lambda: studio.clocks, "the driver's clock")
         assert studio.clocks[0].clock == "camera"
 
 
-def test_colours_become_grey_and_a_word(studio: Studio, tmp_path: Path) -> None:
-    with driver(encoding="rgb8"), NodeProcess(MODULE, tmp_path, PARAMETERS) as node:
-        response = studio.capture()
-        assert response.error_code == Request.NONE, response.error_message
-        image = studio.frame(response.stamp)[0]
-        assert image.encoding == "mono8"
-        assert len(np.unique(image_array(image))) == 1
-        assert "carries colours (rgb8); their luminance is taken" in node.log
-
-
-def test_clock_of_the_driver_that_is_set_back(studio: Studio, tmp_path: Path) -> None:
-    """It is said by name, and frames go on."""
-    parameters = {**PARAMETERS, "frame_rate_hz": 30.0}
-    with driver(jump_after=30, jump_s=-0.5), NodeProcess(MODULE, tmp_path, parameters) as node:
-        studio.wait(lambda: "the driver's clock jumped back by 0.5 s" in node.log, "the jump")
-        studio.forget()
-        studio.wait(lambda: len(studio.images) >= 5, "frames after it")
-
-
-def test_driver_that_goes_comes_back_with_another_reliability(studio: Studio, tmp_path: Path) -> None:
-    with NodeProcess(MODULE, tmp_path, {**PARAMETERS, "timeout_s": 2.0}):
-        absent = studio.capture()
-        assert absent.error_code == Request.CAMERA_TIMEOUT
-        assert "nobody publishes /cam/image_raw; is the camera's driver running?" in absent.error_message
-        for reliability in ("reliable", "best_effort"):
-            with driver(reliability):
-                studio.wait(lambda: studio.capture().error_code == Request.NONE, f"a frame of the {reliability} driver")
-        gone = studio.capture()
-        assert gone.error_code == Request.CAMERA_TIMEOUT, gone.error_message
-
-
-def test_images_that_cannot_be_used(studio: Studio, tmp_path: Path) -> None:
+def test_driver_that_goes_and_comes_back_otherwise(driver: CameraDriver, studio: Studio, tmp_path: Path) -> None:
+    """Each state is told by name, and the node goes on as soon as it can."""
     faults: list[tuple[dict, int, str]] = [
         ({"clock_offset_s": 2.0}, Request.CAMERA_FAILED, r"s before the end of its exposure.*synchronise"),
         ({"clock_offset_s": -60.0}, Request.CAMERA_TIMEOUT, r"the last 60 s after its stamp.*synchronise"),
         ({"encoding": "bayer_rggb8"}, Request.CAMERA_FAILED, "encoding bayer_rggb8; set the camera's driver to mono8"),
+        ({"reliability": None}, Request.CAMERA_TIMEOUT, "nobody publishes /cam/image_raw; is the camera's driver"),
     ]
-    with NodeProcess(MODULE, tmp_path, {**PARAMETERS, "timeout_s": 1.5}):
+    with NodeProcess(MODULE, tmp_path, {**PARAMETERS, "timeout_s": 1.5}) as node:
+        absent = studio.capture()
+        assert absent.error_code == Request.CAMERA_TIMEOUT
+        assert "nobody publishes /cam/image_raw; is the camera's driver running?" in absent.error_message
+        for reliability in ("reliable", "best_effort"):
+            driver.behave(reliability)
+            studio.wait(lambda: studio.capture().error_code == Request.NONE, f"a frame of the {reliability} driver")
         for changes, code, words in faults:
-            with driver(**changes):
-                studio.wait(partial(told, studio, code, words), words)
-        with driver():
-            studio.wait(lambda: studio.capture().error_code == Request.NONE, "a frame of the right driver")
+            driver.behave(**changes)
+            studio.wait(partial(told, studio, code, words), words)
+        driver.behave(encoding="rgb8")
+        studio.wait(lambda: studio.capture().error_code == Request.NONE, "a frame of the colour camera")
+        studio.wait(lambda: len(np.unique(image_array(studio.images[-1]))) == 1, "its image")
+        assert studio.images[-1].encoding == "mono8"
+        assert "carries colours (rgb8); their luminance is taken" in node.log
 
 
 def told(studio: Studio, code: int, words: str) -> bool:
     response = studio.capture()
     return response.error_code == code and re.search(words, response.error_message) is not None
+
+
+def test_clock_of_the_driver_that_is_set_back(driver: CameraDriver, studio: Studio, tmp_path: Path) -> None:
+    """It is said by name, and frames go on."""
+    driver.behave(jump_s=-0.5)
+    with NodeProcess(MODULE, tmp_path, {**PARAMETERS, "frame_rate_hz": 30.0}) as node:
+        studio.wait(lambda: "the driver's clock jumped back by 0.5 s" in node.log, "the jump")
+        studio.forget()
+        studio.wait(lambda: len(studio.images) >= 5, "frames after it")
