@@ -67,7 +67,8 @@ class Probe:
         self._node = Node("probe", namespace="bench", context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        listen, publish = self._node.create_subscription, self._node.create_publisher
+        self.listen = listen = self._node.create_subscription
+        publish = self._node.create_publisher
         listen(Exposure, "camera/exposure", self.exposures.append, IMAGES)
         listen(RecorderStatus, "recorder/status", lambda message: setattr(self, "recorder", message), LATCHED)
         listen(NodeStatus, "phase/status", self.statuses.append, EVENTS)

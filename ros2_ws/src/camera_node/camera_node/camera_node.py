@@ -18,13 +18,13 @@ from camera_node.parameters import CameraParameters
 from fringedic.errors import CameraError, CameraTimeoutError, ClockJumpError, FringedicError, WaitTimeoutError
 from fringedic.rig import RigModel
 from fringedic.sequence import FrameRecord, PatternKind, Projection, projection_of
-from fringedic_msgs.msg import ClockDrift, Exposure, LoadState, ReferencePlane, RigCalibration
+from fringedic_msgs.msg import ClockDrift, Exposure, LoadState, ReferencePlane, RigCalibration, StepStatus
 from fringedic_msgs.srv import CaptureFrame
 from fringedic_ros.camera_info import camera_info
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.lifecycle import HardwareNode
 from fringedic_ros.main import run
-from fringedic_ros.qos import IMAGES, LATCHED, OVERRIDABLE, STATE
+from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, OVERRIDABLE, STATE
 from fringedic_ros.records import exposure_message
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.waiting import Condition, sleep, until, wait_for
@@ -34,6 +34,7 @@ FRAME_ID = "camera_optical_frame"
 Request = CaptureFrame.Request
 _TRUTH_TIMEOUT_S = 10.0
 _LONGEST_EXPOSURE_S = 60.0
+_RESUME_S = 5.0  # after a capture that belongs to no step, or to one that is given up without a word
 _BUFFERS = 4  # exposures of the free run that may be under way, as in a camera driver
 _BROWN_RESIDUAL_PX = 0.05
 _KEPT_PATTERNS = 16  # that a slow projector may still show beside the latest
@@ -58,6 +59,8 @@ class CameraNode(HardwareNode[CameraParameters]):
         self._free_run: Timer | None = None
         self._streaming = False
         self._free_run_index = 0
+        self._paused = False
+        self._resuming: Timer | None = None
         self._dropped = 0
         self._dropped_before = 0  # by the driver, when the free run began
         self._stamp_ns = 0
@@ -76,6 +79,7 @@ class CameraNode(HardwareNode[CameraParameters]):
         self.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
         self.create_subscription(ReferencePlane, "reference_plane/state", self._take_plane, LATCHED)
         self.create_subscription(RigCalibration, "calibration", self._take_calibration, LATCHED)
+        self.create_subscription(StepStatus, "experiment/step", self._take_step, EVENTS)
         # a capture waits for the scene: it needs a group of its own, which also serves one capture after the other
         self.create_service(
             CaptureFrame, "camera/capture", self._capture, callback_group=MutuallyExclusiveCallbackGroup()
@@ -90,6 +94,15 @@ class CameraNode(HardwareNode[CameraParameters]):
     def activate(self) -> None:
         """Begin the free run, when one is asked for."""
         self._free_run_index = 0
+        self._start_free_run()
+
+    def deactivate(self) -> None:
+        """End the free run."""
+        self._paused = False
+        self._stop_resuming()
+        self._stop_free_run()
+
+    def _start_free_run(self) -> None:
         self._dropped_before = 0 if self._driver is None else self._driver.dropped
         rate = self.parameters.value.frame_rate_hz
         if rate > 0 and isinstance(self._driver, StreamingDriver):
@@ -101,8 +114,7 @@ class CameraNode(HardwareNode[CameraParameters]):
                 1 / rate, self._expose_freely, callback_group=MutuallyExclusiveCallbackGroup()
             )
 
-    def deactivate(self) -> None:
-        """End the free run."""
+    def _stop_free_run(self) -> None:
         if self._free_run is not None:
             self.destroy_timer(self._free_run)
             self._free_run = None
@@ -113,6 +125,32 @@ class CameraNode(HardwareNode[CameraParameters]):
             self._worker.stop(self.parameters.value.timeout_s)
             self._worker = Worker(self)
             self._driver.stop()
+
+    async def _pause_free_run(self) -> None:
+        """Give the camera to a step, whose frames are taken when they are asked for."""
+        self._stop_resuming()
+        if self._free_run is not None or self._streaming:
+            self._stop_free_run()
+            self._free_run_index += 0 if self._driver is None else self._driver.dropped - self._dropped_before
+            self._paused = True
+            # frames that are under way come first: later ones have later stamps
+            await wait_for(self, self._worker.run(time.time_ns), self.parameters.value.timeout_s, "the free run's end")
+
+    def _resume_free_run(self) -> None:
+        """Run freely again; the index goes on."""
+        self._stop_resuming()
+        if self._paused and self.active:
+            self._paused = False
+            try:
+                self._start_free_run()
+            except FringedicError as error:
+                self.get_logger().error(str(error))
+                self.diagnostics.failure(str(error))
+
+    def _stop_resuming(self) -> None:
+        if self._resuming is not None:
+            self.destroy_timer(self._resuming)
+            self._resuming = None
 
     def close(self) -> None:
         """Give the camera back; what is still to be written of the truth is written first."""
@@ -142,6 +180,11 @@ class CameraNode(HardwareNode[CameraParameters]):
             self.get_logger().info(
                 f"camera/camera_info describes the lens to within {residual:.2f} px only; the calibration does better"
             )
+
+    def _take_step(self, message: StepStatus) -> None:
+        """Run freely again when the frames of a step are taken, or it has ended."""
+        if message.stage in (StepStatus.PROCESS, StepStatus.END, StepStatus.ERROR):
+            self._resume_free_run()
 
     # the scene of a virtual camera
 
@@ -204,6 +247,7 @@ class CameraNode(HardwareNode[CameraParameters]):
         started = time.monotonic()
         try:
             self._check(request)
+            await self._pause_free_run()
             await self._await_subscribers(request.image_subscribers, request.exposure_subscribers)
             await self._settle(to_nanoseconds(request.shown))
             exposure_time = request.exposure_time or self.parameters.value.exposure_time_s
@@ -219,13 +263,13 @@ class CameraNode(HardwareNode[CameraParameters]):
         except FringedicError as error:
             self._fail(request, response, Request.CAMERA_FAILED, error)
         response.subscribers = self._subscribers()
+        if self._paused:  # the end of a step is announced, unless nobody announces anything
+            self._resuming = self.create_timer(_RESUME_S, self._resume_free_run)
         return response
 
     def _check(self, request: CaptureFrame.Request) -> None:
         if not self.active:
             raise CameraError("the camera is not active; configure and activate it")
-        if self._free_run is not None or self._streaming:
-            raise CameraError("the camera runs freely; set frame_rate_hz to 0 and activate it again")
         if request.index >= request.count:
             raise CameraError(f"index {request.index} is not below the count {request.count}")
         if not 0 <= request.exposure_time <= _LONGEST_EXPOSURE_S:
@@ -370,14 +414,13 @@ class CameraNode(HardwareNode[CameraParameters]):
 
     def _stream(self, driver: StreamingDriver) -> None:
         """Take the frames of a camera that runs by its own clock; in the worker's thread."""
-        taken = 0
         while self._streaming:
             dropped = driver.dropped
             scene = Scene(
                 self.get_clock().now().nanoseconds, (), 0.0, exposure_time=self.parameters.value.exposure_time_s
             )
-            if self._publish_free_frame(scene, taken):
-                taken += 1
+            if self._publish_free_frame(scene, self._free_run_index):
+                self._free_run_index += 1
             else:
                 time.sleep(_LOST_CAMERA_PAUSE_S)
             if driver.dropped > dropped:

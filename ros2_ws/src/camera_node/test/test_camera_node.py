@@ -23,7 +23,7 @@ from fringedic.patterns import render_pattern
 from fringedic.rig import RigModel
 from fringedic.sequence import PatternKind, Projection, frame_record
 from fringedic.virtual_rig import VirtualRig
-from fringedic_msgs.msg import Exposure, LoadState, RigCalibration
+from fringedic_msgs.msg import Exposure, LoadState, RigCalibration, StepStatus
 from fringedic_msgs.srv import CaptureFrame
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.parameter_docs import documented

@@ -6,6 +6,7 @@ import math
 import time
 
 import numpy as np
+from numba import set_num_threads
 from pydantic import BaseModel, Field
 from rclpy.node import Node
 from sensor_msgs.msg import Image
@@ -14,13 +15,18 @@ from std_srvs.srv import Trigger
 
 from fringedic.errors import FringedicError, PadError
 from fringedic.extensometer import Elongation, VirtualExtensometer
+from fringedic.sequence import PatternKind
+from fringedic_msgs.msg import Exposure, StepStatus
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.images import image_array
 from fringedic_ros.main import run
+from fringedic_ros.pairing import ImageExposurePairs
 from fringedic_ros.parameters import declare
-from fringedic_ros.qos import IMAGES, OVERRIDABLE, STATE
+from fringedic_ros.qos import EVENTS, STATE
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.work import Worker
+
+MEASURED = (PatternKind.OTHER, PatternKind.WHITE)  # frames of a free run, and of steps in white light
 
 
 class ExtensometerParameters(BaseModel):
@@ -42,8 +48,8 @@ class ExtensometerParameters(BaseModel):
 class ExtensometerNode(Node):
     """Topics `extensometer/strain`, `extensometer/sigma`, `extensometer/valid`; service `extensometer/zero`.
 
-    The first frame after the start, and after `extensometer/zero`, is the reference. When frames come faster than they
-    can be measured, the newest is.
+    The first frame after the start, after `extensometer/zero` and after each reference step is the reference. When
+    frames come faster than they can be measured, the newest is. Frames that show a pattern are passed over.
     """
 
     def __init__(self) -> None:
@@ -58,9 +64,8 @@ class ExtensometerNode(Node):
         self._strain = self.create_publisher(Float64, "extensometer/strain", STATE)
         self._sigma = self.create_publisher(Float64, "extensometer/sigma", STATE)
         self._valid = self.create_publisher(Bool, "extensometer/valid", STATE)
-        self.create_subscription(
-            Image, "camera/image_raw", self._take_image, IMAGES, qos_overriding_options=OVERRIDABLE
-        )
+        self._frames = ImageExposurePairs(self, self._take_frame)
+        self.create_subscription(StepStatus, "experiment/step", self._take_step, EVENTS)
         self.create_service(Trigger, "extensometer/zero", self._zero)
         self.create_timer(0.5 * self.parameters.value.frame_timeout_s, self._watch)
 
@@ -78,7 +83,13 @@ class ExtensometerNode(Node):
         response.message = "the next frame is the reference"
         return response
 
-    def _take_image(self, message: Image) -> None:
+    def _take_step(self, message: StepStatus) -> None:
+        if message.stage == StepStatus.END and message.reference:
+            self._extensometer = None
+
+    def _take_frame(self, message: Image, exposure: Exposure) -> None:
+        if exposure.kind not in MEASURED:
+            return
         self._last_frame = time.monotonic()
         if self._newest is not None:
             self.diagnostics.drop()  # replaced before it was measured
@@ -88,6 +99,7 @@ class ExtensometerNode(Node):
 
     def _measure_newest(self) -> None:
         """Measure until no frame waits; in the worker's thread."""
+        set_num_threads(1)  # two pads are too small to be shared: to wait for a second core takes longer
         while (message := self._newest) is not None:
             self._newest = None
             image = image_array(message)

@@ -14,9 +14,12 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import Trigger
 
+from fringedic.sequence import FrameRecord, PatternKind, Projection
+from fringedic_msgs.msg import Exposure, StepStatus
 from fringedic_ros.images import image_message
 from fringedic_ros.parameter_docs import documented
-from fringedic_ros.qos import IMAGES, STATE
+from fringedic_ros.qos import EVENTS, IMAGES, STATE
+from fringedic_ros.records import exposure_message
 from fringedic_ros.testing import NodeProcess, Peer
 
 ROWS, COLUMNS = 480, 640
@@ -32,20 +35,25 @@ class Rig(Peer):
         self.sigmas = self.listen(Float64, "extensometer/sigma", STATE)
         self.valid = self.listen(Bool, "extensometer/valid", STATE)
         self._images = self.create_publisher(Image, "camera/image_raw", IMAGES)
+        self._exposures = self.create_publisher(Exposure, "camera/exposure", IMAGES)
+        self._steps = self.create_publisher(StepStatus, "experiment/step", EVENTS)
         self._zero = self.create_client(Trigger, "extensometer/zero")
         self._texture = gaussian_filter(np.random.default_rng(1).normal(size=(ROWS, COLUMNS)), 1.4)
         self._texture *= 40 / self._texture.std()
 
     def ready(self) -> None:
-        self.wait(lambda: self._images.get_subscription_count() == 1, "the extensometer")
+        for publisher in (self._images, self._exposures, self._steps):
+            self.wait(lambda publisher=publisher: publisher.get_subscription_count() == 1, "the extensometer")
 
-    def send(self, strain: float) -> None:
+    def send(self, strain: float, kind: PatternKind = PatternKind.OTHER) -> None:
         """One frame of the texture stretched along the columns about the middle of the image."""
         row, column = np.mgrid[0:ROWS, 0:COLUMNS].astype(float)
         material = (column - COLUMNS / 2) / (1 + strain) + COLUMNS / 2
         image = np.clip(128 + map_coordinates(self._texture, [row, material], order=5, mode="reflect"), 0, 255)
         now = self.get_clock().now().nanoseconds
         self._images.publish(image_message(image.round().astype(np.uint8), stamp_ns=now, frame_id="camera"))
+        record = FrameRecord("", 0, 0, 0, Projection(kind), now, 0.005, 0)
+        self._exposures.publish(exposure_message(record, frame_id="camera"))
 
     def read(self, strain: float) -> tuple[float, float]:
         """Strain and sigma of one frame; what the node says of the silence before is NaN."""
@@ -57,6 +65,10 @@ class Rig(Peer):
 
     def _numbers(self, messages: list[Float64]) -> list[float]:
         return [message.data for message in messages if not np.isnan(message.data)]
+
+    def finish_step(self, *, reference: bool) -> None:
+        self._steps.publish(StepStatus(stage=StepStatus.END, reference=reference))
+        self.serve(0.1)
 
     def zero(self) -> None:
         future = self._zero.call_async(Trigger.Request())
@@ -84,6 +96,25 @@ def test_strain_beside_its_sigma_and_validity(rig: Rig) -> None:
     rig.zero()
     rig.read(0.005)
     assert rig.read(0.010)[0] == pytest.approx(1.010 / 1.005 - 1, abs=1e-4), "against the frame after the zero"
+
+
+def test_the_frame_after_a_reference_step_is_the_reference(rig: Rig) -> None:
+    rig.read(0.0)
+    for reference in (False, True):
+        rig.finish_step(reference=reference)
+        read = [rig.read(strain)[0] for strain in (0.005, 0.010)]
+        expected = 1.010 / 1.005 - 1 if reference else 0.010
+        assert read[1] == pytest.approx(expected, abs=1e-4), reference
+
+
+def test_frames_with_a_pattern_are_passed_over(rig: Rig) -> None:
+    rig.read(0.0)
+    rig.forget()
+    rig.send(0.005, PatternKind.FRINGES)
+    rig.send(0.001, PatternKind.WHITE)
+    rig.wait(lambda: any(flag.data for flag in rig.valid), "a valid strain", 10)
+    rig.wait(lambda: any(strain.data == pytest.approx(0.001, abs=1e-4) for strain in rig.strains), "its number", 10)
+    assert not any(strain.data == pytest.approx(0.005, abs=1e-3) for strain in rig.strains)
 
 
 def test_silence_is_told_once(rig: Rig) -> None:

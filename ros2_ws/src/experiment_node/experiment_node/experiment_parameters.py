@@ -45,9 +45,13 @@ class ExperimentParameters(BaseModel):
     orientation: Literal["vertical", "horizontal"] = Field(
         "vertical", description="vertical: fringes along y, projector left or right; horizontal: projector above."
     )
+    white_between_steps: bool = Field(
+        False, description="The projector is white after the frames of a step, for a camera that runs freely."
+    )
     nodes: list[Literal["phase", "dic", "coupling"]] = Field(
         ["phase", "dic", "coupling"], description="Processing nodes whose result every step waits for."
     )
+    record_only: bool = Field(False, description="No result is waited for: frames are recorded, and measured later.")
     recording_required: bool = Field(False, description="No step without a recorder that is recording.")
     hold_required: bool = Field(True, description="No step while a load frame that is there does not hold.")
     load_drift_n: float = Field(

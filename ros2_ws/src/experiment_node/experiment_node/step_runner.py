@@ -16,7 +16,7 @@ from experiment_node.running_step import Experiment, RunningStep
 from experiment_node.turn import StepFailure
 from fringedic.errors import WaitTimeoutError
 from fringedic.load_samples import summarise_load
-from fringedic.sequence import Projection
+from fringedic.sequence import PatternKind, Projection
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import Exposure, LoadState, NodeStatus, RecorderStatus, Reference, StepStatus
 from fringedic_msgs.srv import CaptureFrame, ShowPattern
@@ -257,6 +257,8 @@ class StepRunner:
             self._check_recorder(parameters)
             if step.failed_node:
                 return  # the rest of the sequence cannot help any more
+        if parameters.projector and parameters.white_between_steps:
+            await self._show_pattern(step, Projection(PatternKind.WHITE), parameters)
         step.experiment.ready = True
 
     async def _show_pattern(self, step: RunningStep, projection: Projection, parameters: ExperimentParameters) -> Time:

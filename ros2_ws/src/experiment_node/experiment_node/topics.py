@@ -24,6 +24,9 @@ RAW_TOPICS = (
     "load_frame/state",
     "load_frame/wrench",
     "load_frame/joint_states",
+    "extensometer/strain",
+    "extensometer/sigma",
+    "extensometer/valid",
     "/tf_static",
 )
 

@@ -338,6 +338,22 @@ class LoadFrameSection(Section):
         return self
 
 
+class ExtensometerSection(Section):
+    """Two pads on the surface whose distance is followed in a free run of the camera between the steps."""
+
+    first_px: list[Annotated[int, Field(ge=0, le=32768)]] = Field(
+        min_length=2, max_length=2, description="Column and row of the first pad's centre in the reference [px]."
+    )
+    second_px: list[Annotated[int, Field(ge=0, le=32768)]] = Field(
+        min_length=2, max_length=2, description="Column and row of the second pad's centre [px]."
+    )
+    pad_px: int = Field(48, ge=16, le=256, description="Width of a pad's window [px].")
+    rate_hz: float = Field(30.0, gt=0, le=1000, description="Frames per second of the free run.")
+    largest_sigma_ustrain: float = Field(
+        1000.0, gt=0, le=1e6, description="A strain that is less certain than this counts as invalid [µstrain]."
+    )
+
+
 class NodesSection(Section):
     """Parameters of the processing nodes."""
 
@@ -350,6 +366,9 @@ class RecordingSection(Section):
     """What is recorded where."""
 
     folder: str = Field("recordings", description="Folder for recordings, relative to where the command is given.")
+    process: bool = Field(
+        True, description="Measure while the test runs; false: only record, everything is measured at the end."
+    )
     derived: bool = Field(True, description="Also record phase maps, displacements and clouds.")
     compression: Literal["zstd", "none"] = Field("zstd", description="none is faster and takes more room.")
 
@@ -375,6 +394,7 @@ class RigFile(Section):
     calibration: Calibration | None = None
     reference_plane: ReferencePlaneSection = ReferencePlaneSection()
     load_frame: LoadFrameSection | None = None
+    extensometer: ExtensometerSection | None = None
     nodes: NodesSection = NodesSection()
     noise_floor_file: str | None = Field(
         None, description="Noise floor that `fringedic noise` wrote, relative to this file; recordings carry it."

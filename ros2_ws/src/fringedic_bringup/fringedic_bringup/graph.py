@@ -11,10 +11,11 @@ import yaml
 
 from fringedic.recording import BagReader
 from fringedic.region import Region
-from fringedic.rig_file import RigFile, load_calibration
+from fringedic.rig_file import ExtensometerSection, RigFile, load_calibration
 
 PROCESSING_NODES = {"phase": "phase_node", "dic": "dic_node", "coupling": "coupling_node"}
 STEP_TOPIC = "experiment/step"
+FRAMES_MISSED = 3  # in a row, after which the extensometer says that it is blind
 # A virtual camera renders: the first frame at a new position takes seconds, on a busy computer many.
 RENDERING_TIMEOUT_S = 120.0
 
@@ -69,25 +70,28 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         calibration_file = str((folder / "calibration.yaml").absolute())
         calibration.to_yaml(calibration_file)
 
-    nodes = [
-        NodeEntry("recorder", "experiment_node", "recorder", _recorder(rig, folder)),
-        *_processing_nodes(
+    nodes = [NodeEntry("recorder", "experiment_node", "recorder", _recorder(rig, folder))]
+    if rig.recording.process:
+        nodes += _processing_nodes(
             {
                 "phase": rig.nodes.phase.model_dump(),
                 "dic": rig.nodes.dic.model_dump() | _region(rig, rig_path),
                 "coupling": rig.nodes.coupling.model_dump(),
             }
-        ),
-    ]
+        )
     if rig.load_frame is not None and rig.load_frame.source != "external":
         nodes.append(NodeEntry("load_frame", "load_frame_node", "load_frame", _load_frame(rig, rig_path)))
+    if rig.extensometer is not None:
+        nodes.append(NodeEntry("extensometer", "dic_node", "extensometer", _extensometer(rig.extensometer)))
     settings = _experiment(rig, experiment) | {
+        "white_between_steps": rig.extensometer is not None,
         "facts": rig.facts(rig_path).to_text(),
         "calibration_file": calibration_file,
         "calibration_folder": str((folder / "calibrations").absolute()),
+        "record_only": not rig.recording.process,
     }
     nodes += [
-        *_hardware(rig, rig_path, _camera(rig, rig_path) | _truth(rig, folder)),
+        *_hardware(rig, rig_path, _camera(rig, rig_path) | _truth(rig, folder) | _free_run(rig)),
         NodeEntry("experiment", "experiment_node", "experiment", settings),
     ]
     return Graph(rig.namespace, tuple(nodes))
@@ -276,6 +280,22 @@ def _full_scale(rig: RigFile) -> float:
     if rig.camera.source in ("aravis", "v4l2"):
         return 2.0 ** int(rig.camera.pixel_format.removeprefix("Mono")) - 1
     return 0.0
+
+
+def _free_run(rig: RigFile) -> dict[str, float]:
+    return {} if rig.extensometer is None else {"frame_rate_hz": rig.extensometer.rate_hz}
+
+
+def _extensometer(section: ExtensometerSection) -> dict[str, Any]:
+    return {
+        "first_column_px": section.first_px[0],
+        "first_row_px": section.first_px[1],
+        "second_column_px": section.second_px[0],
+        "second_row_px": section.second_px[1],
+        "pad_px": section.pad_px,
+        "largest_sigma": 1e-6 * section.largest_sigma_ustrain,
+        "frame_timeout_s": max(FRAMES_MISSED / section.rate_hz, 0.1),
+    }
 
 
 def _load_frame(rig: RigFile, rig_path: Path) -> dict[str, Any]:

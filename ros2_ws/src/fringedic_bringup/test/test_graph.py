@@ -65,3 +65,21 @@ def test_controller_is_told_its_topics(tmp_path: Path) -> None:
         "force_axis": "z",
         "force_sign": -1,
     }
+
+
+def test_extensometer_gets_its_pads_a_free_run_and_white_light(tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    path.write_text(REAL_RIG + "extensometer: {first_px: [320, 480], second_px: [960, 470], rate_hz: 20}\n")
+    graph = rig_graph(load_rig_file(path), path, tmp_path / "out", experiment="tension")
+    nodes = {node.name: dict(node.parameters) for node in graph.nodes}
+    assert nodes["extensometer"] == {
+        "first_column_px": 320,
+        "first_row_px": 480,
+        "second_column_px": 960,
+        "second_row_px": 470,
+        "pad_px": 48,
+        "largest_sigma": 1e-3,
+        "frame_timeout_s": 0.15,
+    }
+    assert nodes["camera"]["frame_rate_hz"] == 20
+    assert nodes["experiment"]["white_between_steps"] is True
