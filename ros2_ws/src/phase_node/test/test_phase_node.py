@@ -180,6 +180,10 @@ def swapped(frames: Frames) -> Frames:
     return [(record, image) for (record, _), image in zip(frames, images, strict=True)]
 
 
+def alien(frames: Frames) -> Frames:
+    return [(record, frames[4][1] if record.index == 5 else image) for record, image in frames]
+
+
 def frozen(frames: Frames) -> Frames:
     return [(record, frames[0][1]) for record, _ in frames]
 
@@ -191,8 +195,9 @@ def overexposed(frames: Frames) -> Frames:
 @pytest.mark.parametrize(
     ("fault", "code", "words"),
     [
-        (swapped, NodeStatus.FRAME_MISMATCH, "frames 9 and 10 are interchanged"),
-        (frozen, NodeStatus.FRAME_MISMATCH, "the projector does not change its pattern"),
+        (swapped, NodeStatus.PATTERN_NOT_SEEN, "frames 9 and 10 are interchanged"),
+        (alien, NodeStatus.PATTERN_NOT_SEEN, "frame 5 does not show what it should"),
+        (frozen, NodeStatus.PATTERN_NOT_SEEN, "the projector does not change its pattern"),
         (overexposed, NodeStatus.TOO_FEW_VALID, "100% of the image saturates: shorten the exposure"),
     ],
 )
@@ -217,8 +222,25 @@ def test_one_image_is_measured_and_said_to_be_relative(bench: PhaseBench, name: 
     bench.send(frames)
     status = bench.status_of(name, 0)
     bench.change(relative_phase="refuse")
-    assert status.error_code == NodeStatus.NONE and "is relative" in status.error_message
+    assert status.error_code == NodeStatus.NONE and "is relative" in status.error_message and status.relative
     assert_identical(bench, expected(frames, PhaseParameters(relative_phase="accept")))
+
+
+def test_exposures_are_merged_bit_by_bit_as_by_the_library(bench: PhaseBench, name: str) -> None:
+    short, long = (fringe_step(bench.rig, 0.0, name, 0) for _ in range(2))
+    frames = []
+    for (record, image), (_, again) in zip(short, long, strict=True):
+        brighter = np.minimum(2 * again.astype(int), 255).astype(np.uint8)
+        for number, (time, grey_levels) in enumerate(((0.005, image), (0.01, brighter))):
+            index = 2 * record.index + number
+            stamp = record.stamp + 1_000_000 * number
+            frames.append(
+                (replace(record, index=index, count=32, stamp=stamp, exposure_time=time), grey_levels),
+            )
+    bench.send(frames)
+    status = bench.status_of(name, 0)
+    assert (status.error_code, status.frames, status.relative) == (NodeStatus.NONE, 32, False), status.error_message
+    assert_identical(bench, expected(frames, PhaseParameters()))
 
 
 def test_dark_frames_have_too_little_phase(bench: PhaseBench, name: str) -> None:

@@ -14,6 +14,7 @@ from fringedic.phase.steps import CONFIDENCE
 _NOTICED = 0.2  # part of the error allowed from which the operator is told
 _NOTICED_FLICKER = 0.02  # change of the light from which the operator is told
 _CUT_FRINGES = 0.02  # what C/A keeps of the fringes when they do not cover all phases equally
+_CHANCE = 2.0  # standard deviations of C/A over pixels of random phases that are no change of the light
 _SPREAD = 0.35  # largest mean of exp(i phi) over the pixels for which frames can be told apart
 
 
@@ -54,13 +55,16 @@ def check_steadiness(sample: Sample, camera: CameraNoise, largest_error: float, 
     normal = np.tile(left, (6, 6)) * (stacked @ stacked.T)
     right = np.einsum("fkp,kp->fk", parts, rest).ravel()
     # Light that changes like cos(2 pi k/q) looks like displaced fringes to every single pixel; but it gives all pixels
-    # the same C/A, whose mean over fringes of all phases is 0 otherwise. The taper keeps cut fringes out of that mean.
+    # the same C/A, whose mean over fringes of all phases is 0 otherwise. The taper keeps cut fringes out of that mean;
+    # few pixels have a mean of their own.
     taper = (1 - sample.x**2) ** 2 * (1 - sample.y**2) ** 2
+    chance = float(np.mean(strength / fit[0])) * math.sqrt(float(np.sum(taper**2)) / 2) / float(np.sum(taper))
+    least = max(_CUT_FRINGES, _CHANCE * chance)
     for number, course in ((1, np.cos(angles)), (2, np.sin(angles))):
         course = np.pad(2 / count * course, (0, len(right) - count))
         offset = float(np.average(fit[number] / fit[0], weights=taper))
         normal += normal[0, 0] * np.outer(course, course)
-        right += normal[0, 0] * course * (offset if abs(offset) > _CUT_FRINGES else 0.0)
+        right += normal[0, 0] * course * (offset if abs(offset) > least else 0.0)
     inverse = np.linalg.pinv(normal, rcond=1e-6, hermitian=True)
     found = inverse @ right
     covariance = inverse * float(np.sum(rest**2)) / (pixels * (count - 3))
