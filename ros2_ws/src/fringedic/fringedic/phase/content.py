@@ -87,7 +87,7 @@ def does_not_show(index: int, pattern: object) -> str:
     """Say that a frame is not what it should be."""
     return (
         f"frame {index} does not show what it should ({pattern}): the projector showed another pattern, or the frame "
-        "was taken while it changed"
+        "was taken while it changed: settle_ms is shorter than the projector's delay (fringedic timing measures it)"
     )
 
 
@@ -178,7 +178,7 @@ def _best_order(sample: Sample, misfit: Misfit, numbers: Sequence[int]) -> tuple
         best, index = misfit(late, fitted), numbers[0]
         words = (
             "every frame shows the pattern of the frame before: the camera is one frame ahead of the projector; raise "
-            "settle_ms"
+            "settle_ms above the projector's delay (fringedic timing measures it)"
         )
     for group, (stack, angle) in enumerate(zip(levels, angles, strict=True)):
         for first, second in combinations(range(len(stack)), 2):

@@ -17,6 +17,7 @@ import numpy as np
 from fringedic.errors import DarkStackError, SaturatedStackError, WrongPatternError
 from fringedic.phase.content import check_patterns
 from fringedic.phase.gray_code import check_code
+from fringedic.phase.late import check_change
 from fringedic.phase.layout import layout_of
 from fringedic.phase.noise import ROUNDING_NOISE, CameraNoise, saturation_level
 from fringedic.phase.sample import Sample
@@ -69,8 +70,8 @@ def check_stack(
     SaturatedStackError, DarkStackError
         Hardly a pixel is measurable because the image is too bright or too dark.
     WrongPatternError
-        The projector showed something else: the same image all the time, another pitch, or a frame without its pattern,
-        whose number is the error's ``index``.
+        The projector showed something else: the same image all the time, another pitch, a frame without its pattern,
+        whose number is the error's ``index``, or some of the pattern before in every frame.
     FramesOutOfOrderError
         The frames are not in the order of their projections; ``index`` is the first that is not.
     FlickerError
@@ -89,6 +90,7 @@ def check_stack(
         return []
     glare = [f"{saturated.mean():.0%} of the image saturates"] if tell_glare and saturated.mean() > _FEW else []
     sample = sample.only(usable)
+    check_change(sample, largest_error, counted)
     check_patterns(sample, camera, counted)
     check_code(sample, frames, projections, counted)
     return glare + check_steadiness(sample, camera, largest_error, largest_motion)
