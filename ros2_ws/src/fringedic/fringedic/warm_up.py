@@ -6,6 +6,7 @@ Run once after installation, `python -m fringedic.warm_up`: the first step of an
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 import numpy as np
 
@@ -58,6 +59,16 @@ def _stack(dtype: type[np.unsignedinteger], step: int) -> Stack:
     return Stack("warm up", step, records, grey.astype(dtype), stamp=len(sequence))
 
 
+def _twice_exposed(stack: Stack) -> Stack:
+    """The same frames as if each pattern had been taken at two exposure times."""
+    records = [
+        replace(record, index=2 * record.index + number, count=2 * record.count, exposure_time=0.01 * (number + 1))
+        for record in stack.records
+        for number in (0, 1)
+    ]
+    return replace(stack, records=records, frames=np.repeat(stack.frames, 2, axis=0))
+
+
 def warm_up() -> None:
     """Send small frames through the whole chain, printing the seconds that each part takes."""
     tracker = DisplacementTracker(DicParameters())
@@ -86,6 +97,8 @@ def warm_up() -> None:
                     origin=found.origin,
                     window=DicParameters().window,
                 )
+        with _Part(f"exposures of {np.dtype(dtype).name} frames"):
+            phase_step(_twice_exposed(_stack(dtype, 0)), PhaseParameters())
         with _Part(f"displacement of white {np.dtype(dtype).name} images"):
             white = _stack(dtype, 0).frames[0]
             measure_displacement(white, white, initial=_still(1))
