@@ -44,3 +44,17 @@ def test_a_rig_without_projector_is_refused(tmp_path: Path) -> None:
     ended = fringedic("timing", "rig.yaml", folder=tmp_path)
     assert ended.returncode == 1
     assert "timing needs a projector" in ended.stdout + ended.stderr
+
+
+def test_a_settle_time_shorter_than_the_delay_fails_the_step_by_name(tmp_path: Path) -> None:
+    late = yaml.safe_load(RIG) | {
+        "calibration": "virtual_rig",
+        "programme": {"experiment": "late", "steps": [{"mode": "fringes"}]},
+    }
+    late["virtual_rig"]["projector"] = {"delay_ms": 80.0}
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(late))
+    ended = fringedic("run", "rig.yaml", "--output", "late", folder=tmp_path)
+    assert ended.returncode == 1
+    said = " ".join(ended.stdout.split())
+    assert "(error 115)" in said, ended.stdout
+    assert "fringedic timing" in said, ended.stdout

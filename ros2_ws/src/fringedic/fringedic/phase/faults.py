@@ -126,7 +126,7 @@ def _brightness(sample: Sample, saturated: np.ndarray, ceiling: float, numbers: 
     if noisy:
         raise WrongPatternError(
             f"all frames of pitch {layout.pitches[noisy[0]]:g} px show the same image: the projector does not change "
-            "its pattern, or camera and projector are not synchronised",
+            "its pattern, or is later than settle_ms (fringedic timing measures its delay)",
             index=numbers[layout.slices()[noisy[0]].start],
         )
     return usable
