@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -80,6 +80,31 @@ class CalibrationFacts(_Entries):
     checks: list[CheckFacts] = Field([], description="The latest checks of the calibration, the oldest first.")
 
 
+NOISE_COLUMNS = ("over points", "over steps", "mean", "as stated")
+
+
+class NoiseQuantity(NamedTuple):
+    """A quantity of the dataset as it is kept: its name with unit, what it is, the unit, and that in the dataset's."""
+
+    name: str
+    title: str
+    unit: str
+    factor: float
+
+
+NOISE_QUANTITIES = {
+    "displacement_x": NoiseQuantity("displacement_x_px", "displacement along columns", "px", 1.0),
+    "displacement_y": NoiseQuantity("displacement_y_px", "displacement along rows", "px", 1.0),
+    "u": NoiseQuantity("u_um", "displacement u", "µm", 1e-6),
+    "v": NoiseQuantity("v_um", "displacement v", "µm", 1e-6),
+    "w": NoiseQuantity("w_um", "displacement w", "µm", 1e-6),
+    "shape_z": NoiseQuantity("z_um", "height z of one step", "µm", 1e-6),
+    "e_11": NoiseQuantity("e_11_ustrain", "strain e_11", "µstrain", 1e-6),
+    "e_22": NoiseQuantity("e_22_ustrain", "strain e_22", "µstrain", 1e-6),
+    "e_12": NoiseQuantity("e_12_ustrain", "strain e_12", "µstrain", 1e-6),
+}
+
+
 class NoiseFacts(_Entries):
     """The noise floor with the specimen mounted; not entered, but read from the file that `fringedic noise` writes.
 
@@ -98,6 +123,15 @@ class NoiseFacts(_Entries):
     temporal: dict[str, float] = Field({}, description="Standard deviation over the steps, RMS over the points.")
     bias: dict[str, float] = Field({}, description="Mean over points and steps.")
     predicted: dict[str, float] = Field({}, description="RMS of the stated standard deviations.")
+
+    def table(self) -> list[tuple[NoiseQuantity, list[str]]]:
+        """Return the noise floors as cells of a table with the `NOISE_COLUMNS`; "-" where not known."""
+        columns = (self.spatial, self.temporal, self.bias, self.predicted)
+        return [
+            (quantity, [f"{column[quantity.name]:.4g}" if quantity.name in column else "-" for column in columns])
+            for quantity in NOISE_QUANTITIES.values()
+            if any(quantity.name in column for column in columns)
+        ]
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> NoiseFacts:

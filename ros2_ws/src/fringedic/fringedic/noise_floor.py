@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -25,7 +25,7 @@ from scipy.optimize import nnls
 from fringedic.advice import strain_noise
 from fringedic.correlation import Reference, measure_displacement
 from fringedic.errors import NoiseFloorError
-from fringedic.facts import NoiseFacts
+from fringedic.facts import NOISE_COLUMNS, NOISE_QUANTITIES, NoiseFacts
 from fringedic.image_quality import full_scale_of
 from fringedic.phase import CameraNoise
 from fringedic.recording import BagReader
@@ -37,34 +37,11 @@ from fringedic.sequence import frame_record, stamp_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-COLUMNS = ("over points", "over steps", "mean", "as stated")
 FEWEST = 3
 SAMPLED = 100_000  # pixels of each frame that the camera's noise is taken from
 CLASSES = 24  # of brightness
 STRAIN_POINTS = 5  # of the strain window, without a rig
 CLEAR = 4  # standard deviations that a pixel has to keep from either end of the scale
-
-
-class Quantity(NamedTuple):
-    """A quantity of the dataset as it is kept: its name with unit, what it is, the unit, and that in the dataset's."""
-
-    name: str
-    title: str
-    unit: str
-    factor: float
-
-
-QUANTITIES = {
-    "displacement_x": Quantity("displacement_x_px", "displacement along columns", "px", 1.0),
-    "displacement_y": Quantity("displacement_y_px", "displacement along rows", "px", 1.0),
-    "u": Quantity("u_um", "displacement u", "µm", 1e-6),
-    "v": Quantity("v_um", "displacement v", "µm", 1e-6),
-    "w": Quantity("w_um", "displacement w", "µm", 1e-6),
-    "shape_z": Quantity("z_um", "height z of one step", "µm", 1e-6),
-    "e_11": Quantity("e_11_ustrain", "strain e_11", "µstrain", 1e-6),
-    "e_22": Quantity("e_22_ustrain", "strain e_22", "µstrain", 1e-6),
-    "e_12": Quantity("e_12_ustrain", "strain e_12", "µstrain", 1e-6),
-}
 
 
 @dataclass(frozen=True)
@@ -247,24 +224,16 @@ def noise_figure(measured: NoiseMeasurement) -> Figure:
     axes.set(xlabel="brightness [grey level]", ylabel="noise of a pixel [grey level]", ylim=(0, None))
     axes.set_title(f"Camera; the light flickers by {100 * camera.flicker:.2g} %")
     axes.legend()
-    rows = [[f"{quantity.title} [{quantity.unit}]", *cells] for quantity, cells in table_of(facts)]
+    rows = [[f"{quantity.title} [{quantity.unit}]", *cells] for quantity, cells in facts.table()]
     table.axis("off")
     table.set_title("Displacement, height and strain: standard deviations")
-    drawn = table.table(rows, colLabels=["", *COLUMNS], loc="upper center", colWidths=[0.42, *[0.145] * len(COLUMNS)])
+    drawn = table.table(
+        rows, colLabels=["", *NOISE_COLUMNS], loc="upper center", colWidths=[0.42, *[0.145] * len(NOISE_COLUMNS)]
+    )
     drawn.auto_set_font_size(False)
     drawn.set_fontsize(10)
     drawn.scale(1, 1.7)
     return figure
-
-
-def table_of(facts: NoiseFacts) -> list[tuple[Quantity, list[str]]]:
-    """Return the noise floors as cells of a table with the `COLUMNS`; "-" where not known."""
-    columns = (facts.spatial, facts.temporal, facts.bias, facts.predicted)
-    return [
-        (quantity, [f"{column[quantity.name]:.4g}" if quantity.name in column else "-" for column in columns])
-        for quantity in QUANTITIES.values()
-        if any(quantity.name in column for column in columns)
-    ]
 
 
 def _frames_at_rest(path: Path, experiment: str, steps: set[int]) -> list[list[np.ndarray]]:
@@ -321,7 +290,7 @@ def _settings(dataset: xr.Dataset) -> dict[str, int]:
 
 def _facts(camera: StaticCamera, floors: Sequence[NoiseFloor], steps: int, settings: dict[str, int]) -> NoiseFacts:
     def of(attribute: str) -> dict[str, float]:
-        kept = ((QUANTITIES[floor.name], getattr(floor, attribute)) for floor in floors)
+        kept = ((NOISE_QUANTITIES[floor.name], getattr(floor, attribute)) for floor in floors)
         values = {quantity.name: value / quantity.factor for quantity, value in kept}
         return {name: float(f"{value:.4g}") for name, value in values.items() if math.isfinite(value)}
 

@@ -8,11 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fringedic.chain import DicParameters
 from fringedic.correlation import Reference, measure_displacement
 from fringedic.errors import FactsError, NoiseFloorError
 from fringedic.facts import Facts, NoiseFacts
 from fringedic.noise_floor import noise_of_images, static_camera
 from fringedic.patterns import fringe_sequence
+from fringedic.report import write_report
+from fringedic.results.rows import Row, Settings
+from fringedic.results.writer import DatasetWriter
 from fringedic.rig_file import load_rig_file
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
@@ -101,6 +105,28 @@ def test_the_rig_file_hands_it_on_to_the_recordings(images: list[np.ndarray], tm
     (tmp_path / "noise" / "noise_floor.yaml").write_text("window: 3")
     with pytest.raises(FactsError, match="no noise floor"):
         load_rig_file(path).facts(path)
+
+
+def test_a_report_shows_it_where_the_run_has_no_steps_at_rest(images: list[np.ndarray], tmp_path: Path) -> None:
+    noise = noise_of_images(images[:3], window=24, spacing=8).facts
+    row, column = np.mgrid[:20, :30] * 1e-3
+    steps = [
+        {"x": column, "y": -row, "z": 0 * row, "shape_z": 0 * row, "u": load * column, "v": load * row, "w": load * row}
+        | {"displacement_x": load * column, "displacement_y": load * row, "texture": 0 * row + 90}
+        for load in (0.0, 1e-3)
+    ]
+
+    file = tmp_path / "sheet.nc"
+    settings = Settings({"dic": DicParameters(window=32, spacing=1)}, None, {}, Facts(noise=noise))
+    with DatasetWriter(file, {"experiment": "sheet", "source": "bag"}) as writer:
+        for step, maps in enumerate(steps):
+            float32 = {name: values.astype(np.float32) for name, values in maps.items()}
+            writer.add(Row(step, 10**9 * (step + 1), "", 0, 1.0, 1e-4 * step, 1.0, 0.0, float32), settings)
+    page = write_report(file).read_text("utf-8")
+    assert "the noise floor is not measured" not in page
+    assert "From 3 steps at rest before the experiment" in page
+    assert f">{noise.spatial['displacement_x_px']:.4g}</td>" in page
+    assert "with a window of 24 px, the test with 32 px" in page
 
 
 def test_what_tells_no_noise_floor_is_named(images: list[np.ndarray]) -> None:

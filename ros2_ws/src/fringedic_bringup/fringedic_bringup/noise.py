@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from fringedic.errors import FringedicError, NoiseFloorError
-from fringedic.facts import NoiseFacts
-from fringedic.noise_floor import COLUMNS, FEWEST, NoiseMeasurement, noise_of_images, noise_of_recording, table_of
+from fringedic.facts import NOISE_COLUMNS, NoiseFacts
+from fringedic.noise_floor import FEWEST, NoiseMeasurement, noise_of_images, noise_of_recording
 from fringedic.programme import Programme
 from fringedic.rig_file import RigFile
 from fringedic_bringup.report import Progress
@@ -94,9 +94,9 @@ def noise_in_words(facts: NoiseFacts) -> str:
         f"noise floor of {facts.steps} steps at rest",
         f"  camera: {facts.read_noise_grey_level:g} grey levels without light, and a variance of "
         f"{facts.shot_noise_grey_level:g} per grey level of brightness; {flicker}",
-        f"  {'':34s}" + "".join(f"{title:>13s}" for title in COLUMNS),
+        f"  {'':34s}" + "".join(f"{title:>13s}" for title in NOISE_COLUMNS),
     ]
-    for quantity, cells in table_of(facts):
+    for quantity, cells in facts.table():
         lines.append(f"  {f'{quantity.title} [{quantity.unit}]':34s}" + "".join(f"{cell:>13s}" for cell in cells))
     widths = {"window": facts.window_px, "spacing": facts.spacing_px, "strain window": facts.strain_window_px}
     lines.append("  with " + ", ".join(f"{name} {width} px" for name, width in widths.items() if width))

@@ -26,11 +26,19 @@ def warnings(known: Known, static: Sequence[int], floors: Sequence[NoiseFloor]) 
     for step, fraction in zip(dataset["step"].values, dataset["valid_fraction"].values, strict=True):
         if fraction < FEW_POINTS:
             found.append(f"step {int(step)}: only {fraction:.0%} of the points are measured")
-    if not static:
+    if not static and not known.noise.spatial:
         found.append(
             "the noise floor is not measured: no step repeats the reference step at rest; measure the specimen at "
-            "least twice more before it is loaded, or name such steps with --static"
+            "least twice more before it is loaded, or name such steps with --static; or measure it before the test by "
+            "'fringedic noise'"
         )
+    elif not static:
+        window = known.parameters.get("dic", {}).get("window")
+        if known.noise.window_px not in (None, window):
+            found.append(
+                f"the noise floor was measured before the test with a window of {known.noise.window_px} px, "
+                f"the test with {window} px"
+            )
     elif len(static) == 1:
         found.append("only one step at rest: no noise over time can be told")
     for floor in floors:

@@ -17,6 +17,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.advice import Advice
+from fringedic.facts import NoiseFacts
 from fringedic.report.recorded import Exposures
 
 MISSING = "not known"
@@ -90,6 +91,11 @@ class Known:
     def hardware(self) -> dict[str, Any]:
         """Facts of the hardware."""
         return dict(self.attribute("facts").get("hardware", {}))
+
+    @property
+    def noise(self) -> NoiseFacts:
+        """The noise floor that was measured before the experiment; empty when none was."""
+        return NoiseFacts.model_validate(self.attribute("facts").get("noise", {}))
 
     @property
     def node(self) -> dict[str, dict[str, Any]]:

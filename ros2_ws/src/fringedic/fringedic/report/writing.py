@@ -20,6 +20,7 @@ from plotly.offline import get_plotlyjs
 
 from fringedic.advice import Advice, advise_settings
 from fringedic.errors import DatasetError, FringedicError
+from fringedic.facts import NOISE_COLUMNS
 from fringedic.pictures import Panel, maps_figure
 from fringedic.provenance import git_commit, software
 from fringedic.report import charts, checks, items, recorded, static
@@ -141,6 +142,8 @@ def _page(dataset: xr.Dataset, recording: Path | None, source: Path, chosen: Seq
         sections=sections,
         static_steps=steps,
         floors=[_floor_cells(floor) for floor in floors],
+        noise=known.noise,
+        noise_columns=NOISE_COLUMNS,
         steps=_step_rows(dataset),
         truth=_truth_rows(dataset, folder / TRUTH),
         shown=shown,
