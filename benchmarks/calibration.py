@@ -17,8 +17,10 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from fringedic.calibration import RigCalibration, calibrate_rig
-from fringedic.camera.grid import measure_distortion
+from fringedic.camera import DistortionMap
+from fringedic.camera.grid import GridMeasurement, measure_distortion
 from fringedic.camera.plane_view import PlaneView
+from fringedic.camera.turned_grid import TurnedGrid, locate_pin_hole, measure_turned_grid
 from fringedic.patterns import fringe_sequence
 from fringedic.phase import absolute_phase
 from fringedic.rig_uncertainty import parameter_values
@@ -27,6 +29,8 @@ from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "validation" / "calibration.md"
 PITCH = 10.0
 NOISE = 0.0021 * 2 * math.pi  # [rad]
+GRID_ANGLES = (math.radians(-12.0), math.radians(12.0))
+GRID_NOISE = 1e-3  # [px] of a block of grid points
 ANGLES = np.radians([-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0, 7.5])
 HELD_OUT = (7,)
 SPHERE = {
@@ -117,6 +121,49 @@ def rendered(twin: VirtualRig, specimen: dict[str, Any], first: int) -> xr.Datas
     return absolute_phase(frames, list(sequence.projections))
 
 
+def grid_picture(twin: VirtualRig, angle: float) -> np.ndarray:
+    """Return the mean of eight pictures of the printed grid on the plane."""
+    white = np.full(twin.projector_shape, 255, np.uint8)
+    seen = twin.with_specimen({**plane(angle), "surface": "grid"})
+    first = 10_000 + 100 * round(math.degrees(angle))
+    return np.mean([seen.expose(white, 0.0, first + i) for i in range(8)], axis=0)
+
+
+def exact_grids(twin: VirtualRig, generator: np.random.Generator) -> PlaneView:
+    """Return how the camera sees the plane, with its pin-hole by grids on the turned plane: exact points with noise."""
+    view, (rows, columns) = exact_view(twin), twin.shape
+    row, column = (each.ravel() for each in np.meshgrid(*(np.arange(5, n, 10) for n in (rows, columns)), indexing="ij"))
+    pixels = np.stack([column, row], axis=1).astype(float)
+    sigma = GRID_NOISE * 1e-6 * twin.configuration.camera.pixel_size_um
+    turned = []
+    for angle in GRID_ANGLES:
+        seen = twin.with_specimen(plane(angle)).view(0.0)
+        points = np.stack([seen.X[row, column], seen.Y[row, column]], axis=1)
+        points += sigma * generator.standard_normal(points.shape)
+        turned.append(TurnedGrid(angle, pixels, points, np.full(len(points), sigma), 0.0))
+    nothing = np.zeros(len(pixels))
+    flat = GridMeasurement(
+        distortion=DistortionMap(columns, rows, np.zeros((1, 1)), np.zeros((1, 1))),
+        plane=view,
+        pitch=1e-3,
+        period=10.0,
+        turn=0.0,
+        order=1,
+        orders=(1,),
+        cross_validation=(0.0,),
+        magnitude=0.0,
+        residual=1e-6,  # exact: the picture at angle 0 is not made
+        sigma=0.0,
+        columns=pixels[:, 0],
+        rows=pixels[:, 1],
+        residual_columns=nothing,
+        residual_rows=nothing,
+        valid_fraction=1.0,
+        warnings=(),
+    )
+    return locate_pin_hole(flat, turned).plane
+
+
 def rms(values: Any) -> float:
     """Return the root mean square [µm] of heights [m]."""
     return 1e6 * float(np.sqrt(np.nanmean(np.asarray(values, float) ** 2)))
@@ -131,9 +178,10 @@ def from_frames(changes: dict[str, dict[str, float]], width: int) -> tuple[list[
     for sensor in ((16, 0.0, 0.0), (8, 1.0, 0.02)):
         names = ("bits", "read_noise_grey_level", "shot_noise_grey_level")
         twin = twin_of(changes, width, dict(zip(names, sensor, strict=True)))
-        white = np.full(twin.projector_shape, 255, np.uint8)
-        picture = twin.with_specimen({**plane(0.0), "surface": "grid"}).expose(white, 0.0, 1)
-        measured = measure_distortion(picture, pitch=1e-3 * twin.configuration.stage.grid_pitch_mm)
+        flat = measure_distortion(grid_picture(twin, 0.0), pitch=1e-3 * twin.configuration.stage.grid_pitch_mm)
+        measured = locate_pin_hole(
+            flat, [measure_turned_grid(grid_picture(twin, angle), flat, angle) for angle in GRID_ANGLES]
+        )
         stacks = [rendered(twin, plane(angle), 100 * (i + 1)) for i, angle in enumerate(ANGLES)]
         found = calibrate(
             twin,
@@ -211,7 +259,7 @@ def convergence(count: int, width: int) -> tuple[int, np.ndarray, dict[str, floa
         phases = [
             exact_phase(twin, plane(angle)) + NOISE * generator.standard_normal(twin.shape) for angle in ANGLES[:7]
         ]
-        found = calibrate(twin, phases, [np.full(twin.shape, NOISE)] * 7, plane=exact_view(twin))
+        found = calibrate(twin, phases, [np.full(twin.shape, NOISE)] * 7, plane=exact_grids(twin, generator))
         sphere, truth = exact_phase(twin, SPHERE), twin.with_specimen(SPHERE).truth(0.0)
         shape = found.reconstruct(sphere, np.zeros_like(sphere))
         errors.append(rms(shape.z - truth.z))

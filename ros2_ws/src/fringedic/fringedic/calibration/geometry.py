@@ -138,10 +138,9 @@ def rig_model(camera: Camera, values: Mapping[str, float]) -> RigModel:
     elif camera.plane is not None:
         # the grid's pitch may be wrong by a factor, which leaves the angles of a smaller or larger rig as they are
         scale = pixel_size / camera.pixel_size
-        seen = camera.plane.camera(distance / scale)
+        seen = camera.plane.camera(distance / scale, None if camera.plane.pin_hole is None else tilts)
         pixel_size, pixel_aspect = scale * seen["pixel_size"], seen["pixel_aspect"]
-        if camera.plane.pin_hole is None:
-            tilts = (seen["camera_tilt_x"], seen["camera_tilt_y"])
+        tilts = (seen["camera_tilt_x"], seen["camera_tilt_y"])
     across, along = values["projector_across"], values.get("projector_along", 0.0)
     turn, nod, roll = (values.get(f"projector_{name}", 0.0) for name in ("turn", "nod", "roll"))
     columns = [(camera.projector_width - 1) / 2, (camera.projector_height - 1) / 2]

@@ -97,7 +97,7 @@ class PlaneView:
         x, y, w = (each[0] * column + each[1] * row + each[2] for each in self.homography)
         return x / w, y / w
 
-    def camera(self, camera_distance: float) -> dict[str, float]:
+    def camera(self, camera_distance: float, tilts: tuple[float, float] | None = None) -> dict[str, float]:
         """Return the camera parameters of a `RigModel` whose plane z = 0 this is.
 
         With the direction Rx(a) Ry(b) (u, v, -1), u = gamma / tau / h0 per column and v = -gamma / h0 per row, the
@@ -108,6 +108,8 @@ class PlaneView:
         ----------
         camera_distance
             Height h0 of the pin-hole above the plane [m].
+        tilts
+            Camera tilts about x and y [rad] where they are known otherwise; the perspective tells them without.
 
         Returns
         -------
@@ -116,10 +118,12 @@ class PlaneView:
             and ``principal_row`` [px].
         """
         by_column, by_row = self.perspective
-        a = b = 0.0
+        a, b = (0.0, 0.0) if tilts is None else tilts
         for _ in range(_ROUNDS):
             u = float(self._slopes[0, 0]) * math.cos(a) * math.cos(b) ** 2 / camera_distance
             v = float(self._slopes[1, 1]) * math.cos(a) ** 2 * math.cos(b) / camera_distance
+            if tilts is not None:
+                break
             b = math.atan(by_column / u)
             a = math.atan(-by_row * math.cos(b) / v)
         return {
