@@ -1,4 +1,4 @@
-"""Frames of a video file: grey levels, order, times and the end; what is said of devices that are not there."""
+"""Frames of a video file: grey levels, order, times and the end."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import rclpy
 
-from camera_node.drivers import Scene, V4l2Driver, V4l2Settings, VideoDriver
+from camera_node.drivers import Scene, VideoDriver
 from camera_node.testing import Studio
 from fringedic.errors import CameraError
 from fringedic_msgs.srv import CaptureFrame
@@ -113,21 +113,3 @@ def test_free_run_has_the_times_of_the_file(tmp_path: Path) -> None:
         stamps.append(driver.expose(SCENE).stamp_ns)
         assert time.time_ns() >= stamps[-1], "no frame before its time"
     np.testing.assert_allclose(np.diff(stamps), 1e9 / RATE_HZ, atol=1e6)
-
-
-@pytest.mark.parametrize(
-    ("device", "words"),
-    [
-        ("/dev/video97", "there is no device /dev/video97; those that are there: "),
-        ("/dev/v4l/by-id/none", "there is no device /dev/v4l/by-id/none"),
-        ("/dev/null", "/dev/null is not a video device"),
-    ],
-)
-def test_device_that_is_no_camera(device: str, words: str) -> None:
-    with pytest.raises(CameraError, match=words):
-        V4l2Driver(V4l2Settings(device, 0.01))
-
-
-def test_pixels_that_no_such_device_has() -> None:
-    with pytest.raises(CameraError, match="pixel format Mono12: Video4Linux has Mono8, Mono16"):
-        V4l2Driver(V4l2Settings("/dev/video0", 0.01, pixel_format="Mono12"))

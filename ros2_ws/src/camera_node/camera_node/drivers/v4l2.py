@@ -132,7 +132,10 @@ class V4l2Driver:
         asked = 0 if self._rate else time.monotonic_ns()
         deadline = time.monotonic() + self._settings.timeout + self._exposure_time
         while time.monotonic() < deadline:
-            read, raw = video.read()
+            try:
+                read, raw = video.read()
+            except cv2.error as error:
+                raise self._lost(error.err) from error
             if not read:
                 raise self._lost("it gives no frame")
             # a device without stamps of its own: when its frame was here

@@ -1,0 +1,154 @@
+"""Video4Linux through OpenCV's own code, against a device that stands in for the kernel's (`fake_video.cpp`)."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rclpy
+
+from camera_node.drivers import V4l2Driver, V4l2Settings
+from camera_node.testing import Studio
+from fringedic.errors import CameraError
+from fringedic_msgs.srv import CaptureFrame
+from fringedic_ros.images import image_array
+from fringedic_ros.stamps import to_msg, to_nanoseconds
+from fringedic_ros.testing import NodeProcess
+
+DEVICE = "/dev/video77"
+PERIOD_NS = 20_000_000
+SIZE = (64, 48)
+
+# opens the device once per line of JSON and tells what came of it
+SCRIPT = """
+import json, os, sys
+from camera_node.drivers import Scene, V4l2Driver, V4l2Settings
+from fringedic.errors import CameraError
+for line in sys.stdin:
+    environment, settings = json.loads(line)
+    for name in ("FAKE_VIDEO_FORMAT", "FAKE_VIDEO_STICKY"):
+        os.environ.pop(name, None)
+    os.environ.update(environment)
+    settings["size"] = tuple(settings["size"])
+    driver = None
+    try:
+        driver = V4l2Driver(V4l2Settings(exposure_time=0.005, timeout=5.0, **settings))
+        image = driver.expose(Scene(0, (), 0.0, exposure_time=0.005)).image
+        longer = driver.expose(Scene(0, (), 0.0, exposure_time=0.0123)).exposure_time
+        answer = [image.dtype.name, image.shape, int(image.min()), int(image.max()), longer]
+    except CameraError as error:
+        answer = str(error)
+    if driver is not None:
+        driver.close()
+    print(json.dumps(answer), flush=True)
+"""
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The stand-in for the device, built."""
+    path = tmp_path_factory.mktemp("fake_video") / "fake_video.so"
+    source = Path(__file__).parent / "fake_video.cpp"
+    subprocess.run(["g++", "-shared", "-fPIC", "-O1", "-Wall", "-o", str(path), str(source), "-ldl"], check=True)
+    return path
+
+
+def test_formats_and_settings(library: Path) -> None:
+    def case(code: str, *, sticky: bool = False, **settings: object) -> tuple[dict, dict]:
+        environment = {"FAKE_VIDEO_FORMAT": code, **({"FAKE_VIDEO_STICKY": "1"} if sticky else {})}
+        return environment, {"device": DEVICE, "size": SIZE, **settings}
+
+    cases = [
+        case("GREY"),
+        case("YUYV"),
+        case("Y16 ", pixel_format="Mono16"),
+        case("MJPG"),
+        case("GREY", sticky=True),
+        case("GREY", size=(1280, 720)),
+    ]
+    environment = {**os.environ, "LD_PRELOAD": str(library), "FAKE_VIDEO": DEVICE}
+    run = subprocess.run(
+        [sys.executable, "-c", SCRIPT],
+        input="".join(json.dumps(each) + "\n" for each in cases),
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    grey, luminance, deep, compressed, sticky, size = map(json.loads, run.stdout.splitlines())
+    for kind, answer in (("uint8", grey), ("uint8", luminance), ("uint16", deep)):
+        dtype, shape, lowest, highest, longer = answer
+        assert (dtype, shape) == (kind, [48, 64])
+        assert lowest == highest, "every pixel of a frame is its number"
+        assert kind == "uint8" or lowest >> 8 == 3, "the upper byte is 3"
+        assert longer == pytest.approx(0.0123), "the exposure time of one frame"
+    assert "has none of the formats GREY, YUYV of Mono8; compressed images" in compressed
+    assert f"automatic exposure of {DEVICE} cannot be switched off: " in sticky
+    assert f"{DEVICE} has no images of 1280x720 px, the nearest are 64x48" in size
+
+
+@pytest.fixture
+def studio() -> Iterator[Studio]:
+    rclpy.init()
+    studio = Studio()
+    yield studio
+    studio.destroy_node()
+    rclpy.shutdown()
+
+
+def test_node_takes_what_began_late_enough_and_survives_unplugging(
+    library: Path, studio: Studio, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    unplugged = tmp_path / "unplugged"
+    monkeypatch.setenv("LD_PRELOAD", str(library))
+    monkeypatch.setenv("FAKE_VIDEO", DEVICE)
+    monkeypatch.setenv("FAKE_VIDEO_FORMAT", "GREY")
+    monkeypatch.setenv("FAKE_VIDEO_UNPLUGGED", str(unplugged))
+    parameters = {"source": "v4l2", "camera": DEVICE, "exposure_time_s": 0.005}
+    with NodeProcess("camera_node.camera_node", tmp_path, parameters):
+        stamps, numbers = [], []
+        for index in range(6):
+            shown = time.time_ns()
+            response = studio.capture(index, shown=to_msg(shown))
+            assert response.error_code == CaptureFrame.Request.NONE, response.error_message
+            image = image_array(studio.frame(response.stamp)[0])
+            assert len(np.unique(image)) == 1
+            stamps.append(to_nanoseconds(response.stamp))
+            numbers.append(int(image[0, 0]))
+            began_ms = 1e-6 * (stamps[-1] - shown) - 2.5
+            assert began_ms >= 0, f"the exposure of frame {index} began {began_ms:.1f} ms after its pattern"
+        apart = np.diff(stamps) - PERIOD_NS * (np.diff(numbers) % 256)
+        print(f"frames {numbers}; stamps differ from the device's own by {1e-6 * np.abs(apart).max():.3f} ms at most")
+        assert np.abs(apart).max() < 1e6, "stamps are the device's, not those of reading"
+        unplugged.touch()
+        gone = studio.capture(6)
+        assert gone.error_code == CaptureFrame.Request.CAMERA_FAILED
+        assert f"{DEVICE} is gone: " in gone.error_message
+        assert "check its cable" in gone.error_message
+        unplugged.unlink()
+        studio.wait(lambda: studio.capture(6).error_code == CaptureFrame.Request.NONE, "the camera again")
+
+
+@pytest.mark.parametrize(
+    ("device", "words"),
+    [
+        ("/dev/video97", "there is no device /dev/video97; those that are there: "),
+        ("/dev/v4l/by-id/none", "there is no device /dev/v4l/by-id/none"),
+        ("/dev/null", "/dev/null is not a video device"),
+    ],
+)
+def test_device_that_is_no_camera(device: str, words: str) -> None:
+    with pytest.raises(CameraError, match=words):
+        V4l2Driver(V4l2Settings(device, 0.01))
+
+
+def test_pixels_that_no_such_device_has() -> None:
+    with pytest.raises(CameraError, match="pixel format Mono12: Video4Linux has Mono8, Mono16"):
+        V4l2Driver(V4l2Settings(DEVICE, 0.01, pixel_format="Mono12"))
