@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
@@ -25,16 +26,20 @@ from fringedic.recording import BagWriter, Qos
 from fringedic_msgs.msg import RecorderStatus, StepStatus
 from fringedic_ros.main import run
 from fringedic_ros.parameters import declare
-from fringedic_ros.qos import LATCHED
+from fringedic_ros.qos import LATCHED, SAMPLES
 
 DISCOVERY_PERIOD_S = 0.1
-# Messages between the middleware and the disk: 34 s of 30 images/s.
-BACKLOG = 1024
-# Both are larger than a sequence or half a second of a 2 kHz load cell, whatever the publisher keeps itself.
-RECORDING_DEPTH = 1000
+# Between the middleware and the disk: 13 s of 30 images/s of 1.2 MB.
+BACKLOG_BYTES = 512_000_000
+# Both outlast a recorder that gets no processor for a while: images for four seconds, samples at 1 kHz for ten.
+RECORDING_DEPTH = SAMPLES.depth
 IMAGE_DEPTH = 128
 # Of the thread that compresses and writes: measuring a step is more urgent.
-NICENESS = 10
+NICENESS = 5
+
+Message = tuple[
+    str, bytes, int, int, int | None
+]  # topic, data, time of receipt and of publishing [ns], sequence number
 
 
 class RecorderParameters(BaseModel):
@@ -150,8 +155,15 @@ class RecorderNode(Node):
 
         def take(data: bytes, info: dict[str, Any]) -> None:
             self._take(name, topic, data, info)
+            # whatever else has come, at once: a turn of the executor takes longer than many messages
+            with suppress(InvalidHandle), subscription.handle:
+                for _ in range(RECORDING_DEPTH):
+                    waiting = subscription.handle.take_message(kind, True)
+                    if waiting is None:
+                        break
+                    self._take(name, topic, *waiting)
 
-        self._subscriptions_by_topic[topic] = self.create_subscription(
+        subscription = self._subscriptions_by_topic[topic] = self.create_subscription(
             kind,
             topic,
             take,  # type: ignore[arg-type]
@@ -163,7 +175,9 @@ class RecorderNode(Node):
         if not self._writing:
             return
         received = self.get_clock().now().nanoseconds
-        self._writing.put(topic, data, received, info["source_timestamp"] or received)
+        self._writing.put(
+            (topic, data, received, info["source_timestamp"] or received, info.get("publication_sequence_number"))
+        )
         if name == IMAGE:
             self._status.images += 1
             self._tally.add_image(header_stamp(data))
@@ -202,8 +216,8 @@ class RecorderNode(Node):
 class _WritingThread:
     """Writes to the bag in the order of `put`, away from the middleware's thread.
 
-    A full queue makes `put` wait: the middleware then holds the images back, which its depth is made for. After an
-    error everything is dropped and `error` says why.
+    When too much waits to be written `put` waits, too: the middleware then holds the messages back, which its depth is
+    made for. After an error everything is dropped and `error` says why.
     """
 
     def __init__(self, writer: BagWriter, flush_interval_s: float) -> None:
@@ -213,7 +227,9 @@ class _WritingThread:
         self._writer = writer
         self._writer_lock = threading.Lock()
         self._flush_interval_s = flush_interval_s
-        self._queue: queue.Queue[tuple[str, bytes, int, int] | Literal["sync", "end"]] = queue.Queue(BACKLOG)
+        self._queue: queue.Queue[Message | Literal["sync", "end"]] = queue.Queue()
+        self._waiting_bytes = 0
+        self._written = threading.Condition()
         self._thread = threading.Thread(target=self._run, name="bag writer", daemon=True)
         self._thread.start()
 
@@ -221,8 +237,11 @@ class _WritingThread:
         with self._writer_lock:
             self._writer.add_topic(topic, type_name, offered, publisher_hash=publisher_hash)
 
-    def put(self, topic: str, data: bytes, received: int, published: int) -> None:
-        self._queue.put((topic, data, received, published))
+    def put(self, message: Message) -> None:
+        with self._written:
+            self._written.wait_for(lambda: self._waiting_bytes < BACKLOG_BYTES)
+            self._waiting_bytes += len(message[1])
+        self._queue.put(message)
 
     def sync(self) -> None:
         """Have everything put so far on the disk, where it survives a power cut."""
@@ -239,7 +258,7 @@ class _WritingThread:
         ended = False
         while not ended:
             try:
-                item: tuple[str, bytes, int, int] | Literal["sync", "end", "flush"]
+                item: Message | Literal["sync", "end", "flush"]
                 item = self._queue.get(timeout=self._flush_interval_s)
             except queue.Empty:
                 item = "flush"
@@ -250,8 +269,12 @@ class _WritingThread:
                         self._handle(item)
                 except (FringedicError, OSError) as error:
                     self.error = self.error or error
+            if isinstance(item, tuple):
+                with self._written:
+                    self._waiting_bytes -= len(item[1])
+                    self._written.notify()
 
-    def _handle(self, item: tuple[str, bytes, int, int] | Literal["sync", "end", "flush"]) -> None:
+    def _handle(self, item: Message | Literal["sync", "end", "flush"]) -> None:
         match item:
             case "end":
                 self._writer.close()

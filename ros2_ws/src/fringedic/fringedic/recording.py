@@ -288,14 +288,22 @@ class BagWriter:
             channel = self._writer.register_channel(topic.name, "cdr", schema, metadata)
         self._topics[topic.name] = (channel, topic)
 
-    def write(self, topic: str, data: bytes, log_time: int, publish_time: int) -> None:
-        """Append one serialised message; times in nanoseconds."""
+    def write(self, topic: str, data: bytes, log_time: int, publish_time: int, sequence: int | None = None) -> None:
+        """Append one serialised message; times in nanoseconds.
+
+        Parameters
+        ----------
+        sequence
+            The publisher's own count of its messages, whose gaps tell what was lost on the way; by default the count
+            of what was written.
+        """
         try:
             channel = self._topics[topic][0]
         except KeyError:
             raise RecordingError(f"{self.path}: topic {topic} was not announced; call add_topic first") from None
         with self._named_errors():
-            self._writer.add_message(channel, log_time, data, publish_time, self._counts[topic])
+            count = self._counts[topic] if sequence is None else sequence
+            self._writer.add_message(channel, log_time, data, publish_time, count)
         self._counts[topic] += 1
         self._first_time = min(self._first_time, log_time)
         self._last_time = max(self._last_time, log_time)

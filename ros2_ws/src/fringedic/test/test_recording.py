@@ -380,3 +380,13 @@ def test_a_whole_recording_is_opened_by_its_index(typestore, tmp_path):
     assert reader.lost == "" and sum(reader.counts.values()) == 88
     with pytest.raises(RecordingError, match="damaged at byte"):
         list(reader.raw())
+
+
+def test_gaps_in_the_publishers_count_are_kept(typestore, tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/force", FORCE)
+        for number, sequence in enumerate((7, 8, 11, None)):
+            writer.write("/force", force(typestore, number), 10**18 + number, 10**18 + number, sequence)
+    with (tmp_path / "bag" / "bag_0.mcap").open("rb") as stream:
+        found = [message.sequence for _, _, message in make_reader(stream).iter_messages()]
+    assert found == [7, 8, 11, 3]

@@ -28,8 +28,11 @@ LATCHED_BY_MANY = _reliable(100, DurabilityPolicy.TRANSIENT_LOCAL)
 DERIVED = _reliable(2)
 """Maps and clouds computed from a step: large, published once per step."""
 
+SAMPLES = _reliable(10_000)
+"""Samples of the load frame as they are published and recorded: ten seconds at 1 kHz, all of them count."""
+
 STATE = _reliable(1000)
-"""Samples of the load frame: ten seconds at 100 Hz."""
+"""For who acts on samples of the load frame, and for the strain of the extensometer."""
 
 DIAGNOSTICS = _reliable(10)
 """`/diagnostics`."""

@@ -24,7 +24,7 @@ from fringedic_msgs.action import MoveCrosshead
 from fringedic_msgs.msg import LoadState
 from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
 from fringedic_ros.main import run
-from fringedic_ros.qos import STATE
+from fringedic_ros.qos import SAMPLES
 from fringedic_ros.stamps import to_msg
 from fringedic_ros.virtual import VirtualRigText, virtual_configuration
 from fringedic_ros.waiting import Condition
@@ -81,9 +81,9 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
         self._goal: ServerGoalHandle | None = None
         self._held = False
         self._changed = Condition(self)
-        self._states = self.create_publisher(LoadState, "load_frame/state", STATE)
-        self._wrenches = self.create_publisher(WrenchStamped, "load_frame/wrench", STATE)
-        self._joints = self.create_publisher(JointState, "load_frame/joint_states", STATE)
+        self._states = self.create_publisher(LoadState, "load_frame/state", SAMPLES)
+        self._wrenches = self.create_publisher(WrenchStamped, "load_frame/wrench", SAMPLES)
+        self._joints = self.create_publisher(JointState, "load_frame/joint_states", SAMPLES)
         self.create_service(Trigger, "load_frame/hold", self._hold)
         ActionServer(
             self,
