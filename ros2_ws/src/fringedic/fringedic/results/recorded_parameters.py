@@ -70,7 +70,7 @@ def _value(value: Any) -> Any:
     """Value of an ``rcl_interfaces/ParameterValue``."""
     kinds = ("", "bool", "integer", "double", "string", "byte_array", "bool_array", "integer_array", "double_array")
     content = getattr(value, f"{(*kinds, 'string_array')[value.type]}_value")
-    return list(content) if isinstance(content, np.ndarray | list) else content
+    return content.tolist() if isinstance(content, np.ndarray) else content
 
 
 def recorded_facts(messages: Iterable[Any]) -> Facts:
