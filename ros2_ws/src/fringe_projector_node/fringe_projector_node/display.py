@@ -10,6 +10,8 @@ import numpy as np
 
 from fringedic.errors import ScreenError
 
+_SETTLING_S = 0.2  # in which a window manager may still move a new window
+
 
 class DisplayScreen:
     """Full screen at the display's own resolution: one pattern pixel is one projector pixel, nothing is scaled.
@@ -31,11 +33,13 @@ class DisplayScreen:
 
     def __init__(self, display: int, width: int, height: int) -> None:
         os.environ["PYGAME_HIDE_SUPPORT_PROMPT"] = "1"
+        os.environ["SDL_VIDEO_MINIMIZE_ON_FOCUS_LOSS"] = "0"  # an operator works on another display
         import pygame
 
         self._pygame: Any = pygame
         self._display = display
         self._size = (width, height)
+        self._origin = (0, 0)
         self._window: Any = None
         self._renderer: Any = None
         self._texture: Any = None
@@ -55,7 +59,7 @@ class DisplayScreen:
         Raises
         ------
         ScreenError
-            The window was closed or the display changed; the next call opens it again.
+            The window was closed, hidden, moved or resized, or the display changed; the next call opens it again.
         """
         self.check()
         if self._window is None:
@@ -80,15 +84,30 @@ class DisplayScreen:
         Raises
         ------
         ScreenError
-            It was closed, or is no longer as large as the patterns.
+            It was closed, hidden or moved, or is no longer as large as the patterns.
         """
-        for event in self._pygame.event.get():  # a window whose events nobody takes counts as hanging
-            if event.type in (self._pygame.WINDOWCLOSE, self._pygame.QUIT):
-                self._close_window()
-                raise ScreenError("the projector's window was closed; the next pattern opens it again")
-            if event.type == self._pygame.WINDOWSIZECHANGED and (event.x, event.y) != self._size:
-                self._close_window()
-                raise ScreenError(f"the projector's display changed to {event.x}x{event.y} px; restore its resolution")
+        pygame = self._pygame
+        lost = ""
+        for event in pygame.event.get():  # a window whose events nobody takes counts as hanging
+            if event.type in (pygame.WINDOWCLOSE, pygame.QUIT):
+                lost = "the projector's window was closed"
+            elif event.type in (pygame.WINDOWHIDDEN, pygame.WINDOWMINIMIZED):
+                lost = "the projector's window was hidden"
+            elif event.type == pygame.WINDOWDISPLAYCHANGED and event.display_index != self._display:
+                lost = f"the projector's window is on display {event.display_index} now"
+            elif event.type == pygame.WINDOWMOVED and (event.x, event.y) != self._origin:
+                lost = (
+                    f"the projector's window was moved by {event.x - self._origin[0]}, {event.y - self._origin[1]} px"
+                )
+            elif event.type == pygame.WINDOWSIZECHANGED and (event.x, event.y) != self._size:
+                lost = f"the projector's display or window changed to {event.x}x{event.y} px; restore its resolution"
+        if self._window is None:
+            return
+        if not lost and self._window.size != self._size:
+            lost = "the projector's window has {}x{} px; restore its resolution".format(*self._window.size)
+        if lost:
+            self._close_window()
+            raise ScreenError(f"{lost}; the next pattern opens it again")
 
     def close(self) -> None:
         """Close the window."""
@@ -123,7 +142,12 @@ class DisplayScreen:
 
         self._renderer = Renderer(self._window, vsync=True)
         self._texture = Texture(self._renderer, self._size)
-        pygame.event.clear()
+        self._renderer.present()
+        settled = time.monotonic() + _SETTLING_S
+        while time.monotonic() < settled:
+            pygame.event.clear()
+            time.sleep(0.01)
+        self._origin = self._window.position
 
     def _close_window(self) -> None:
         window, self._window = self._window, None

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
+import struct
 import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 import pygame
@@ -49,6 +52,54 @@ class VirtualDisplay:
         return pixels.reshape(rows, line)[:, : 4 * columns].reshape(rows, columns, 4)[:, :, 2::-1]
 
 
+class WindowManager:
+    """Another program that does to windows what a user or a window manager does."""
+
+    def __enter__(self) -> Self:
+        self._x11 = ctypes.CDLL("libX11.so.6")
+        for function in (self._x11.XOpenDisplay, self._x11.XDefaultRootWindow, self._x11.XInternAtom):
+            function.restype = ctypes.c_void_p
+        self._display = ctypes.c_void_p(self._x11.XOpenDisplay(None))
+        self._root = ctypes.c_ulong(self._x11.XDefaultRootWindow(self._display))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._x11.XCloseDisplay(self._display)
+
+    def windows(self) -> list[int]:
+        """Top windows, the uppermost last."""
+        root, parent, count = ctypes.c_ulong(), ctypes.c_ulong(), ctypes.c_uint()
+        windows = ctypes.POINTER(ctypes.c_ulong)()
+        found = (ctypes.byref(each) for each in (root, parent, windows, count))
+        self._x11.XQueryTree(self._display, self._root, *found)
+        return [windows[number] for number in range(count.value)]
+
+    def do(self, function: str, window: int, *values: int) -> None:
+        """Call a function of Xlib on a window."""
+        getattr(self._x11, function)(self._display, ctypes.c_ulong(window), *values)
+        self._x11.XSync(self._display, 0)
+
+    def close(self, window: int) -> None:
+        """Ask the window to close, as its button does: a ClientMessage of WM_PROTOCOLS."""
+        protocols, delete = (
+            self._x11.XInternAtom(self._display, name, 0) for name in (b"WM_PROTOCOLS", b"WM_DELETE_WINDOW")
+        )
+        fields = (33, 0, 1, self._display.value, window, protocols, 32, delete, 0, 0, 0, 0)
+        message = struct.pack("iPiPLLi4xl4l32x", *fields)
+        event = ctypes.create_string_buffer(message, 192)
+        self.do("XSendEvent", window, 0, 0, ctypes.byref(event))
+
+
+def shown_in_time(display: VirtualDisplay, pattern: np.ndarray) -> bool:
+    """Whether the display shows a pattern before long."""
+    deadline = time.monotonic() + 10
+    while time.monotonic() < deadline:
+        if np.array_equal(display.screenshot()[:, :, 0], pattern):
+            return True
+        time.sleep(0.01)
+    return False
+
+
 @pytest.fixture
 def display(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualDisplay]:
     folder = tmp_path / "display"
@@ -75,9 +126,7 @@ def test_every_pixel_is_the_patterns(display: VirtualDisplay, projection: Projec
     before = time.time_ns()
     shown = screen.show(pattern)
     assert before < shown <= time.time_ns()
-    deadline = time.monotonic() + 5
-    while time.monotonic() < deadline and not np.array_equal(display.screenshot()[:, :, 0], pattern):
-        time.sleep(0.01)
+    assert shown_in_time(display, pattern)
     for colour in range(3):
         np.testing.assert_array_equal(display.screenshot()[:, :, colour], pattern)
     screen.close()
@@ -103,23 +152,30 @@ def test_no_display(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("event", "words"),
+    ("what", "values", "words"),
     [
-        ((pygame.WINDOWCLOSE, {}), "window was closed"),
-        ((pygame.WINDOWSIZECHANGED, {"x": 320, "y": 240}), "changed to 320x240 px"),
+        ("close", (), "window was closed"),
+        ("XResizeWindow", (320, 240), "changed to 320x240 px"),
+        ("XMoveWindow", (100, 50), "moved by 100, 50 px"),
+        ("XUnmapWindow", (), "window was hidden"),
     ],
 )
-def test_window_that_is_lost_opens_again(display: VirtualDisplay, event: tuple, words: str) -> None:
+def test_window_that_is_lost_opens_again(display: VirtualDisplay, what: str, values: tuple, words: str) -> None:
     screen = DisplayScreen(0, WIDTH, HEIGHT)
     pattern = render_pattern(Projection(PatternKind.FRINGES, pitch=20.0, shift=1, shifts=4), WIDTH, HEIGHT)
-    pygame.event.post(pygame.event.Event(*event))
-    with pytest.raises(ScreenError, match=words):
-        screen.show(pattern)
     screen.show(pattern)
-    deadline = time.monotonic() + 5
-    while time.monotonic() < deadline and not np.array_equal(display.screenshot()[:, :, 0], pattern):
-        time.sleep(0.01)
-    np.testing.assert_array_equal(display.screenshot()[:, :, 0], pattern)
+    with WindowManager() as manager:
+        if what == "close":
+            manager.close(manager.windows()[-1])
+        else:
+            manager.do(what, manager.windows()[-1], *values)
+    deadline = time.monotonic() + 10
+    with pytest.raises(ScreenError, match=words):
+        while time.monotonic() < deadline:
+            screen.check()
+            time.sleep(0.01)
+    screen.show(pattern)
+    assert shown_in_time(display, pattern)
     screen.close()
 
 
@@ -135,6 +191,7 @@ def test_node_shows_on_the_display(display: VirtualDisplay, tmp_path: Path) -> N
             for request, name in (
                 (ShowPattern.Request(kind=1, pitch=20.0, shift=2, shifts=4), ""),
                 (ShowPattern.Request(kind=2, name="crosshair"), "crosshair"),
+                (ShowPattern.Request(kind=2, name="focus"), "focus"),
             ):
                 future = show.call_async(request)
                 operator.wait(future.done, "the answer", 10)

@@ -16,8 +16,9 @@ from fringedic.sequence import Orientation, PatternKind, Projection
 
 FringeOrder = Literal["pitches", "gray_code", "one_image"]
 DARKEST, BRIGHTEST = 5, 250  # clear of both ends of the 8-bit scale, where projectors clip
-SETUP_PATTERNS = ("dark", "grid", "crosshair")
+SETUP_PATTERNS = ("dark", "grid", "crosshair", "focus")
 _GRID_SPACING = 50  # projector pixels between the lines of the set-up grid
+_FOCUS_TILE = 24  # projector pixels; lines of 1 to 4 px fit in whole pairs
 
 
 @dataclass(frozen=True)
@@ -223,7 +224,8 @@ def render_pattern(
     width, height
         Size of the projector [px].
     name
-        Which set-up pattern, for projections of kind OTHER: "dark", "grid" or "crosshair".
+        Which set-up pattern, for projections of kind OTHER: "dark", "grid", "crosshair" or "focus" (tiles of lines of
+        1 to 4 px).
     response
         Response curve that fringes and Gray codes make up for, so that the camera's grey levels are what is said
         above.
@@ -257,6 +259,11 @@ def render_pattern(
     elif name == "crosshair":
         image[(height - 1) // 2 : height // 2 + 1, :] = BRIGHTEST
         image[:, (width - 1) // 2 : width // 2 + 1] = BRIGHTEST
+    elif name == "focus":
+        row, column = np.indices((height, width))
+        lines = 1 + (row // _FOCUS_TILE + column // _FOCUS_TILE) % 4
+        across = np.where(row // _FOCUS_TILE % 2 == 0, column, row)
+        image[across // lines % 2 == 1] = BRIGHTEST
     elif name != "dark":
         raise InvalidPatternError(f"set-up pattern '{name}' is unknown: use one of {', '.join(SETUP_PATTERNS)}")
     return image

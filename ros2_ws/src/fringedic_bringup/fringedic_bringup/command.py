@@ -192,6 +192,30 @@ def noise(
     console.print(f"noise floor: {file}; name it in the rig file as noise_floor_file", markup=False, highlight=False)
 
 
+@app.command(epilog="Example: fringedic show RIG.yaml crosshair")
+def show(
+    rig: Annotated[Path, typer.Argument(help="Rig file; those that come with fringedic are found by their name.")],
+    pattern: Annotated[
+        str, typer.Argument(help="crosshair, grid, focus (lines of 1 to 4 px), white, grey, dark or fringes.")
+    ] = "crosshair",
+) -> None:
+    """Hold a pattern on the projector until Enter or Ctrl-C, while the rig is adjusted."""
+    from fringedic.rig_file import load_rig_file
+    from fringedic_bringup.show import ShownPattern, hold_pattern
+
+    if pattern not in list(ShownPattern):
+        raise ParameterError(f"pattern {pattern} is unknown: use one of {', '.join(ShownPattern)}")
+
+    def enough() -> None:
+        console.print(f"the projector shows {pattern}; Enter ends it", markup=False, highlight=False)
+        with suppress(EOFError):
+            input()
+
+    path = _rig_path(rig)
+    with suppress(KeyboardInterrupt):
+        hold_pattern(load_rig_file(path), path, ShownPattern(pattern), enough)
+
+
 @app.command(epilog="Example: fringedic timing plate.yaml --output timing")
 def timing(
     rig: Annotated[Path, typer.Argument(help="Rig file; those that come with fringedic are found by their name.")],
@@ -586,11 +610,10 @@ def _unused(folder: Path) -> Path:
 def _finish(reports: list[RunReport]) -> None:
     for report in reports:
         console.print(report_table(report))
-        console.print(
-            f"{report.folder}: report.html, recording (bag), dataset (results.nc), {len(report.pictures)} pictures",
-            markup=False,
-            highlight=False,
-        )
+        left = f"report.html, recording (bag), dataset (results.nc), {len(report.pictures)} pictures"
+        if report.unmeasured:
+            left = f"recording (bag); it is whole, but {report.unmeasured}"
+        console.print(f"{report.folder}: {left}", markup=False, highlight=False)
     failed = [report.experiment for report in reports if report.failed]
     if failed:
-        raise RigFileError(f"steps failed or frames are missing in: {', '.join(failed)}")
+        raise RigFileError(f"steps failed, or frames or results are missing in: {', '.join(failed)}")

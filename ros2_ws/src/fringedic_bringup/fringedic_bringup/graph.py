@@ -155,6 +155,17 @@ def exposing_graph(rig: RigFile, rig_path: Path) -> Graph:
     return Graph(rig.namespace, tuple(_hardware(rig, rig_path, _camera(rig, rig_path) | {"settle_time_s": 0.0})))
 
 
+def projecting_graph(rig: RigFile, rig_path: Path) -> Graph:
+    """Return the projector alone.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file and where it was read.
+    """
+    return Graph(rig.namespace, tuple(node for node in exposing_graph(rig, rig_path).nodes if node.name == "projector"))
+
+
 def replay_graph(
     bag: Path,
     output: Path,
