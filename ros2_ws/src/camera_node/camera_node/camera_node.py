@@ -46,6 +46,8 @@ _BACK_NS = 100_000_000  # a frame is never so much older than the one before, un
 class NoSubscriberError(FringedicError, LookupError):
     """A frame would reach fewer subscribers than expected."""
 
+CLOCKS_AGREE_S = 0.1  # of camera and projector; a pattern from later than this was shown before a clock was set back
+
 
 class CameraNode(HardwareNode[CameraParameters]):
     """Service `camera/capture`; topics `camera/image_raw`, `camera/camera_info` and `camera/exposure`."""
@@ -297,6 +299,11 @@ class CameraNode(HardwareNode[CameraParameters]):
     async def _settle(self, shown_ns: int) -> None:
         if shown_ns:
             passed = 1e-9 * (self.get_clock().now().nanoseconds - shown_ns)
+            if passed < -CLOCKS_AGREE_S:
+                raise CameraError(
+                    f"the pattern was shown {-passed:.3f} s from now: the clock jumped back, or that of the projector's "
+                    "computer is ahead; measure the step again, and let nothing set a clock during a test"
+                )
             await sleep(self, self.parameters.value.settle_time_s - passed)
 
     async def _expose(self, scene: Scene) -> Frame:
