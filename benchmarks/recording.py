@@ -39,6 +39,7 @@ STEP_HZ = 30.0
 STEP_S = 1.0
 STEPS = 6
 FAKE_CAMERA = ["arv-fake-gv-camera-0.8", "-i", "127.0.0.1"]
+CAMERA_START_S = 5.0
 
 
 def counts(bag: Path) -> dict[str, tuple[int, int]]:
@@ -56,7 +57,7 @@ def fake_camera() -> Iterator[None]:
     """A GigE Vision camera of the Aravis library on this computer's loopback interface."""
     process = subprocess.Popen(FAKE_CAMERA, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     try:
-        time.sleep(1.0)
+        time.sleep(CAMERA_START_S)
         yield
     finally:
         process.terminate()

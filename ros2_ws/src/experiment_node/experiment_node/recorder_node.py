@@ -33,6 +33,7 @@ DISCOVERY_PERIOD_S = 0.1
 BACKLOG_BYTES = 512_000_000
 # Both outlast a recorder that gets no processor for a while: images for four seconds, samples at 1 kHz for ten.
 RECORDING_DEPTH = SAMPLES.depth
+AT_ONCE = 100  # messages of one topic, before the others get their turn
 IMAGE_DEPTH = 128
 # Of the thread that compresses and writes: measuring a step is more urgent.
 NICENESS = 5
@@ -154,14 +155,12 @@ class RecorderNode(Node):
             return
 
         def take(data: bytes, info: dict[str, Any]) -> None:
-            self._take(name, topic, data, info)
-            # whatever else has come, at once: a turn of the executor takes longer than many messages
+            taken = [(data, info)]
+            # what else has come, at once: a turn of the executor takes longer than many messages
             with suppress(InvalidHandle), subscription.handle:
-                for _ in range(RECORDING_DEPTH):
-                    waiting = subscription.handle.take_message(kind, True)
-                    if waiting is None:
-                        break
-                    self._take(name, topic, *waiting)
+                while len(taken) < AT_ONCE and (waiting := subscription.handle.take_message(kind, True)) is not None:
+                    taken.append(waiting)
+            self._take(name, topic, taken)
 
         subscription = self._subscriptions_by_topic[topic] = self.create_subscription(
             kind,
@@ -171,19 +170,27 @@ class RecorderNode(Node):
             raw=True,
         )
 
-    def _take(self, name: str, topic: str, data: bytes, info: dict[str, Any]) -> None:
+    def _take(self, name: str, topic: str, taken: list[tuple[bytes, dict[str, Any]]]) -> None:
         if not self._writing:
             return
         received = self.get_clock().now().nanoseconds
         self._writing.put(
-            (topic, data, received, info["source_timestamp"] or received, info.get("publication_sequence_number"))
+            [
+                (topic, data, received, info["source_timestamp"] or received, info.get("publication_sequence_number"))
+                for data, info in taken
+            ]
         )
+        if name in (IMAGE, EXPOSURE, STEP):
+            for data, _ in taken:
+                self._look_at(name, data)
+
+    def _look_at(self, name: str, data: bytes) -> None:
         if name == IMAGE:
             self._status.images += 1
             self._tally.add_image(header_stamp(data))
         elif name == EXPOSURE:
             self._tally.add_exposure(header_stamp(data))
-        elif name == STEP:
+        elif self._writing:
             stage = deserialize_message(data, StepStatus).stage
             if stage in (StepStatus.END, StepStatus.ERROR):
                 self._tally.end_step()
@@ -227,7 +234,7 @@ class _WritingThread:
         self._writer = writer
         self._writer_lock = threading.Lock()
         self._flush_interval_s = flush_interval_s
-        self._queue: queue.Queue[Message | Literal["sync", "end"]] = queue.Queue()
+        self._queue: queue.Queue[list[Message] | Literal["sync", "end"]] = queue.Queue()
         self._waiting_bytes = 0
         self._written = threading.Condition()
         self._thread = threading.Thread(target=self._run, name="bag writer", daemon=True)
@@ -237,11 +244,11 @@ class _WritingThread:
         with self._writer_lock:
             self._writer.add_topic(topic, type_name, offered, publisher_hash=publisher_hash)
 
-    def put(self, message: Message) -> None:
+    def put(self, messages: list[Message]) -> None:
         with self._written:
             self._written.wait_for(lambda: self._waiting_bytes < BACKLOG_BYTES)
-            self._waiting_bytes += len(message[1])
-        self._queue.put(message)
+            self._waiting_bytes += _size(messages)
+        self._queue.put(messages)
 
     def sync(self) -> None:
         """Have everything put so far on the disk, where it survives a power cut."""
@@ -258,7 +265,7 @@ class _WritingThread:
         ended = False
         while not ended:
             try:
-                item: Message | Literal["sync", "end", "flush"]
+                item: list[Message] | Literal["sync", "end", "flush"]
                 item = self._queue.get(timeout=self._flush_interval_s)
             except queue.Empty:
                 item = "flush"
@@ -269,12 +276,12 @@ class _WritingThread:
                         self._handle(item)
                 except (FringedicError, OSError) as error:
                     self.error = self.error or error
-            if isinstance(item, tuple):
+            if isinstance(item, list):
                 with self._written:
-                    self._waiting_bytes -= len(item[1])
+                    self._waiting_bytes -= _size(item)
                     self._written.notify()
 
-    def _handle(self, item: Message | Literal["sync", "end", "flush"]) -> None:
+    def _handle(self, item: list[Message] | Literal["sync", "end", "flush"]) -> None:
         match item:
             case "end":
                 self._writer.close()
@@ -285,8 +292,13 @@ class _WritingThread:
                 self._writer.flush()
                 self.bytes = self._writer.size  # fails when somebody has removed the file
             case _:
-                self._writer.write(*item)
-                self.messages += 1
+                for message in item:
+                    self._writer.write(*message)
+                self.messages += len(item)
+
+
+def _size(messages: list[Message]) -> int:
+    return sum(len(data) for _, data, *_ in messages)
 
 
 def _described(profile: QoSProfile) -> Qos:
