@@ -40,13 +40,12 @@ _BROWN_RESIDUAL_PX = 0.05
 _KEPT_PATTERNS = 16  # that a slow projector may still show beside the latest
 _LOST_CAMERA_PAUSE_S = 0.05  # between attempts to take a frame
 _DRIVER_PERIOD_S = 1.0  # between two reports of the camera's clock and of what was lost on the way
+_AHEAD_S = 0.1  # a pattern that was shown later than this from now was shown before a clock was set back
 _BACK_NS = 100_000_000  # a frame is never so much older than the one before, unless a clock was set
 
 
 class NoSubscriberError(FringedicError, LookupError):
     """A frame would reach fewer subscribers than expected."""
-
-CLOCKS_AGREE_S = 0.1  # of camera and projector; a pattern from later than this was shown before a clock was set back
 
 
 class CameraNode(HardwareNode[CameraParameters]):
@@ -299,10 +298,10 @@ class CameraNode(HardwareNode[CameraParameters]):
     async def _settle(self, shown_ns: int) -> None:
         if shown_ns:
             passed = 1e-9 * (self.get_clock().now().nanoseconds - shown_ns)
-            if passed < -CLOCKS_AGREE_S:
+            if passed < -_AHEAD_S:
                 raise CameraError(
-                    f"the pattern was shown {-passed:.3f} s from now: the clock jumped back, or that of the projector's "
-                    "computer is ahead; measure the step again, and let nothing set a clock during a test"
+                    f"the pattern was shown {-passed:.3f} s from now: the clock jumped back, or the projector's is "
+                    "ahead; measure the step again, and let nothing set a clock during a test"
                 )
             await sleep(self, self.parameters.value.settle_time_s - passed)
 
