@@ -116,10 +116,10 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         exposure: Exposure = parts["camera/exposure"]
         self._tracker.parameters = parameters
         phase, sigma = (image_array(parts[topic]) for topic in SURFACE[:2])
-        orientation = Orientation(exposure.orientation)
+        orientation, relative = Orientation(exposure.orientation), parts["phase/status"].relative
         self._surface = (
             stamp,
-            self._tracker.surface(phase, sigma, pitch=exposure.pitch, orientation=orientation),
+            self._tracker.surface(phase, sigma, pitch=exposure.pitch, orientation=orientation, relative=relative),
         )
 
     def _couple(self, status: NodeStatus, stamp: int, parts: dict[str, Any], parameters: CouplingParameters) -> Outcome:
@@ -134,6 +134,7 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
             *(image_array(parts[topic]) for topic in MAPS),
             pitch=exposure.pitch,
             orientation=Orientation(exposure.orientation),
+            relative=status.relative,
             spacing=grid.binning_x,
             origin=(grid.roi.y_offset, grid.roi.x_offset),
             window=self._window[0],
@@ -144,7 +145,7 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         for publisher, fields in ((self._displacement, result.displacement), (self._shape, result.shape)):
             if publisher.get_subscription_count():
                 publisher.publish(cloud_message(fields, stamp_ns=stamp, frame_id=FRAME))
-        remarks = [f"heights are off by an unknown height: {status.error_message}"] if status.relative else []
+        remarks = [f"heights may be off by whole fringes: {status.error_message}"] if status.relative else []
         if result.watched is not None and result.watched.words:
             remarks.append(result.watched.words)
         return Outcome(result.valid_fraction, result.rms, status.frames, "; ".join(remarks), status.relative)

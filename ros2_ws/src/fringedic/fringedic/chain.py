@@ -32,6 +32,7 @@ from fringedic.region import Region
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation, PatternKind, Stack
 from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
+from fringedic.surface.relative import near_plane
 from fringedic.vector_statistics import measured_part_and_rms
 from fringedic.watch import WatchedMotion, watched_motion
 
@@ -628,9 +629,13 @@ class _KeptPhase:
     sigma: np.ndarray
     pitch: float
     orientation: Orientation
+    relative: bool
 
     def surface(self, calibration: RigModel) -> xr.Dataset:
-        return calibration.reconstruct(self.phase, self.pitch, self.sigma, self.orientation)
+        phase = self.phase
+        if self.relative:
+            phase = near_plane(phase, calibration, self.pitch, self.orientation)
+        return calibration.reconstruct(phase, self.pitch, self.sigma, self.orientation)
 
 
 @dataclass(frozen=True)
@@ -671,13 +676,19 @@ class ShapeTracker:
         self._references.set(experiment, step)
 
     def surface(
-        self, phase: np.ndarray, sigma: np.ndarray, *, pitch: float, orientation: Orientation = Orientation.VERTICAL
+        self,
+        phase: np.ndarray,
+        sigma: np.ndarray,
+        *,
+        pitch: float,
+        orientation: Orientation = Orientation.VERTICAL,
+        relative: bool = False,
     ) -> StepSurface | None:
         """Make the surface of a step whose displacement is still being measured, for `step`.
 
         Parameters
         ----------
-        phase, sigma, pitch, orientation
+        phase, sigma, pitch, orientation, relative
             As for `step`.
 
         Returns
@@ -687,7 +698,7 @@ class ShapeTracker:
         """
         if self._calibration is None:
             return None
-        return self._surface(_KeptPhase(phase, sigma, pitch, orientation), self._calibration)
+        return self._surface(_KeptPhase(phase, sigma, pitch, orientation, relative), self._calibration)
 
     def _surface(self, kept: _KeptPhase, calibration: RigModel) -> StepSurface:
         shape = kept.surface(calibration)
@@ -706,6 +717,7 @@ class ShapeTracker:
         *,
         pitch: float,
         orientation: Orientation = Orientation.VERTICAL,
+        relative: bool = False,
         spacing: int = 1,
         origin: tuple[int, int] = (0, 0),
         window: int | None = None,
@@ -722,6 +734,9 @@ class ShapeTracker:
             As published by the dic node [px], float32 (row, column, 2).
         pitch, orientation
             Of the step's last frame: the finest pitch [projector pixel], and the direction of the fringes.
+        relative
+            The phase is true up to whole fringes; of the surfaces that it may be, the one nearest to the reference
+            plane is taken.
         spacing, origin
             Distance of the displacement's points [px], and (row, column) of the first one.
         window, method
@@ -751,7 +766,7 @@ class ShapeTracker:
             )
         key = (experiment, step)
         reference_key = (experiment, self._references.of(experiment, step))
-        current = _KeptPhase(phase, sigma, pitch, orientation) if surface is None else surface.kept
+        current = _KeptPhase(phase, sigma, pitch, orientation, relative) if surface is None else surface.kept
         first = current if key == reference_key else self._phases.get(reference_key)
         if first is None:
             raise _no_reference(key, reference_key)

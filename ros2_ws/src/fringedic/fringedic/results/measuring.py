@@ -164,6 +164,7 @@ class Chain:
             displacement.sigma,
             pitch=phase.pitch,
             orientation=phase.orientation,
+            relative=phase.relative,
             spacing=displacement.spacing,
             origin=displacement.origin,
             window=self._parameters.dic.window,
