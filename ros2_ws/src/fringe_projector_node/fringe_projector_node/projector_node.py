@@ -86,7 +86,9 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
 
     def _put(self, image: np.ndarray) -> int:
         # strictly increasing, so that a stamp names one pattern
-        self._shown_ns = max(self._screen.show(image), self._shown_ns + 1)
+        shown_ns = self._screen.show(image)
+        # two patterns never have the same stamp; a clock that was set back may set theirs back
+        self._shown_ns = shown_ns + (shown_ns == self._shown_ns)
         self._images.publish(image_message(image, stamp_ns=self._shown_ns, frame_id=FRAME_ID))
         return self._shown_ns
 
