@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from numba import njit, prange
+from scipy.ndimage import maximum_filter
 
 from fringedic.errors import InvalidWindowError
 from fringedic.rig import pixel_positions
@@ -46,13 +47,22 @@ class Planes:
         return 2 * self.half[0] * self.spacing[0], 2 * self.half[1] * self.spacing[1]
 
 
-def fit_planes(cloud: xr.Dataset, names: tuple[str, ...], window: int, averaged: tuple[str, ...] = ()) -> Planes:
+def fit_planes(
+    cloud: xr.Dataset,
+    names: tuple[str, ...],
+    window: int,
+    averaged: tuple[str, ...] = (),
+    torn: np.ndarray | None = None,
+) -> Planes:
     """Fit planes over ``x`` and ``y`` of a cloud to its fields `names`; average the squares of the fields `averaged`.
 
     Parameters
     ----------
     window
         Width of the window [px of the reference image].
+    torn
+        Points beside a tear, bool (row, column): they count as not measured, and a window holds only the points that
+        are joined to its centre by measured ones.
 
     Raises
     ------
@@ -64,6 +74,10 @@ def fit_planes(cloud: xr.Dataset, names: tuple[str, ...], window: int, averaged:
     arrays = [np.asarray(cloud[name]) for name in ("x", "y", *names)]
     kind = np.result_type(np.float32, *arrays)
     fields = np.stack([np.asarray(each, kind) for each in arrays])
+    divided = np.zeros(fields.shape[1:], np.bool_)
+    if torn is not None and torn.any():
+        fields[0, torn] = np.nan
+        divided = maximum_filter(torn, size=[2 * each + 1 for each in half], mode="constant")
     squared = np.empty((len(averaged), *fields.shape[1:]), kind)
     for target, name in zip(squared, averaged, strict=True):
         np.square(np.asarray(cloud[name], kind), out=target)
@@ -72,7 +86,7 @@ def fit_planes(cloud: xr.Dataset, names: tuple[str, ...], window: int, averaged:
     slopes = np.empty((len(names), 2, *fields.shape[1:]), kind)
     white = np.empty((3, *fields.shape[1:]), kind)
     means = np.empty((len(averaged), *fields.shape[1:]), kind)
-    _fit(fields, squared, middle, half[0], half[1], slopes, white, means)
+    _fit(fields, squared, middle, half[0], half[1], divided, slopes, white, means)
     return Planes(slopes, white, means, half, spacing)
 
 
@@ -92,38 +106,86 @@ def _half_width(window: int, positions: np.ndarray) -> tuple[int, float]:
 
 
 @njit(cache=True, nogil=True)
-def _add_row(
-    fields: np.ndarray, squared: np.ndarray, middle: np.ndarray, row: int, sign: float, sums: np.ndarray
+def _known(fields: np.ndarray, row: int, column: int) -> bool:
+    known = True
+    for k in range(len(fields)):
+        known = known and np.isfinite(fields[k, row, column])
+    return known
+
+
+@njit(cache=True, nogil=True)
+def _add_point(
+    fields: np.ndarray, squared: np.ndarray, middle: np.ndarray, row: int, column: int, sign: float, sums: np.ndarray
 ) -> None:
-    """Add what a row gives to the sums (column, quantity).
+    """Add what a measured point gives to the sums (quantity).
 
     Quantities are the number of points, x, y, xx, xy, yy, then f, xf, yf of each field, then number and sum of each
     averaged field.
     """
-    count, _, columns = fields.shape
-    for column in range(columns):
-        known = True
-        for k in range(count):
-            known = known and np.isfinite(fields[k, row, column])
-        if not known:
-            continue
-        x, y = fields[0, row, column] - middle[0], fields[1, row, column] - middle[1]
-        sums[column, 0] += sign
-        sums[column, 1] += sign * x
-        sums[column, 2] += sign * y
-        sums[column, 3] += sign * x * x
-        sums[column, 4] += sign * x * y
-        sums[column, 5] += sign * y * y
-        for k in range(count - 2):
-            f = sign * (fields[k + 2, row, column] - middle[k + 2])
-            sums[column, 6 + 3 * k] += f
-            sums[column, 7 + 3 * k] += x * f
-            sums[column, 8 + 3 * k] += y * f
-        at = 3 * count
-        for k in range(len(squared)):
-            if np.isfinite(squared[k, row, column]):
-                sums[column, at + 2 * k] += sign
-                sums[column, at + 2 * k + 1] += sign * squared[k, row, column]
+    count = len(fields)
+    x, y = fields[0, row, column] - middle[0], fields[1, row, column] - middle[1]
+    sums[0] += sign
+    sums[1] += sign * x
+    sums[2] += sign * y
+    sums[3] += sign * x * x
+    sums[4] += sign * x * y
+    sums[5] += sign * y * y
+    for k in range(count - 2):
+        f = sign * (fields[k + 2, row, column] - middle[k + 2])
+        sums[6 + 3 * k] += f
+        sums[7 + 3 * k] += x * f
+        sums[8 + 3 * k] += y * f
+    at = 3 * count
+    for k in range(len(squared)):
+        if np.isfinite(squared[k, row, column]):
+            sums[at + 2 * k] += sign
+            sums[at + 2 * k + 1] += sign * squared[k, row, column]
+
+
+@njit(cache=True, nogil=True)
+def _add_row(
+    fields: np.ndarray, squared: np.ndarray, middle: np.ndarray, row: int, sign: float, sums: np.ndarray
+) -> None:
+    """Add what a row gives to the sums (column, quantity)."""
+    for column in range(fields.shape[2]):
+        if _known(fields, row, column):
+            _add_point(fields, squared, middle, row, column, sign, sums[column])
+
+
+@njit(cache=True, nogil=True)
+def _joined(
+    fields: np.ndarray,
+    squared: np.ndarray,
+    middle: np.ndarray,
+    row: int,
+    column: int,
+    half_rows: int,
+    half_columns: int,
+    sums: np.ndarray,
+) -> None:
+    """Sums over the points of a window that measured neighbours join to its centre, which is measured."""
+    rows, columns = fields.shape[1:]
+    top, left = max(row - half_rows, 0), max(column - half_columns, 0)
+    bottom, right = min(row + half_rows, rows - 1), min(column + half_columns, columns - 1)
+    width = right - left + 1
+    reached = np.zeros((bottom - top + 1) * width, np.bool_)
+    waiting = np.empty(len(reached), np.int64)
+    waiting[0] = (row - top) * width + column - left
+    reached[waiting[0]] = True
+    number = 1
+    while number > 0:
+        number -= 1
+        i, j = divmod(waiting[number], width)
+        _add_point(fields, squared, middle, top + i, left + j, 1.0, sums)
+        for down, aside in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            r, c = top + i + down, left + j + aside
+            if r < top or r > bottom or c < left or c > right:
+                continue
+            place = (r - top) * width + c - left
+            if not reached[place] and _known(fields, r, c):
+                reached[place] = True
+                waiting[number] = place
+                number += 1
 
 
 @njit(cache=True, nogil=True, parallel=True)
@@ -133,6 +195,7 @@ def _fit(
     middle: np.ndarray,
     half_rows: int,
     half_columns: int,
+    divided: np.ndarray,
     slopes: np.ndarray,
     white: np.ndarray,
     means: np.ndarray,
@@ -163,24 +226,26 @@ def _fit(
                 if column - half_columns - 1 >= 0:
                     for k in range(quantities):
                         total[k] -= sums[column - half_columns - 1, k]
-                known = True
-                for k in range(count):
-                    known = known and np.isfinite(fields[k, row, column])
-                number = total[0]
+                known = _known(fields, row, column)
+                here = total
+                if known and divided[row, column]:
+                    here = np.zeros(quantities)
+                    _joined(fields, squared, middle, row, column, half_rows, half_columns, here)
+                number = here[0]
                 if not known or number < enough:
                     slopes[:, :, row, column] = np.nan
                     white[:, row, column] = np.nan
                     means[:, row, column] = np.nan
                     continue
-                x, y = total[1] / number, total[2] / number
-                xx = total[3] / number - x * x
-                xy = total[4] / number - x * y
-                yy = total[5] / number - y * y
+                x, y = here[1] / number, here[2] / number
+                xx = here[3] / number - x * x
+                xy = here[4] / number - x * y
+                yy = here[5] / number - y * y
                 determinant = xx * yy - xy * xy
                 for k in range(count - 2):
-                    f = total[6 + 3 * k] / number
-                    xf = total[7 + 3 * k] / number - x * f
-                    yf = total[8 + 3 * k] / number - y * f
+                    f = here[6 + 3 * k] / number
+                    xf = here[7 + 3 * k] / number - x * f
+                    yf = here[8 + 3 * k] / number - y * f
                     slopes[k, 0, row, column] = (yy * xf - xy * yf) / determinant
                     slopes[k, 1, row, column] = (xx * yf - xy * xf) / determinant
                 white[0, row, column] = yy / (number * determinant)
@@ -189,7 +254,7 @@ def _fit(
                 for k in range(len(squared)):
                     at = 3 * count + 2 * k
                     # what remains of the sums where nothing is known is rounding
-                    if total[at] > 0.5:
-                        means[k, row, column] = max(total[at + 1] / total[at], 0.0)
+                    if here[at] > 0.5:
+                        means[k, row, column] = max(here[at + 1] / here[at], 0.0)
                     else:
                         means[k, row, column] = np.nan

@@ -12,6 +12,7 @@ from numba import njit, prange
 from fringedic.errors import StrainMeasureError
 from fringedic.surface.correlated import displacement_gains, height_gains
 from fringedic.surface.planes import Planes, fit_planes
+from fringedic.surface.tears import torn_points
 
 _ERRORS = ("noise_z", "noise_z_deformed", "displacement_sigma_x", "displacement_sigma_y")
 _STRAIN = {
@@ -56,13 +57,16 @@ def surface_strain(displacement_3d: xr.Dataset, *, window: int, measures: Iterab
     lines of sight and noise of the in-plane displacement, through the planes and the scalar products to first order,
     with the correlation of neighbouring errors.
 
+    Windows do not reach across a tear of the surface, see `torn_points`: a jump of height or displacement beyond what
+    their errors explain. Points so near to it that their displacement knows both sides are NaN.
+
     Parameters
     ----------
     displacement_3d
         From `couple`.
     window
         Width of the window [px of the reference image]; the strain is NaN where its centre or more than half of it is
-        not measured.
+        not measured, or not joined to its centre.
     measures
         What else to compute from the strain:
 
@@ -98,7 +102,8 @@ def surface_strain(displacement_3d: xr.Dataset, *, window: int, measures: Iterab
         raise StrainMeasureError(f"measure {', '.join(unknown)} is unknown; there are {', '.join(_MEASURES)}")
     attributes = displacement_3d.attrs
     known_errors = "displacement_window_px" in attributes and all(name in displacement_3d for name in _ERRORS)
-    planes = fit_planes(displacement_3d, ("z", "u", "v", "w"), window, _ERRORS if known_errors else ())
+    torn = torn_points(displacement_3d) if known_errors else None
+    planes = fit_planes(displacement_3d, ("z", "u", "v", "w"), window, _ERRORS if known_errors else (), torn)
     strain = np.empty((len(_STRAIN), *planes.slopes.shape[2:]), planes.slopes.dtype)
     _green_lagrange(planes.slopes, strain)
     fields = dict(zip(_STRAIN, strain, strict=True))
