@@ -144,7 +144,7 @@ def check(
 @app.command(epilog="Example: fringedic live plate.yaml --pattern fringes --region 320,240,640,480")
 def live(
     rig: Annotated[Path, typer.Argument(help="Rig file; those that come with fringedic are found by their name.")],
-    pattern: Annotated[Pattern, typer.Option(help="What is projected; focus: a grid of sharp lines.")] = Pattern.WHITE,
+    pattern: Annotated[Pattern, typer.Option(help="What is projected; focus: lines of 1 to 4 px.")] = Pattern.WHITE,
     region: Annotated[
         str, typer.Option(help="What is looked at: first column, first row, width and height in px, with commas.")
     ] = "",
@@ -272,7 +272,7 @@ def region(
     from fringedic_bringup.region import RIG_SUFFIXES, image_of
     from fringedic_bringup.region_window import draw_region
 
-    is_rig = source.suffix in RIG_SUFFIXES or not source.exists()
+    is_rig = source.suffix in ("", *RIG_SUFFIXES)  # the rigs that come with fringedic have names without an ending
     drawn = draw_region(image_of(_rig_path(source) if is_rig else source))
     if drawn is None:
         console.print("nothing was drawn", markup=False, highlight=False)
@@ -381,6 +381,7 @@ def process(
 def info(bag: Bag) -> None:
     """Say what a recording holds and whether it is whole."""
     from fringedic.recording import info as bag_info
+    from fringedic_bringup.clocks import clocks_in_words
 
     summary = bag_info(bag)
     start = datetime.fromtimestamp(summary.start_time * 1e-9, UTC).isoformat(sep=" ", timespec="seconds")
@@ -392,6 +393,8 @@ def info(bag: Bag) -> None:
     for name, (type_name, count) in summary.topics.items():
         table.add_row(name, type_name, str(count))
     console.print(table)
+    for words in clocks_in_words(bag):
+        console.print(words, markup=False, highlight=False)
     if summary.lost:
         console.print(f"damaged: {summary.lost}; `fringedic recover {bag}` saves the rest", markup=False)
 

@@ -141,7 +141,7 @@ def _patterns(rig: RigFile, pattern: Pattern) -> list[tuple[Projection, str]]:
         ]
     if pattern is Pattern.WHITE:
         return [(Projection(PatternKind.WHITE), "")]
-    return [(Projection(PatternKind.OTHER), "grid" if pattern is Pattern.FOCUS else "crosshair")]
+    return [(Projection(PatternKind.OTHER), pattern.value)]
 
 
 def _four_numbers(region: str) -> list[int]:
