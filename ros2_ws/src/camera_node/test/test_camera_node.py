@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -286,24 +289,38 @@ def test_stopped_process_goes_on(studio: Bench, tmp_path: Path) -> None:
         assert len(studio.images) == 2
 
 
-def test_bad_parameters_end_the_start_in_words(tmp_path: Path) -> None:
-    refused: list[tuple[dict[str, object], str]] = [
-        ({"source": "files"}, "camera: value error, source files needs the parameter files"),
-        ({"source": "files", "files": "/nowhere"}, "camera cannot configure: no images"),
-        ({"source": "v4l2", "camera": "/dev/video97"}, "camera cannot configure: there is no device /dev/video97"),
-        ({"source": "topic", "topic": "camera/image_raw"}, "/camera/image_raw is this node's own topic"),
-        ({"exposure_time_s": ".nan"}, "camera.exposure_time_s = nan: must be a finite number"),
-        ({"virtual_rig": '"{preset: tent}"'}, "tent"),
+# starts one node after the other, as its own process would: loading all that a node needs takes longer than that
+STARTS = """
+import json, sys
+from camera_node.camera_node import main
+for line in sys.stdin:
+    sys.argv = ["camera", "--ros-args", *(word for each in json.loads(line) for word in ("-p", each))]
+    print(f"code {main()}", flush=True)
+"""
+
+
+def test_bad_parameters_end_the_start_in_words() -> None:
+    refused: list[tuple[list[str], str]] = [
+        (["source:=files"], "camera: value error, source files needs the parameter files"),
+        (["source:=files", "files:=/nowhere"], "camera cannot configure: no images"),
+        (["source:=v4l2", "camera:=/dev/video97"], "camera cannot configure: there is no device /dev/video97"),
+        (["source:=topic", "topic:=camera/image_raw"], "/camera/image_raw is this node's own topic"),
+        (["exposure_time_s:=.nan"], "camera.exposure_time_s = nan: must be a finite number"),
+        (['virtual_rig:="{preset: tent}"'], "tent"),
     ]
-    nodes = []
-    for number, (parameters, _) in enumerate(refused):
-        folder = tmp_path / str(number)
-        folder.mkdir()
-        nodes.append(NodeProcess(MODULE, folder, parameters).__enter__())  # side by side: a start takes its time
-    for node, (_, words) in zip(nodes, refused, strict=True):
-        assert node.process.wait(60) == 1, node.log
-        assert words in node.log
-        assert "Traceback" not in node.log
+    run = subprocess.run(
+        [sys.executable, "-c", STARTS],
+        input="".join(json.dumps(parameters) + "\n" for parameters, _ in refused),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=True,
+    )
+    logs = run.stdout.split("code ")
+    assert [log[:1] for log in logs[1:]] == ["1"] * len(refused), run.stdout
+    for log, (_, words) in zip(logs, refused, strict=False):
+        assert words in log
+        assert "Traceback" not in log
 
 
 def test_clock_that_is_set_back(studio: Bench, tmp_path: Path) -> None:
@@ -316,7 +333,7 @@ def test_clock_that_is_set_back(studio: Bench, tmp_path: Path) -> None:
         return studio.capture()
 
     with NodeProcess(MODULE, tmp_path, parameters):
-        studio.wait(lambda: clock.get_subscription_count(), "the node's clock")
+        studio.wait(lambda: clock.get_subscription_count(), "the node's clock", 200.0)
         studio.wait(lambda: capture_at(1000).stamp.sec == 1000, "the time 1000 s")
         responses = []
         studio.wait(lambda: responses.append(capture_at(400)) or responses[-1].error_code, "the error")
