@@ -429,8 +429,8 @@ class RigFile(Section):
     def _relative_phases_are_wanted(self) -> RigFile:
         if self.sequence.fringe_order == "one_image" and self.nodes.phase.relative_phase != "accept":
             raise ValueError(
-                "sequence.fringe_order: one_image measures phases up to whole fringes only, and shapes that are off by "
-                "an unknown height; if that will do, set nodes.phase.relative_phase: accept"
+                "sequence.fringe_order: one_image measures phases up to whole fringes only, and shapes that may be off "
+                "by as many; if that will do, set nodes.phase.relative_phase: accept"
             )
         return self
 
