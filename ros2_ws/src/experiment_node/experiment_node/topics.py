@@ -24,6 +24,7 @@ RAW_TOPICS = (
     "load_frame/state",
     "load_frame/wrench",
     "load_frame/joint_states",
+    "load_frame/clock",
     "extensometer/strain",
     "extensometer/sigma",
     "extensometer/valid",

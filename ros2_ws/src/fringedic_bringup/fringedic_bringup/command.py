@@ -509,13 +509,36 @@ def report(
             help="Step at rest, for the noise floor; by default those at the position of the reference.",
         ),
     ] = None,
+    extensometer: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="ROW,COLUMN,ROW,COLUMN",
+            help="Virtual extensometer between two pixels; by default those of the rig file.",
+        ),
+    ] = None,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write the report of an experiment as one HTML file that needs no network."""
+    """Write the report of an experiment as one HTML file that needs no network.
+
+    Example: fringedic report my_test/bag --extensometer 480,200,480,1000
+    """
     from fringedic.report import write_report
 
-    written = write_report(source, output, static_steps=static or None, overwrite=overwrite)
+    places = [_two_pixels(each) for each in extensometer] if extensometer else None
+    written = write_report(source, output, static_steps=static or None, extensometers=places, overwrite=overwrite)
     console.print(f"report: {written}", markup=False, highlight=False)
+
+
+def _two_pixels(text: str) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 4:
+        raise typer.BadParameter(
+            f"--extensometer {text}: give ROW,COLUMN,ROW,COLUMN in pixels, such as 480,200,480,1000"
+        )
+    return numbers
 
 
 def main() -> None:

@@ -18,13 +18,14 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from fringedic.errors import CrossheadRangeError, FringedicError, MachineError, WaitTimeoutError
+from fringedic.clocks import DeviceClock
+from fringedic.errors import ClockJumpError, CrossheadRangeError, FringedicError, MachineError, WaitTimeoutError
 from fringedic.virtual_rig import LoadMode, SimulatedLoadFrame
 from fringedic_msgs.action import MoveCrosshead
-from fringedic_msgs.msg import LoadState
+from fringedic_msgs.msg import ClockDrift, LoadState
 from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
 from fringedic_ros.main import run
-from fringedic_ros.qos import SAMPLES
+from fringedic_ros.qos import LATCHED, SAMPLES
 from fringedic_ros.stamps import to_msg
 from fringedic_ros.virtual import VirtualRigText, virtual_configuration
 from fringedic_ros.waiting import Condition
@@ -35,6 +36,7 @@ FRAME_ID = "load_frame"
 JOINT = "crosshead"
 Result = MoveCrosshead.Result
 _FEEDBACK_PERIOD_S = 0.1
+_CLOCK_PERIOD_S = 1.0  # between two reports of the machine's clock
 _START_TIMEOUT_S = 5.0  # from the request to the first motion
 _STOP_TIMEOUT_S = 30.0
 
@@ -81,6 +83,10 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
         self._goal: ServerGoalHandle | None = None
         self._held = False
         self._changed = Condition(self)
+        self._machine_clock = DeviceClock("testing machine")
+        self._device_ns = 0  # of the latest sample, on the machine's clock
+        self._told_of_clock = 0.0
+        self._clocks = self.create_publisher(ClockDrift, "load_frame/clock", LATCHED)
         self._states = self.create_publisher(LoadState, "load_frame/state", SAMPLES)
         self._wrenches = self.create_publisher(WrenchStamped, "load_frame/wrench", SAMPLES)
         self._joints = self.create_publisher(JointState, "load_frame/joint_states", SAMPLES)
@@ -116,6 +122,7 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
 
     def activate(self) -> None:
         """Begin to sample."""
+        self._machine_clock, self._device_ns = DeviceClock("testing machine"), 0
         self._stop_sampling.clear()
         self._sampling = threading.Thread(target=self._sample_all, name="load_frame-sampling", daemon=True)
         self._sampling.start()
@@ -175,7 +182,32 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
         self._states.publish(state)
         self._wrenches.publish(wrench)
         self._joints.publish(joint)
+        self._compare_clocks(sample)
         self._changed.notify()
+
+    def _compare_clocks(self, sample: Sample) -> None:
+        """Publish how a machine's clock runs against this computer's, once a second."""
+        if sample.device_ns is None or sample.device_ns == self._device_ns:
+            return
+        self._device_ns = sample.device_ns
+        try:
+            self._machine_clock.arrival(sample.device_ns, sample.stamp_ns)
+        except ClockJumpError as error:
+            self.get_logger().error(str(error))
+            self.diagnostics.failure(str(error))
+        known, now = self._machine_clock.estimate, time.monotonic()
+        if known is None or now - self._told_of_clock < _CLOCK_PERIOD_S:
+            return
+        self._told_of_clock = now
+        message = ClockDrift(
+            clock="load_frame",
+            offset=known.offset,
+            drift=known.drift,
+            drift_sigma=known.drift_sigma,
+            samples=known.samples,
+        )
+        message.header.stamp = to_msg(known.stamp_ns)
+        self._clocks.publish(message)
 
     # moving and holding
 

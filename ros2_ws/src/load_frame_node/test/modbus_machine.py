@@ -1,7 +1,8 @@
 """A testing machine that speaks Modbus TCP, as a process: pymodbus's server before the simulated load frame.
 
-Registers, as the machine file of the tests names them: 0 force [N], 2 position [mm], 4 status, 10 target [mm],
-12 speed [mm/s]; coils: 0 starts a move, 1 holds, 2 breaks the load cell, 3 reports a fault.
+Registers, as the machine file of the tests names them: 0 force [N], 2 position [mm], 4 status, 6 time since the start
+[ms] by a clock that is 1 % too fast, 10 target [mm], 12 speed [mm/s]; coils: 0 starts a move, 1 holds, 2 breaks the
+load cell, 3 reports a fault.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import asyncio
 import math
 import struct
 import sys
+import time
 
 from pymodbus.constants import ExcCodes
 from pymodbus.server import ModbusTcpServer
@@ -29,6 +31,7 @@ class Registers:
         self.machine = SimulatedMachine(SimulatedLoadFrame(configuration.load_frame, seed=1))
         self.holding: list[int] = []
         self.broken = self.fault = False
+        self.started = time.monotonic()
 
     async def access(
         self, function: int, start: int, address: int, count: int, current: list[int], new: list | None
@@ -39,6 +42,8 @@ class Registers:
             current[0:2] = words(math.nan if self.broken else sample.force)
             current[2:4] = words(1e3 * sample.position)
             current[4] = 99 if self.fault else STATUS[sample.mode]
+            passed = round(1.01e3 * (time.monotonic() - self.started))
+            current[6:8] = [passed >> 16, passed & 0xFFFF]
         elif function == WRITE_COIL and new:
             return self.switch(address, bool(new[0]))
         elif new and address >= 10:

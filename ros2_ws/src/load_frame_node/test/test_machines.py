@@ -23,8 +23,8 @@ from std_srvs.srv import Trigger
 from fringedic.errors import CrossheadRangeError, MachineError, MachineFileError
 from fringedic.virtual_rig import LoadMode
 from fringedic_msgs.action import MoveCrosshead
-from fringedic_msgs.msg import LoadState
-from fringedic_ros.qos import STATE
+from fringedic_msgs.msg import ClockDrift, LoadState
+from fringedic_ros.qos import LATCHED, STATE
 from fringedic_ros.testing import NodeProcess, Peer
 from load_frame_node.machines import Machine, Sample, load_machine, open_machine
 from load_frame_node.machines.machine import Motion
@@ -316,6 +316,20 @@ def test_node_drives_a_modbus_machine_that_is_lost_and_found(operator: Operator,
             with server("modbus_machine.py", port):
                 operator.until(LoadState.IDLE)
                 assert operator.move(0.1 * MM, 1.0 * MM).error_code == MoveCrosshead.Result.NONE
+
+
+def test_node_tells_how_the_clock_of_the_machine_runs(operator: Operator, tmp_path: Path) -> None:
+    path = tmp_path / "machine.yaml"
+    clocks = operator.listen(ClockDrift, "load_frame/clock", LATCHED)
+    with server("modbus_machine.py") as (_, port):
+        path.write_text(yaml.safe_dump({**description("modbus", port), "time": {"register": 6}}))
+        parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 100.0}
+        with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters):
+            operator.wait(lambda: clocks and clocks[-1].samples >= 12, "a dozen blocks of samples")
+    told = clocks[-1]
+    assert told.clock == "load_frame"
+    error = told.drift - 0.01
+    assert abs(error) < 0.002, f"drift {told.drift:.5f}, off by {error:.5f}, stated {told.drift_sigma:.5f}"
 
 
 def test_node_listens_to_a_controller(operator: Operator, tmp_path: Path) -> None:

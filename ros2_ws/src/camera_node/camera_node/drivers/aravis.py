@@ -17,8 +17,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from camera_node.drivers.device_clock import ClockEstimate, DeviceClock
 from camera_node.drivers.driver import Frame, Scene
+from fringedic.clocks import ClockEstimate, DeviceClock
 from fringedic.errors import CameraError, CameraTimeoutError
 
 Answer = TypeVar("Answer")
@@ -176,9 +176,11 @@ class AravisDriver:
         """End what `start` began."""
         self._rate = None
         if self._connection is not None:
-            with self._in_use() as connection:
-                self._stop(connection)
-                self._set_trigger(connection.camera)
+            try:
+                self._stop(self._connection)
+                self._set_trigger(self._connection.camera)
+            except (CameraError, self._aravis.error):
+                self._lose()  # the next exposure looks for it
 
     def expose(self, scene: Scene) -> Frame:
         """Take one frame that begins now, or the next one of a running stream.

@@ -8,7 +8,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from camera_node.drivers.device_clock import ClockEstimate
+from fringedic.clocks import ClockEstimate
 
 
 @dataclass(frozen=True)

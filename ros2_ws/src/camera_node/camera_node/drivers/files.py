@@ -10,9 +10,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from camera_node.drivers.device_clock import ClockEstimate
 from camera_node.drivers.driver import Frame, Scene
 from camera_node.drivers.grey import luminance
+from fringedic.clocks import ClockEstimate
 from fringedic.errors import CameraError
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")

@@ -16,10 +16,10 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import Image
 
-from camera_node.drivers.device_clock import ClockEstimate, DeviceClock
 from camera_node.drivers.driver import Frame, Scene
 from camera_node.drivers.grey import luminance
 from camera_node.drivers.stamp_of import StampOf
+from fringedic.clocks import ClockEstimate, DeviceClock
 from fringedic.errors import CameraError, CameraTimeoutError, ClockJumpError
 from fringedic_ros.images import image_array
 from fringedic_ros.stamps import to_nanoseconds

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from camera_node.drivers.device_clock import ClockEstimate
 from camera_node.drivers.driver import Frame, Scene
 from camera_node.drivers.stamp_of import StampOf
+from fringedic.clocks import ClockEstimate
 from fringedic.errors import CameraError, CameraTimeoutError
 
 _GET, _SET = 0xC008561B, 0xC008561C  # VIDIOC_G_CTRL, VIDIOC_S_CTRL of linux/videodev2.h
@@ -180,6 +180,7 @@ class V4l2Driver:
         except (CameraError, OSError):
             video.release()
             self._controls.close()
+            self._controls = None
             raise
         return video
 

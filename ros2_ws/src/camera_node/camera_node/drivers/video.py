@@ -8,9 +8,9 @@ from pathlib import Path
 
 import cv2
 
-from camera_node.drivers.device_clock import ClockEstimate
 from camera_node.drivers.driver import Frame, Scene
 from camera_node.drivers.grey import luminance
+from fringedic.clocks import ClockEstimate
 from fringedic.errors import CameraError
 
 # codes of OpenCV for pixels of one grey level, 8 and 16 bits, which it gives as they are when asked to

@@ -11,8 +11,8 @@ import h5netcdf
 import numpy as np
 import xarray as xr
 
-from camera_node.drivers.device_clock import ClockEstimate
 from camera_node.drivers.driver import Frame, PlacedPlane, Scene
+from fringedic.clocks import ClockEstimate
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration, pattern_weights
 
 

@@ -14,12 +14,13 @@ DescriptionT = TypeVar("DescriptionT", bound=MachineSection)
 
 
 class Reading(NamedTuple):
-    """What one question brought: stamp [ns], force [N], position [m], and the status where the machine tells it."""
+    """What one question brought: stamp [ns], force [N], position [m]; status and time [s] where they are told."""
 
     stamp_ns: int
     force: float
     position: float
     status: int | str | None
+    time: float | None = None
 
 
 class DescribedMachine(ABC, Generic[DescriptionT]):
@@ -57,14 +58,15 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
             The machine does not answer, or answers with something that is no number.
         """
         read = self._link.ask("sample", self.read)
-        for what, value in (("force", read.force), ("position", read.position)):
+        for what, value in (("force", read.force), ("position", read.position), ("time", read.time or 0.0)):
             if not math.isfinite(value):
                 raise MachineError(f"{self.description.name}: sample: {what} is {value}, which is no number")
         if self.description.status is None or read.status is None:
             mode = self._motion.mode(read.stamp_ns, read.position)
         else:
             mode = self.description.status.mode(read.status)
-        return Sample(read.stamp_ns, mode, read.force, read.position)
+        device_ns = None if read.time is None else round(1e9 * read.time)
+        return Sample(read.stamp_ns, mode, read.force, read.position, device_ns)
 
     def move_to(self, position: float, speed: float) -> None:
         """Ask for a move to `position` [m] at `speed` [m/s].

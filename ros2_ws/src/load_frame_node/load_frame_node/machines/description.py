@@ -24,8 +24,10 @@ from fringedic.virtual_rig import LoadMode
 ForceUnit = Literal["mN", "N", "kN"]
 LengthUnit = Literal["um", "mm", "m"]
 SpeedUnit = Literal["um/s", "mm/s", "mm/min", "m/s"]
+TimeUnit = Literal["us", "ms", "s"]
 
 _SI = {"mN": 1e-3, "N": 1.0, "kN": 1e3, "um": 1e-6, "mm": 1e-3, "m": 1.0}
+_SI |= {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 _SI |= {"um/s": 1e-6, "mm/s": 1e-3, "mm/min": 1e-3 / 60, "m/s": 1.0}
 
 
@@ -137,6 +139,13 @@ class SpeedRegister(Register, Scaled):
     unit: SpeedUnit = "mm/s"
 
 
+class TimeRegister(Register, Scaled):
+    """Where the machine's own time of a sample stands."""
+
+    type: NumberType = "uint32"
+    unit: TimeUnit = "ms"
+
+
 class StatusRegister(Register, Modes):
     """Where the machine's state stands."""
 
@@ -175,6 +184,7 @@ class ModbusDescription(MachineSection):
     word_order: Literal["big", "little"] = Field("big", description="Of numbers in several registers.")
     force: ForceRegister
     position: LengthRegister
+    time: TimeRegister | None = Field(None, description="The machine's clock, to tell how it drifts.")
     status: StatusRegister | None = None
     move: ModbusMove | None = None
     hold: Switch | None = None
@@ -201,6 +211,12 @@ class LengthQuery(Query):
     """Question for the position."""
 
     unit: LengthUnit = "mm"
+
+
+class TimeQuery(Query):
+    """Question for the machine's own time."""
+
+    unit: TimeUnit = "ms"
 
 
 class StatusQuery(Modes):
@@ -243,6 +259,7 @@ class ScpiDescription(MachineSection):
     start: list[str] = Field([], description="Commands after connecting.")
     force: ForceQuery
     position: LengthQuery
+    time: TimeQuery | None = Field(None, description="The machine's clock, to tell how it drifts.")
     status: StatusQuery | None = None
     move: ScpiMove | None = None
     hold: list[str] = Field([], description="Commands that stop and hold.")

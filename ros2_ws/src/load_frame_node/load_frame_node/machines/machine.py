@@ -28,12 +28,15 @@ class Sample(NamedTuple):
         [N], tension positive.
     position
         Crosshead [m], positive in the direction of tension.
+    device_ns
+        The same moment on the machine's own clock [ns]; None where it does not tell.
     """
 
     stamp_ns: int
     mode: LoadMode
     force: float
     position: float
+    device_ns: int | None = None
 
 
 class Machine(Protocol):

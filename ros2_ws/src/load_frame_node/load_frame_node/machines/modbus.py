@@ -41,14 +41,18 @@ class ModbusMachine(DescribedMachine[ModbusDescription]):
     def read(self) -> Reading:
         """Read the registers; the machine did it between the question and the answer."""
         description = self.description
+        further = (description.status, description.time)
         places: list[Register] = [description.force, description.position]
-        if description.status is not None:
-            places.append(description.status)
+        places += [place for place in further if place is not None]
         before = time.time_ns()
-        force, position, *status = self._numbers(places)
+        force, position, *others = self._numbers(places)
         stamp = (before + time.time_ns()) // 2
         return Reading(
-            stamp, description.force.si(force), description.position.si(position), int(status[0]) if status else None
+            stamp,
+            description.force.si(force),
+            description.position.si(position),
+            int(others[0]) if description.status is not None else None,
+            description.time.si(others[-1]) if description.time is not None else None,
         )
 
     def send_move(self, position: float, speed: float) -> None:

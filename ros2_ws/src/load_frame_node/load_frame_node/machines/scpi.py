@@ -44,15 +44,17 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
                 return  # it was lost already
 
     def read(self) -> Reading:
-        """Ask for force, position and status, in this order; the stamp is the middle of the three."""
+        """Ask for force, position, status and time, in this order; the stamp is the middle of them."""
         description = self.description
         before = time.time_ns()
         force = self._number("force", description.force)
         position = self._number("position", description.position)
         status = None if description.status is None else self._answer(description.status.query)
+        own_time = None if description.time is None else self._number("time", description.time)
         stamp = (before + time.time_ns()) // 2
         is_number = status is not None and status.lstrip("+-").isdigit()
-        return Reading(stamp, force, position, int(status) if status is not None and is_number else status)
+        told = int(status) if status is not None and is_number else status
+        return Reading(stamp, force, position, told, own_time)
 
     def send_move(self, position: float, speed: float) -> None:
         """Send the commands of a move."""

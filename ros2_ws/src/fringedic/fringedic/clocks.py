@@ -1,4 +1,4 @@
-"""The camera's clock against this computer's."""
+"""The clock of a camera or a testing machine against this computer's."""
 
 from __future__ import annotations
 

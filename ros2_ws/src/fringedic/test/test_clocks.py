@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from camera_node.drivers.device_clock import DeviceClock
+from fringedic.clocks import DeviceClock
 from fringedic.errors import ClockJumpError
 
 SECOND = 1_000_000_000
