@@ -132,6 +132,7 @@ def test_node_takes_what_began_late_enough_and_survives_unplugging(
         assert gone.error_code == CaptureFrame.Request.CAMERA_FAILED
         assert f"{DEVICE} is gone: " in gone.error_message
         assert "check its cable" in gone.error_message
+        studio.wait(lambda: f"there is no device {DEVICE}" in studio.capture(6).error_message, "looking for it")
         unplugged.unlink()
         studio.wait(lambda: studio.capture(6).error_code == CaptureFrame.Request.NONE, "the camera again")
 
