@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
+
+from pymodbus.client import ModbusTcpClient
 
 ROOT = Path(__file__).parent.parent
 CONFIG = ROOT / "ros2_ws" / "src" / "fringedic_bringup" / "config"
@@ -14,6 +20,18 @@ CONFIG = ROOT / "ros2_ws" / "src" / "fringedic_bringup" / "config"
 # 5 px, where a window of 32 px sees too little of it, is NaN: (150 - 10) (120 - 10) / (160 * 120) = .80
 WORKING = 0.80
 SHARED_MEMORY = Path("/dev/shm")
+MODBUS_MACHINE = ROOT / "ros2_ws" / "src" / "load_frame_node" / "test" / "modbus_machine.py"
+MACHINE: dict[str, Any] = {
+    "protocol": "modbus",
+    "host": "127.0.0.1",
+    "timeout_s": 0.3,
+    "force": {"register": 0},
+    "position": {"register": 2},
+    "status": {"register": 4, "idle": [0], "moving": [11], "hold": [12], "fault": [99]},
+    "move": {"position": {"register": 10}, "speed": {"register": 12}, "start": {"coil": 0}},
+    "hold": {"coil": 1},
+    "limits": {"lowest_mm": 0.0, "highest_mm": 1.0, "fastest_mm_per_s": 5.0},
+}
 
 
 @dataclass
@@ -30,6 +48,39 @@ class Told:
 
     def note(self, text: str) -> None:
         self.lines.append(text)
+
+
+class Killer(Told):
+    """Kills a node when a step has taken its third frame.
+
+    Parameters
+    ----------
+    folder
+        Of the run.
+    victims
+        Which node in which step, counted from 1.
+    """
+
+    def __init__(self, folder: Path, victims: dict[int, str]) -> None:
+        super().__init__()
+        self._folder, self._victims = folder, dict(victims)
+
+    def step(self, number: int, steps: int, text: str, frame: int = 0, frames: int = 0) -> None:
+        super().step(number, steps, text, frame, frames)
+        if number in self._victims and frame == 3:
+            os.kill(node_pid(self._folder, self._victims.pop(number)), signal.SIGKILL)
+
+
+def node_pid(folder: Path, name: str) -> int:
+    """Process of a node, known by its parameter file."""
+    marker = str(folder / "logs" / f"{name}.yaml").encode()
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if marker in (process / "cmdline").read_bytes():
+                return int(process.name)
+        except OSError:
+            continue
+    raise AssertionError(f"no process of {name}")
 
 
 def processes_of(domain: str) -> list[str]:
@@ -57,3 +108,33 @@ def wait_until(done: Callable[[], object], what: str, timeout_s: float = 60.0) -
     while not done():
         assert time.monotonic() < end, f"{what} did not happen within {timeout_s:g} s"
         time.sleep(0.05)
+
+
+class ModbusServer:
+    """The machine's process; it can be killed and started again at its port."""
+
+    def __init__(self) -> None:
+        self.port = 0
+
+    def __enter__(self) -> ModbusServer:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill()
+
+    def start(self) -> None:
+        command = [sys.executable, str(MODBUS_MACHINE), str(self.port)]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        assert self.process.stdout is not None
+        self.port = int(self.process.stdout.readline())
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
+    def switch(self, coil: int, on: bool) -> None:
+        with ModbusTcpClient("127.0.0.1", port=self.port) as technician:
+            technician.write_coil(coil, on, device_id=1)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
-from running_system import CONFIG, WORKING, Told
+from running_system import CONFIG, WORKING, Killer
 
 import fringedic
 from fringedic.programme import Programme
@@ -20,39 +18,6 @@ PROGRAMME = {
     "ramp": {"from_mm": 0.0, "to_mm": 0.6, "steps": 4, "speed_mm_per_s": 5.0},
 }
 VICTIMS = ("experiment", "recorder", "dic")  # those that keep something in memory
-
-
-class Killer(Told):
-    """Kills a node when a step has taken its third frame.
-
-    Parameters
-    ----------
-    folder
-        Of the run.
-    victims
-        Which node in which step, counted from 1.
-    """
-
-    def __init__(self, folder: Path, victims: dict[int, str]) -> None:
-        super().__init__()
-        self._folder, self._victims = folder, dict(victims)
-
-    def step(self, number: int, steps: int, text: str, frame: int = 0, frames: int = 0) -> None:
-        super().step(number, steps, text, frame, frames)
-        if number in self._victims and frame == 3:
-            os.kill(_node_pid(self._folder, self._victims.pop(number)), signal.SIGKILL)
-
-
-def _node_pid(folder: Path, name: str) -> int:
-    """Process of a node, known by its parameter file."""
-    marker = str(folder / "logs" / f"{name}.yaml").encode()
-    for process in Path("/proc").glob("[0-9]*"):
-        try:
-            if marker in (process / "cmdline").read_bytes():
-                return int(process.name)
-        except OSError:
-            continue
-    raise AssertionError(f"no process of {name}")
 
 
 @pytest.mark.slow

@@ -162,7 +162,7 @@ class ExperimentNode(Node):
             experiment=experiment,
             number=number,
             projections=parameters.projections() if fringes else (Projection(PatternKind.WHITE),),
-            nodes=parameters.nodes,
+            nodes=() if parameters.record_only else parameters.nodes,
             is_reference=goal.request.set_reference or experiment.next_is_reference,
             feed_back=_feed_back,
         )

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from experiment_node.turn import Turn
+from fringedic.load_samples import samples_over
 from fringedic.sequence import Projection
 from fringedic_msgs.msg import LoadState, NodeStatus
 from fringedic_ros.stamps import to_nanoseconds
@@ -102,6 +103,8 @@ class RunningStep:
         return max(self.answered - self.exposed, 0.0) if self.statuses else 0.0
 
     def load_during_exposures(self) -> list[LoadState]:
-        """Return the samples from the start of the first exposure to the end of the last one."""
+        """Return the samples from the start of the first exposure to the end of the last one, or those beside it."""
         start, end = self.exposures[0][0], self.exposures[len(self.projections) - 1][1]
-        return [sample for sample in self.load if start <= to_nanoseconds(sample.header.stamp) <= end]
+        samples = list(self.load)
+        chosen = samples_over([to_nanoseconds(sample.header.stamp) for sample in samples], start, end)
+        return [samples[index] for index in chosen.nonzero()[0]]

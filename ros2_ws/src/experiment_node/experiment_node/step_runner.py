@@ -207,10 +207,12 @@ class StepRunner:
             self._check_recorder(parameters)
 
     async def _await_quiet_graph(self, step: RunningStep) -> None:
-        """Wait for subscribers that may still be on their way: nodes find each other while this one finds them."""
+        """Wait for who may still be on their way: nodes find each other while this one finds them."""
 
         def listeners() -> list[int]:
-            return [self._node.count_subscribers(topic) for topic in ("camera/image_raw", "camera/exposure")]
+            readers = [self._node.count_subscribers(topic) for topic in ("camera/image_raw", "camera/exposure")]
+            services = [self._node.count_services(client.srv_name) for client in (self._show, self._capture)]
+            return readers + services
 
         found, since = listeners(), self._connected_at
         while (left := since + CONNECTING_TIME - time.monotonic()) > 0:
@@ -301,6 +303,8 @@ class StepRunner:
         timeout = parameters.camera_timeout_s + (parameters.start_timeout_s if first else 0.0)
         response = await step.turn.call(self._capture, request, timeout, Result.CAMERA_TIMEOUT, f"frame {index}")
         if response.error_code != CaptureFrame.Request.NONE:
+            if parameters.hold_required:
+                _refuse_unheld([self._load])  # a camera that looks at the machine cannot do without it
             code = CAPTURE_ERRORS.get(response.error_code, Result.CAMERA_FAILED)
             raise StepFailure(code, f"frame {index}: {response.error_message}")
         stamp = to_nanoseconds(response.stamp)

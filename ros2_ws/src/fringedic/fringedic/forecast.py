@@ -123,7 +123,7 @@ def forecast(rig: RigFile, programme: Programme) -> Forecast:
         fringes = step.mode == "fringes"
         duration += step_time + count * frame_time + POINT_TIME * points + (PHASE_TIME * pixels if fringes else 0.0)
         size += count * frame_bytes + PICTURE_BYTES + DATASET_BYTES * points
-        if rig.recording.derived:
+        if rig.recording.process and rig.recording.derived:
             size += DIC_BYTES * points + (PHASE_BYTES * pixels + CLOUD_BYTES * points if fringes else 0.0)
     if rig.load_frame is not None:
         size += SAMPLE_BYTES * rig.load_frame.rate_hz * duration

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 FEWEST_FOR_A_LINE = 3
+NEAR_NS = 1_000_000_000  # a sample further from the exposure tells nothing of it
 
 
 class LoadSummary(NamedTuple):
@@ -28,6 +29,33 @@ class LoadSummary(NamedTuple):
     mean: float
     spread: float
     drift: float
+
+
+def samples_over(stamps: Sequence[int] | np.ndarray, begin: float, end: float) -> np.ndarray:
+    """Return which samples belong to a time: those within it, or its neighbours when it is shorter than their distance.
+
+    Parameters
+    ----------
+    stamps
+        When samples were acquired [ns], shape (n,).
+    begin, end
+        Of the first and last exposure [ns].
+
+    Returns
+    -------
+    ndarray
+        bool, shape (n,); all false when none is nearer than a second.
+    """
+    stamp = np.asarray(stamps, dtype=np.int64)
+    chosen = (stamp >= begin) & (stamp <= end)
+    if chosen.any():
+        return chosen
+    before, after = (stamp < begin) & (stamp > begin - NEAR_NS), (stamp > end) & (stamp < end + NEAR_NS)
+    if before.any():
+        chosen |= stamp == stamp[before].max()
+    if after.any():
+        chosen |= stamp == stamp[after].min()
+    return chosen
 
 
 def summarise_load(stamps: Sequence[int], values: Sequence[float]) -> LoadSummary:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fringedic.load_samples import summarise_load
+from fringedic.load_samples import samples_over, summarise_load
 from fringedic.virtual_rig import LoadMode, SimulatedLoadFrame, VirtualRigConfiguration
 
 
@@ -56,3 +56,13 @@ def test_relaxation_of_the_simulated_specimen_against_its_truth() -> None:
     assert summary.mean == pytest.approx(true.mean(), abs=0.6)  # the first sample has noise as well
     assert -np.ptp(true) * 1.1 < summary.drift < -np.ptp(true) * 0.8
     assert np.ptp(true) - 1 < summary.spread < np.ptp(true) + 4 * 0.2 * 2
+
+
+def test_an_exposure_between_two_samples_has_both() -> None:
+    second = 1_000_000_000
+    stamps = [0, second, 2 * second, 3 * second]
+    assert samples_over(stamps, 0.9 * second, 2.1 * second).tolist() == [False, True, True, False]
+    assert samples_over(stamps, 1.2 * second, 1.3 * second).tolist() == [False, True, True, False]
+    assert samples_over(stamps, 3.2 * second, 3.3 * second).tolist() == [False, False, False, True]
+    assert not samples_over(stamps, 9 * second, 9.1 * second).any()
+    assert samples_over([], 0, 1).size == 0

@@ -45,6 +45,9 @@ MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
 START_TIMEOUT_S = 60.0
 # Several heartbeats of config/fastdds.xml.
 HEARTBEATS_S = 0.5
+# A service whose node was killed is listed for 20 s beside the one of the node that was started again.
+LISTED_S = 20.0
+SERVICES = {"camera": "camera/capture", "projector": "projector/show", "load_frame": "load_frame/hold"}
 # The experiment node ends every step by itself; this only ends the wait for one that is gone.
 STEP_TIMEOUT_S = 3600.0
 
@@ -290,10 +293,15 @@ class RigClient:
         if "recorder" in expected:
             self._recorder = None  # what was heard of it was said by the one that is gone
 
+        listed_until = time.monotonic() + LISTED_S
+
         def missing() -> set[str]:
             absent = {name for name in expected if self._started.get(name, 0) < since_ns}
             known = self._known_servers
-            return absent | {name for name, gids in self._servers(expected).items() if gids <= known.get(name, set())}
+            absent |= {name for name, gids in self._servers(expected).items() if gids <= known.get(name, set())}
+            if time.monotonic() < listed_until:
+                absent |= {name for name in expected & SERVICES.keys() if self._count_services(name) < 2}
+            return absent
 
         self._wait(lambda: not missing(), timeout_s, lambda: f"not started: {', '.join(sorted(missing()))}")
 
@@ -489,6 +497,9 @@ class RigClient:
             found = self._node.get_publishers_info_by_topic(f"{name}/_action/status")
             servers[node] = {bytes(each.endpoint_gid) for each in found}
         return servers
+
+    def _count_services(self, node: str) -> int:
+        return self._node.count_services(self._node.resolve_service_name(SERVICES[node]))
 
     def _call(self, client: Any, request: Any) -> Any:
         return self._await(client.call_async(request), START_TIMEOUT_S, client.srv_name)

@@ -64,17 +64,24 @@ class StepReport:
 
 @dataclass
 class RunReport:
-    """One run: its folder, which holds recording, dataset and pictures, and its steps."""
+    """One run: its folder, which holds recording, dataset and pictures, and its steps.
+
+    Attributes
+    ----------
+    unmeasured
+        Why there is no dataset of what was recorded; empty when there is one.
+    """
 
     experiment: str
     folder: Path
     steps: list[StepReport]
     pictures: list[Path]
+    unmeasured: str = ""
 
     @property
     def failed(self) -> bool:
-        """Whether a step failed or a frame was lost."""
-        return any(step.error or step.missing for step in self.steps)
+        """Whether a step failed, a frame was lost, or nothing could be measured."""
+        return bool(self.unmeasured) or any(step.error or step.missing for step in self.steps)
 
 
 @dataclass(frozen=True)

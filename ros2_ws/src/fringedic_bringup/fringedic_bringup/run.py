@@ -12,7 +12,7 @@ import xarray as xr
 
 from camera_node.drivers.files import SUFFIXES
 from fringedic.calibration_session import in_force_words
-from fringedic.errors import RigFileError
+from fringedic.errors import DatasetError, RigFileError
 from fringedic.forecast import forecast
 from fringedic.pictures import save_pictures
 from fringedic.programme import Programme
@@ -168,13 +168,18 @@ def write_results(
     if not recorded.find_optional("camera/exposure"):
         return RunReport(experiment, folder, steps, [])
     target = folder / "results.nc"
-    if measure_again is not None:
-        process_bag(bag, output=target, experiment=experiment, reference=measure_again)
-    elif recorded.find_optional("phase/status"):
-        dataset_from_derived(bag, output=target, experiment=experiment)
-    else:
-        process_bag(bag, output=target, experiment=experiment)
     losses = frame_losses(bag)
+    for report in steps:
+        report.dropped, report.missing = losses.get(report.step, (0, 0))
+    try:
+        if measure_again is not None:
+            process_bag(bag, output=target, experiment=experiment, reference=measure_again)
+        elif recorded.find_optional("phase/status"):
+            dataset_from_derived(bag, output=target, experiment=experiment)
+        else:
+            process_bag(bag, output=target, experiment=experiment)
+    except DatasetError as error:
+        return RunReport(experiment, folder, steps, [], unmeasured=str(error))
     truth_file = folder / "truth.nc"
     errors: xr.Dataset | None = None
     pictures: list[Path] = []
@@ -193,7 +198,6 @@ def write_results(
             pictures += save_pictures(untold, folder)
     write_report(bag if measure_again is None else target, folder / "report.html", overwrite=True)
     for report in steps:
-        report.dropped, report.missing = losses.get(report.step, (0, 0))
         if errors is not None and report.step in errors.step.values:
             report.errors = _errors_of(errors, report.step) | heights.get(report.step, {})
     return RunReport(experiment, folder, steps, pictures)

@@ -8,6 +8,7 @@ import numpy as np
 
 from fringedic.errors import DatasetError
 from fringedic.facts import FIRST_STEP
+from fringedic.load_samples import samples_over
 from fringedic.recording import BagReader
 from fringedic.results.recorded_parameters import recorded_facts
 from fringedic.results.rows import Row
@@ -77,8 +78,7 @@ class Timeline:
 
     def _mean_load(self, step: int) -> tuple[float, float]:
         """Mean (force, position) as read, between the begin of the first and the end of the last exposure."""
-        begin, end = self._exposed[step]
-        within = (self._stamps >= begin) & (self._stamps <= end)
+        within = samples_over(self._stamps, *self._exposed[step])
         if not within.any():
             return float("nan"), float("nan")
         force, position = self._states[within].mean(axis=0)
