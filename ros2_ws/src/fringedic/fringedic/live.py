@@ -21,7 +21,7 @@ from fringedic.sequence import PatternKind, Projection
 
 CLASSES = 256
 SOBEL_NOISE = 0.375  # sum of the squared weights of both Sobel operators, each divided by 8
-PIECE = 384  # [px], what is looked at for noise and pattern: some thousand speckles
+PIECE = 256  # [px], what is looked at for noise and pattern: some thousand speckles
 SAMPLED = 100_000  # pixels whose modulation gives the median
 MOVING = 1.3  # noise of 2 x 2 pixels over half the noise of one: 1 for noise, above it something moved
 PREVIEW_WIDTH = 640
