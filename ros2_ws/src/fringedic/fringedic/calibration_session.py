@@ -66,7 +66,7 @@ def grid_in_words(grid: GridMeasurement) -> str:
             f"tilted by {tilts[0]:+.3f} degree about x and {tilts[1]:+.3f} degree about y (known to "
             f"{math.degrees(sigma[1:].max() / plane.pin_hole.distance):.2g} degree)."
         )
-    return " ".join([words, *grid.warnings])
+    return " ".join([words, *map(_sentence, grid.warnings)])
 
 
 def in_force_words(file: Path, now: datetime) -> list[str]:
@@ -96,6 +96,10 @@ def in_force_words(file: Path, now: datetime) -> list[str]:
             "whether it still holds"
         )
     return [*words, *calibration.warnings]
+
+
+def _sentence(words: str) -> str:
+    return f"{words[:1].upper()}{words[1:]}{'' if words.endswith(('.', '?')) else '.'}"
 
 
 def _span_in_words(seconds: float) -> str:
@@ -298,7 +302,7 @@ class CalibrationSession:
             created=created,
         )
         self.drift, noise = _drift(fitted, planes[0], planes[-1])
-        warnings = [*grid.warnings, *fitted.warnings]
+        warnings = [*map(_sentence, grid.warnings), *fitted.warnings]
         if self.drift > noise:
             warnings.append(
                 f"The rig moved by {_UM * self.drift:.2f} µm RMS while it was calibrated, more than the noise of a "

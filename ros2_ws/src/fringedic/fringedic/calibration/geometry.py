@@ -190,9 +190,9 @@ def place_plane(camera: Camera, values: Mapping[str, float], angle: float, heigh
     else:
         direction, point, turn = np.array([1.0, skew, slope]), np.array([0.0, across, up]), angle
     k = direction / np.linalg.norm(direction)
-    normal = np.array([0.0, 0.0, 1.0])
     c, s = math.cos(turn), math.sin(turn)
-    turned = c * normal + s * np.cross(k, normal) + (1 - c) * k[2] * k
+    # Rodrigues' rotation of the direction (0, 0, 1) about k
+    turned = np.array([s * k[1], -s * k[0], c]) + (1 - c) * k[2] * k
     # the point of the axis keeps its distance from the plane, which was its height
     offset = turned @ point - up + height * turned[2]
     return turned, float(offset)
