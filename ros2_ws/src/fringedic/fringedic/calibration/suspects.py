@@ -147,8 +147,8 @@ def _misplaced(plane: int, values: Mapping[str, float], placement: Placement, ow
     if abs(lift) < 0.2 * abs(turn) * reach:
         # moved in the very middle of its frames it looks like one that stands still halfway
         return (
-            f"the plane stands at {angle + math.degrees(turn):.2f} degree, not at {angle:g}: correct the angle, or measure "
-            "it again if the plane may have turned while its frames were taken"
+            f"the plane stands at {angle + math.degrees(turn):.2f} degree, not at {angle:g}: correct the angle, or "
+            "measure it again if the plane may have turned while its frames were taken"
         )
     if abs(turn) < _SMALL_TURN:
         return f"the plane stands {1e3 * lift:+.3f} mm away from where it should: was it pushed or clamped anew?"
