@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -35,6 +35,9 @@ class SpecimenFacts(_Entries):
         0.0, description="Reading of the load cell without load; first_step: its mean during the first step."
     )
     force_sign: Literal[1, -1] = Field(1, description="-1 when the load cell counts tension as negative.")
+    extensometers_px: list[Annotated[list[float], Field(min_length=4, max_length=4)]] = Field(
+        [], description="Virtual extensometers of the report: row, column of one pad, row, column of the other [px]."
+    )
 
 
 class HardwareFacts(_Entries):

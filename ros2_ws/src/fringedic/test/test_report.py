@@ -99,7 +99,20 @@ def dataset(path):
 
 @pytest.fixture(scope="module")
 def page(path):
-    return write_report(path).read_text("utf-8")
+    gauges = [[20, 60, 60, 60], [20, 60, 20, 500]]
+    return write_report(path, extensometers=gauges).read_text("utf-8")
+
+
+def test_extensometers(page):
+    """v = 3e-3 (y + 4 mm) per step of load along y, and along z as much as w is uneven there: not at all."""
+    assert "Stress over strain of the extensometers" in page
+    row = re.search(r"<td>1: \(20, 60\) to \(60, 60\)</td>(.*?)</tr>", page).group(1)
+    length, _, strain, sigma = (float(each) for each in re.findall(r">([-\d.e]+)<", row))
+    # pads of 21 px: their middles are 40 px apart
+    assert length == pytest.approx(4.0, abs=0.01)
+    assert abs(strain - 6000) < 5 * sigma, f"{strain} +- {sigma} µm/m, 6000 are true"
+    assert 0 < sigma < 300
+    assert "extensometer 2: (20, 60) to (20, 500) px: the point" in page
 
 
 def test_steps_at_rest_are_those_beside_the_reference(dataset):
@@ -181,7 +194,9 @@ def test_the_page_says_everything_and_needs_no_network(page):
     assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)=[\"']?(https?:)?//", page), "loads from the network"
     assert re.findall(r"<img[^>]+src=\"(data:image/\w+);base64", text) == ["data:image/png"] * 2 + ["data:image/gif"]
     assert len(page) < 15e6
-    assert page.count('class="plotly-graph-div"') == 5  # surface, displacement, strain, force, stress
+    assert (
+        page.count('class="plotly-graph-div"') == 7
+    )  # surface, displacement, strain, force, stress; extensometers: strain, stress
 
 
 def test_the_charts_show_the_numbers_of_the_dataset(page):

@@ -116,6 +116,39 @@ def curve_charts(dataset: xr.Dataset, section: float | None) -> list[go.Figure]:
     return [figure for figure in figures if figure.data]
 
 
+def extensometer_charts(dataset: xr.Dataset, gauges: dict[str, xr.Dataset], section: float | None) -> list[go.Figure]:
+    """Return the strain of virtual extensometers over the steps, and force or stress over it.
+
+    Parameters
+    ----------
+    dataset
+        The experiment.
+    gauges
+        From `fringedic.extensometer`, by name.
+    section
+        Area that carries the force [m²], None when it is not known.
+    """
+    if not gauges:
+        return []
+    strains = {name: each["strain"].values / MICRO for name, each in gauges.items()}
+    over_steps = _over("Virtual extensometers", "step", "strain [µm/m]", dataset["step"].values, strains)
+    for trace, each in zip(over_steps.data, gauges.values(), strict=True):
+        if "sigma_strain" in each:
+            trace.error_y = {"type": "data", "array": (each["sigma_strain"].values / MICRO).tolist()}
+    figures = [over_steps]
+    force = dataset["force"].values
+    if np.isfinite(force).any():
+        title, label, load = "Force over strain of the extensometers", "force [N]", force
+        if section is not None:
+            title, label, load = "Stress over strain of the extensometers", "stress [MPa]", force / section / MEGA
+        curves = go.Figure()
+        for name, strain in strains.items():
+            curves.add_trace(go.Scatter(x=strain.tolist(), y=load.tolist(), mode="lines+markers", name=name))
+        layout = {"title": title, "xaxis_title": "strain [µm/m]", "yaxis_title": label, "hovermode": "closest"}
+        figures.append(curves.update_layout(**_LAYOUT, **layout, showlegend=len(gauges) > 1))
+    return figures
+
+
 def _range(values: np.ndarray) -> float:
     finite = values[np.isfinite(values)]
     return float(np.ptp(finite)) if finite.size else 0.0

@@ -19,9 +19,10 @@ from matplotlib.figure import Figure
 from plotly.offline import get_plotlyjs
 
 from fringedic.advice import Advice, advise_settings
-from fringedic.errors import DatasetError, FringedicError
+from fringedic.errors import DatasetError, FringedicError, ProbeError
 from fringedic.facts import NOISE_COLUMNS
 from fringedic.pictures import Panel, maps_figure
+from fringedic.probes import extensometer
 from fringedic.provenance import git_commit, software
 from fringedic.report import charts, checks, items, recorded, static
 from fringedic.report.animation import animation
@@ -30,6 +31,7 @@ from fringedic.results.stores import SUFFIXES
 
 MILLI, MICRO = 1e-3, 1e-6
 TRUTH = "truth.nc"
+PAD = 21.0  # [px], side of the pads of virtual extensometers
 SHAPE_PANELS = (
     Panel("shape_z", "height z", "mm", MILLI, symmetric=False),
     Panel("u", "displacement u along x", "mm", MILLI, symmetric=False),
@@ -58,6 +60,7 @@ def write_report(
     output: str | os.PathLike[str] | None = None,
     *,
     static_steps: Sequence[int] | None = None,
+    extensometers: Sequence[Sequence[float]] | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Write the report of an experiment as one HTML file that needs nothing else, no network either.
@@ -72,6 +75,9 @@ def write_report(
     static_steps
         Steps at rest, from which the noise floor is taken; by default those before and behind the reference step at the
         same crosshead position.
+    extensometers
+        Virtual extensometers, each (row, column, row, column) of its two pads [px of the reference image]; by default
+        those of the specimen's facts.
     overwrite
         Replace an existing file.
 
@@ -93,7 +99,7 @@ def write_report(
         target = Path(output) if output is not None else (recording or source).with_name("report.html")
         if target.exists() and not overwrite:
             raise DatasetError(f"{target} exists already; choose another --output or ask to overwrite it")
-        page = _page(dataset, recording, source, static_steps)
+        page = _page(dataset, recording, source, static_steps, extensometers)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         temporary = target.with_name(f".{target.name}.writing")
@@ -111,7 +117,13 @@ def _recording(source: Path, dataset: xr.Dataset) -> Path | None:
     return beside if beside.exists() and beside != source else None
 
 
-def _page(dataset: xr.Dataset, recording: Path | None, source: Path, chosen: Sequence[int] | None) -> str:
+def _page(
+    dataset: xr.Dataset,
+    recording: Path | None,
+    source: Path,
+    chosen: Sequence[int] | None,
+    extensometers: Sequence[Sequence[float]] | None,
+) -> str:
     steps = static.static_steps(dataset) if chosen is None else list(chosen)
     floors = static.noise_floors(dataset, steps)
     exposures = None if recording is None else recorded.read_exposures(recording, str(dataset.attrs["experiment"]))
@@ -122,7 +134,10 @@ def _page(dataset: xr.Dataset, recording: Path | None, source: Path, chosen: Seq
         "Analysis": items.analysis_items(known),
         "Fringes": items.fringe_items(known),
     }
-    section = known.specimen.get("section_mm2")
+    square_millimetres = known.specimen.get("section_mm2")
+    section = None if square_millimetres is None else 1e-6 * square_millimetres
+    places = known.specimen.get("extensometers_px", []) if extensometers is None else extensometers
+    gauges, lost = _gauges(dataset, places)
     shown = _last_measured(dataset)
     last = dataset.sel(step=shown)
     surface = np.isfinite(last["w"].values).any()
@@ -136,7 +151,7 @@ def _page(dataset: xr.Dataset, recording: Path | None, source: Path, chosen: Seq
         written=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         software=f"{software()}, commit {git_commit()}",
         simulated=known.simulated,
-        warnings=checks.warnings(known, steps, floors),
+        warnings=checks.warnings(known, steps, floors) + lost,
         missing=[(name, item) for name, listed in sections.items() for item in listed if item.value is None],
         missing_word=items.MISSING,
         sections=sections,
@@ -150,11 +165,42 @@ def _page(dataset: xr.Dataset, recording: Path | None, source: Path, chosen: Seq
         maps=_maps(last, surface),
         animation=_animation(dataset),
         surface=_chart(charts.surface_chart(last)) if surface else "",
-        curves=[_chart(figure) for figure in charts.curve_charts(dataset, None if section is None else section * 1e-6)],
+        curves=[_chart(figure) for figure in charts.curve_charts(dataset, section)],
+        gauges=[_chart(figure) for figure in charts.extensometer_charts(dataset, gauges, section)],
+        gauge_rows=_gauge_rows(gauges),
+        pad=PAD,
         parameters=json.dumps(known.attribute("parameters"), indent=1),
         calibration=json.dumps(known.attribute("calibration"), indent=1),
         plotly=get_plotlyjs(),
     )
+
+
+def _gauges(dataset: xr.Dataset, places: Sequence[Sequence[float]]) -> tuple[dict[str, xr.Dataset], list[str]]:
+    """Return the virtual extensometers by name, and a sentence about each that has nothing to hold on."""
+    gauges, lost = {}, []
+    for number, (top, left, bottom, right) in enumerate(places, start=1):
+        name = f"{number}: ({top:g}, {left:g}) to ({bottom:g}, {right:g})"
+        try:
+            gauges[name] = extensometer(dataset, (top, left), (bottom, right), pad=PAD)
+        except ProbeError as error:
+            lost.append(f"extensometer {name} px: {error}")
+    return gauges, lost
+
+
+def _gauge_rows(gauges: dict[str, xr.Dataset]) -> list[list[str]]:
+    """Return a line per extensometer about its last measured step."""
+    rows = []
+    for name, gauge in gauges.items():
+        measured = np.flatnonzero(np.isfinite(gauge["strain"].values))
+        if not measured.size:
+            rows.append([name, *["-"] * 4])
+            continue
+        last = gauge.isel(step=int(measured[-1]))
+        strain, sigma = float(last["strain"]), float(last.get("sigma_strain", np.nan))
+        length = float(last["length"] - last["elongation"])
+        figures = (length / MILLI, float(last["elongation"]) / MICRO, strain / MICRO, sigma / MICRO)
+        rows.append([name, *(_figure(each) for each in figures)])
+    return rows
 
 
 def _advice(dataset: xr.Dataset, recording: Path | None, steps: Sequence[int]) -> Advice | None:
