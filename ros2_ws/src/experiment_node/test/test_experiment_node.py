@@ -22,6 +22,7 @@ from std_srvs.srv import Trigger
 
 from experiment_node.experiment_parameters import ExperimentParameters
 from fringedic.rig import RigModel
+from fringedic.sequence import PatternKind, Projection
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import (
@@ -521,8 +522,18 @@ def test_unreadable_calibration_ends_the_start(tmp_path: Path) -> None:
     [
         ({"shifts": [4, 4, 4]}, "3 numbers of shifts for 4 pitches"),
         ({"first_step": 3, "reference_step": 3}, "reference_step 3 is not before first_step 3"),
+        ({"exposure_times_s": [0.004, 0.004]}, "exposure_times_s must be above 0, 60 s at most, and differ"),
     ],
 )
 def test_impossible_parameters_are_refused(parameters: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
         ExperimentParameters.model_validate(parameters)
+
+
+def test_every_pattern_is_asked_for_at_every_exposure_time() -> None:
+    parameters = ExperimentParameters(pitches_px=[800.0, 40.0], shifts=[3, 4], exposure_times_s=[0.004, 0.016])
+    shown = parameters.projections()
+    assert len(shown) == 14 and shown[::2] == shown[1::2]
+    asked = [parameters.exposure_time(index, projection) for index, projection in enumerate(shown)]
+    assert asked == [0.004, 0.016] * 7
+    assert parameters.exposure_time(0, Projection(PatternKind.WHITE)) == 0.0, "as the camera is set up"

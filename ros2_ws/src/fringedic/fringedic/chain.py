@@ -87,8 +87,8 @@ class PhaseParameters(Parameters):
     relative_phase: Literal["refuse", "accept"] = Field(
         "refuse",
         description="Whether a phase true up to whole fringes only is a result: that of one image, or of one pitch "
-        "that repeats in view. Shapes made from it are those nearest to the reference plane, off by whole fringes where "
-        "the specimen is not there.",
+        "that repeats in view. Shapes made from it are those nearest to the reference plane, off by whole fringes "
+        "where the specimen is not there.",
     )
     lens_blur_px: float = Field(
         0.0,

@@ -223,3 +223,20 @@ def test_a_gray_code_can_tell_the_orders(tmp_path):
     projections = load_rig_file(write(tmp_path, coded)).projections()
     assert [each.kind for each in projections] == [PatternKind.GRAY_CODE] * 4 + [PatternKind.FRINGES] * 5
     assert {(each.pitch, each.orientation) for each in projections} == {(20.0, Orientation.HORIZONTAL)}
+
+
+def test_one_image_has_to_be_wanted(tmp_path):
+    one = VIRTUAL.replace("shifts: 5,", "shifts: 5, fringe_order: one_image, grey_frame: true,")
+    with pytest.raises(RigFileError, match=r"set nodes\.phase\.relative_phase: accept"):
+        load_rig_file(write(tmp_path, one))
+    projections = load_rig_file(write(tmp_path, one + "\nnodes: {phase: {relative_phase: accept}}")).projections()
+    assert [(each.kind, each.pitch) for each in projections] == [(PatternKind.GREY, 0.0), (PatternKind.FRINGES, 20.0)]
+
+
+def test_every_pattern_is_taken_at_every_exposure_time(tmp_path):
+    exposed = VIRTUAL.replace("shifts: 5,", "shifts: 5, exposures_ms: [4.0, 16.0],")
+    rig, once = (load_rig_file(write(tmp_path, text)) for text in (exposed, VIRTUAL))
+    assert rig.sequence.exposure_times == [0.004, 0.016]
+    assert rig.projections() == [each for each in once.projections() for _ in range(2)]
+    with pytest.raises(RigFileError, match="exposures_ms must differ"):
+        load_rig_file(write(tmp_path, exposed.replace("16.0", "4.0")))
