@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fringedic.calibration import RigCalibration, calibrate_rig
-from fringedic.camera.plane_view import PlaneView
+from fringedic.camera.plane_view import PinHole, PlaneView
 from fringedic.errors import (
     CalibrationAnglesError,
     CalibrationFileError,
@@ -186,6 +186,29 @@ def test_known_camera_distance_frees_the_principal_column() -> None:
     print(f"principal column 7.5 px off: {1e6 * wrong:.2f} µm, with known distance {1e6 * right:.4f} µm")
     assert right < 0.05e-6 < wrong, (right, wrong)
     assert assumed.principal_effect > 0
+
+
+def test_a_known_pin_hole_frees_tilt_and_principal_column() -> None:
+    """The pin-hole is believed, not the perspective of one plane, which a lens off its axis bends."""
+    bench = Bench({**MISALIGNED, "projector": {**MISALIGNED["projector"], "principal_column": 407.0}})
+    optics, view = bench.twin.optics(), bench.view()
+    distance, tilts = optics["camera_distance"], [optics[f"camera_tilt_{axis}"] for axis in "xy"]
+    foot = distance * math.tan(tilts[1]) / math.cos(tilts[0]), -distance * math.tan(tilts[0])
+    pin_hole = PinHole(distance, *foot, np.diag([20e-6, 5e-6, 5e-6]) ** 2)
+    phases = bench.planes()
+    found = bench.calibrate(phases, plane=dataclasses.replace(view, pin_hole=pin_hole))
+    model, error = found.model, bench.sphere_error(found)
+    print(f"principal column {model.projector_principal_column:.3f} px (407), largest error of z {1e6 * error:.4f} µm")
+    assert abs(model.projector_principal_column - 407) < 0.1 and error < 0.05e-6
+    sigma = dict(zip(model.parameter_names, np.sqrt(np.diag(np.reshape(model.covariance, (-1, 12)))), strict=True))
+    assert sigma["camera_tilt_x"] == pytest.approx(5e-6 / distance, rel=0.05)
+    assert not any("tilted camera" in words for words in found.warnings)
+    assert any("tilted camera" in words for words in bench.calibrate(phases).warnings)
+
+    # the same view, and a pin-hole 0.7 mm beside: its tilt is believed, not the perspective's
+    beside = PinHole(distance, foot[0], foot[1] + 0.7e-3, pin_hole.covariance)
+    moved = bench.calibrate(phases, plane=dataclasses.replace(view, pin_hole=beside)).model
+    assert moved.camera_tilt_x - model.camera_tilt_x == pytest.approx(-0.7e-3 / distance, rel=0.02)
 
 
 def test_distances_scale_with_the_pixel_size() -> None:
