@@ -25,7 +25,7 @@ def test_steps_at_rest_of_the_virtual_rig(tmp_path: Path) -> None:
     """The camera of the preset has 1 grey level of read noise, rounds, and a variance of 0.02 per grey level."""
     program = "from fringedic_bringup.command import main; main()"
     done = subprocess.run(
-        [sys.executable, "-c", program, "noise", str(TINY), "--steps", "4", "--output", str(tmp_path / "noise")],
+        [sys.executable, "-c", program, "noise", str(TINY), "--steps", "3", "--output", str(tmp_path / "noise")],
         env=dict(os.environ),
         capture_output=True,
         text=True,
@@ -34,7 +34,7 @@ def test_steps_at_rest_of_the_virtual_rig(tmp_path: Path) -> None:
     )
     print(done.stdout)
     assert done.returncode == 0, done.stderr
-    assert "noise floor of 4 steps at rest" in done.stdout
+    assert "noise floor of 3 steps at rest" in done.stdout
     facts = NoiseFacts.load(tmp_path / "noise" / "noise_floor.yaml")
     assert facts.read_noise_grey_level == pytest.approx(math.sqrt(1 + 1 / 12), rel=0.02)
     assert facts.shot_noise_grey_level == pytest.approx(0.02, rel=0.03)
