@@ -255,8 +255,8 @@ def measure_timing(samples: TimingSamples) -> ProjectorTiming:
     """Estimate delay, jitter, rise and refresh of a projector.
 
     The refresh is the strongest line of the settled bright samples' least-squares spectrum, or the lowest frequency of
-    which that is a multiple and at which there is a line, too; its harmonics are a linear fit. Delay, jitter, rise and
-    fall maximise the likelihood of all samples, of which 2 % may be anything.
+    which that is a multiple and at which there is a line, too; its form is a non-negative linear fit. Delay, jitter,
+    rise and fall maximise the likelihood of all samples, of which 2 % may be anything.
 
     Raises
     ------
@@ -270,7 +270,6 @@ def measure_timing(samples: TimingSamples) -> ProjectorTiming:
     dark, bright, delay, decay = _coarse(model, samples.brightness)
     _refuse_dark(dark, bright)
     at_rest = min(delay + 3.0 * decay, float(np.quantile(model.begin, 0.7)))
-    refresh, noise, fitted = None, 0.0, _Fit(delay, math.nan, 0.0, decay, decay)
     for _ in range(2):  # the second time with the pulses, and what is at rest, known better
         settled = model.begin > at_rest
         refresh = _refresh(samples, settled & lit, dark)
