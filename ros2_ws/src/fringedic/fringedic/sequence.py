@@ -26,6 +26,7 @@ class PatternKind(IntEnum):
     GREY = 4
 
 
+EQUAL_EXPOSURES = 0.01  # relative difference of exposure times that cameras make of one and the same
 PHASE_KINDS = frozenset({PatternKind.FRINGES, PatternKind.GRAY_CODE, PatternKind.GREY})  # frames of a fringe step
 
 
@@ -340,11 +341,12 @@ def _missing(where: str, missing: list[int], count: int, experiment: str, step: 
 
 
 def exposure_groups(exposure_times: Sequence[float]) -> dict[float, list[int]]:
-    """Return which frames were exposed for each time, by the time, in the order in which the times occur first."""
-    groups: defaultdict[float, list[int]] = defaultdict(list)
+    """Return which frames were exposed equally long, by the time of the first of them, in the order of the frames."""
+    groups: dict[float, list[int]] = {}
     for index, time in enumerate(exposure_times):
-        groups[time].append(index)
-    return dict(groups)
+        alike = (known for known in groups if abs(time - known) <= EQUAL_EXPOSURES * known)
+        groups.setdefault(next(alike, time), []).append(index)
+    return groups
 
 
 def _incomplete(records: list[FrameRecord]) -> str:

@@ -153,3 +153,11 @@ def test_exposures_that_show_nothing_are_told_and_do_no_harm(twin: VirtualRig) -
         measured(taken(twin, sequence, (0.4, 0.5)))
     with pytest.raises(DarkStackError, match="is dark"):
         measured(taken(twin, sequence, (0.00001, 0.00002)))
+
+
+def test_times_that_a_camera_makes_of_one_are_one(twin: VirtualRig) -> None:
+    single = taken(twin, sequence_of(twin), TIMES[:1])
+    varied = [
+        (replace(record, exposure_time=TIMES[0] * (1 + 1e-3 * (-1) ** k)), i) for k, (record, i) in enumerate(single)
+    ]
+    assert measured(varied).phase.tobytes() == measured(single).phase.tobytes()
