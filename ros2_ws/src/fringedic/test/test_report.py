@@ -118,7 +118,12 @@ def test_extensometers(page):
 def test_steps_at_rest_are_those_beside_the_reference(dataset):
     assert static_steps(dataset) == [1, 2], "step 5 came back to the position after the test"
     assert static_steps(dataset.assign(position=dataset.position * np.nan)) == []
-    later = dataset.assign(reference_step=dataset.reference_step.where(dataset.reference_step < 0, 2))
+    itself = dataset.assign(rms_displacement=dataset.rms_displacement.where(dataset.step != 1, 0.0))
+    assert static_steps(itself) == [2], "step 1 was compared with itself"
+    later = dataset.assign(
+        reference_step=dataset.reference_step.where(dataset.reference_step < 0, 2),
+        rms_displacement=dataset.rms_displacement + 1e-6,
+    )
     assert static_steps(later) == [0, 1]
     changed = later.assign(reference_step=later.reference_step.where(later.step != 1, 1))
     assert static_steps(changed) == [0], "a step that is its own reference has no noise"

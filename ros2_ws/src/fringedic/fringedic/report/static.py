@@ -61,9 +61,10 @@ def static_steps(dataset: xr.Dataset) -> list[int]:
     """Return the steps that repeat the last step's reference at rest: beside it, at the same crosshead position.
 
     Empty where no load frame tells positions. A later return to the position does not count: the specimen may have
-    changed.
+    changed. Nor does a step that was compared with itself, because the one before it failed.
     """
     numbers, positions = dataset["step"].values, dataset["position"].values
+    moved = dataset["rms_displacement"].values
     references = [int(number) for number in dataset["reference_step"].values if number >= 0]
     if not references or references[-1] not in numbers:
         return []
@@ -72,7 +73,7 @@ def static_steps(dataset: xr.Dataset) -> list[int]:
     for direction in (-1, 1):
         index = place + direction
         while 0 <= index < len(numbers) and abs(positions[index] - positions[place]) <= POSITION_TOLERANCE:
-            if dataset["reference_step"].values[index] == references[-1]:
+            if dataset["reference_step"].values[index] == references[-1] and moved[index] > 0:
                 found.append(int(numbers[index]))
             index += direction
     return sorted(found)
