@@ -59,7 +59,8 @@ while True:
     pixels = np.full((24, 32, 3) if colours else (24, 32), 100, np.uint16 if now["encoding"] == "16UC1" else np.uint8)
     if not colours:
         pixels[0, :8] = np.frombuffer(np.int64(begin).tobytes(), np.uint8)
-    message = image_message(pixels, stamp_ns=time.time_ns() + round(1e9 * offset), frame_id="elsewhere")
+    end = begin + round(1e9 * (exposure + offset))  # and not when this process went on after it
+    message = image_message(pixels, stamp_ns=end, frame_id="elsewhere")
     message.encoding = now["encoding"]
     images.publish(message)
     sent += images.get_subscription_count() > 0
@@ -188,6 +189,6 @@ def test_clock_of_the_driver_that_is_set_back(driver: CameraDriver, studio: Stud
     """It is said by name, and frames go on."""
     driver.behave(jump_s=-0.5)
     with NodeProcess(MODULE, tmp_path, {**PARAMETERS, "frame_rate_hz": 30.0}) as node:
-        studio.wait(lambda: "the driver's clock jumped back by 0.5 s" in node.log, "the jump")
+        studio.wait(lambda: re.search(r"the driver's clock jumped back by 0\.[3-7]", node.log), "the jump")
         studio.forget()
         studio.wait(lambda: len(studio.images) >= 5, "frames after it")
