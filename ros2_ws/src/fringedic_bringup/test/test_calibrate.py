@@ -6,6 +6,7 @@ import os
 import subprocess
 from pathlib import Path
 
+import numpy as np
 import pytest
 import rclpy
 
@@ -72,6 +73,17 @@ def test_other_angles() -> None:
     for wrong in ("0,ten", "0,95", ""):
         with pytest.raises(RigFileError, match="angles-deg"):
             with_angles(rig, wrong)
+
+
+def test_the_grid_is_seen_on_both_sides_unless_told_otherwise() -> None:
+    rig = load_rig_file(configuration("tiny.yaml"))
+    assert np.degrees(rig.reference_plane.grid_angles) == pytest.approx([-12, 12])
+    assert np.degrees(with_angles(rig, "0,-20,-5,8,25").reference_plane.grid_angles) == pytest.approx([-5, 8])
+    assert with_angles(rig, "0,5,10,15").reference_plane.grid_angles == []
+    plane = rig.reference_plane.model_dump()
+    assert type(rig.reference_plane).model_validate(plane | {"grid_angles_degree": []}).grid_angles == []
+    with pytest.raises(ValueError, match="both sides"):
+        type(rig.reference_plane).model_validate(plane | {"grid_angles_degree": [5.0, 10.0]})
 
 
 @pytest.mark.parametrize(
