@@ -7,6 +7,7 @@ gaps in it are messages that were lost on the way.
 from __future__ import annotations
 
 import argparse
+import shutil
 import statistics
 import subprocess
 import tempfile
@@ -157,6 +158,9 @@ def main() -> None:
         console.print(stream(seconds, folder / "files", files, title))
         aravis = {"source": "aravis", "region_px": [0, 0, SIZE[1], SIZE[0]]}
         title = f"Images of {size} of the Aravis fake camera and load samples at {LOAD_HZ:g} Hz, recorded"
+        if shutil.which(FAKE_CAMERA[0]) is None:
+            console.print(f"not measured: {title}; one step. Install {FAKE_CAMERA[0]} (Debian: aravis-tools)")
+            return
         with fake_camera():
             console.print(stream(seconds, folder / "aravis", aravis, title))
             console.print(one_step(folder / "step", aravis))
