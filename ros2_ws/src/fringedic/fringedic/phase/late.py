@@ -20,6 +20,7 @@ _PIXELS = 1000  # are enough for one number, which takes many trials
 _FEWEST = 4  # frames of a pitch: the wave is that of all but the first
 _ALIKE = 0.25  # by which the shares of two pitches may differ, over the share
 _EXPLAINED = 0.6  # part of the first frames' misfit
+_BENT = 0.12  # part of it that the harmonics of a bent response seem to explain: 0.06 at gamma 2.2
 _ALONE = 0.1  # least share that a single pitch is believed
 _WHOLE = 0.95  # from here on the frames are simply one late
 
@@ -57,7 +58,7 @@ def check_change(sample: Sample, largest_error: float, numbers: Sequence[int]) -
     least = max(largest_error * layout.periods[-1][0].shifts, _ALONE if len(found) == 1 else 0.0)
     # with a delay that varies the shares differ, but a flicker or a motion would not be explained by them
     credible = np.ptp(shares) < _ALIKE * share or explained.min() > _EXPLAINED
-    if least < share < _WHOLE and shares.min() > 0 and credible:
+    if least < share < _WHOLE and shares.min() > 0 and credible and explained.min() > _BENT:
         raise WrongPatternError(
             f"every frame shows {share:.0%} of the pattern before: its exposure begins before the projector has "
             "changed; raise settle_ms above the projector's delay (fringedic timing measures it)",
