@@ -32,7 +32,7 @@ _COUNTED = {
     "packets_asked_for_again": "n_resend_requests",
     "packets_resent": "n_resent_packets",
     "frames_incomplete": "n_failures",
-    "frames_without_buffer": "n_underruns",
+    "packets_without_buffer": "n_underruns",
 }
 _LARGEST_DEVIATION = 0.05  # of the exposure time that a camera takes from the one asked for
 _PIXEL_FORMATS = {format: f"PIXEL_FORMAT_MONO_{format[4:]}" for format in ("Mono8", "Mono10", "Mono12", "Mono16")}
