@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the nodes, and before NumPy is loaded
 LIBRARY = Path(__file__).parent / "fringedic"  # imports no ROS
 
 

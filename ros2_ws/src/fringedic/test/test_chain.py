@@ -175,7 +175,7 @@ def test_one_image_is_measured_when_there_is_no_more(small_rig, grey):
     assert chosen.relative and not phase_step(stepped, PhaseParameters()).relative
     dull = frames_of(small_rig, one_image_sequence(columns, rows, 10, grey=grey))
     dull.frames[-1] = 60
-    with pytest.raises(WrongPatternError, match="step 7: frame .: no fringes"):
+    with pytest.raises(WrongPatternError, match=r"step 7: frame .: no fringes"):
         phase_step(dull, PhaseParameters(relative_phase="accept"))
 
 
