@@ -99,6 +99,8 @@ class RigClient:
             "load_frame": [self._move],
         }
         self._known_servers: dict[str, set[bytes]] = {}
+        self._known_readers: set[bytes] = set()  # of the recorder
+        self._stale_readers: set[bytes] = set()  # of one that is gone
         self._place = self._node.create_client(PlaceReferencePlane, "reference_plane/place")
         self._start = self._node.create_client(StartExperiment, "experiment/start")
         self._set_reference = self._node.create_client(SetReference, "experiment/set_reference")
@@ -154,6 +156,8 @@ class RigClient:
 
         self._wait(lambda: not missing(), timeout_s, lambda: f"not ready: {', '.join(missing())}")
         self._known_servers = self._servers(expected)
+        topics = [self._node.resolve_topic_name(name) for name in (*RAW_TOPICS, *DERIVED_TOPICS)]
+        self._known_readers = {gid for topic in topics for gid in self._recorder_readers(topic)}
 
     def start_experiment(self, name: str) -> None:
         """Begin a new experiment with step 0.
@@ -292,6 +296,7 @@ class RigClient:
         expected = set(nodes)
         if "recorder" in expected:
             self._recorder = None  # what was heard of it was said by the one that is gone
+            self._stale_readers |= self._known_readers
 
         listed_until = time.monotonic() + LISTED_S
 
@@ -498,6 +503,10 @@ class RigClient:
             servers[node] = {bytes(each.endpoint_gid) for each in found}
         return servers
 
+    def _recorder_readers(self, topic: str) -> set[bytes]:
+        found = self._node.get_subscriptions_info_by_topic(topic)
+        return {bytes(each.endpoint_gid) for each in found if each.node_name == "recorder"}
+
     def _count_services(self, node: str) -> int:
         return self._node.count_services(self._node.resolve_service_name(SERVICES[node]))
 
@@ -523,11 +532,7 @@ class RigClient:
         if self._recorder is None or self._recorder.state != RecorderStatus.RECORDING:
             return ["everything"]
         topics = [self._node.resolve_topic_name(name) for name in (*RAW_TOPICS, *DERIVED_TOPICS)]
-        heard = [
-            topic
-            for topic in topics
-            if any(each.node_name == "recorder" for each in self._node.get_subscriptions_info_by_topic(topic))
-        ]
+        heard = [topic for topic in topics if self._recorder_readers(topic) - self._stale_readers]
         derived = {self._node.resolve_topic_name(name) for name in DERIVED_TOPICS}
         wanted = topics if derived & set(heard) else [topic for topic in topics if topic not in derived]
         return [topic for topic in wanted if topic not in heard and self._node.count_publishers(topic)]

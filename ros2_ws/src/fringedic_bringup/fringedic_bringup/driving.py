@@ -94,6 +94,7 @@ class _Driver:
         self._running, self._rig, self._progress = running, rig, progress
         self._number, self._steps = 0, steps
         self.reference_was_lost = False
+        self._revived = False  # since the last step that succeeded
         self._reference = -1
         self._deaths: Counter[str] = Counter()
 
@@ -122,10 +123,16 @@ class _Driver:
         except StepFailedError as error:
             self._running.check()  # a node that has ended is the reason, and the step will be done once more
             self._progress.note(str(error))
+            if self._revived:
+                # nodes that were started again may not have found each other yet, which nobody else can see
+                self._revived = False
+                self._progress.note(f"step {self._number} is done once more")
+                return self._move_and_measure(step)
             if step.mode != "none":
                 number = max([self._rig.last_step, *(report.step for report in self.reports)], default=0)
                 self.reports.append(StepReport(max(number, 0), error=str(error)))
             return None
+        self._revived = False
         if moved:
             self._progress.note(moved)
         if self._reference < 0 or step.set_reference:
@@ -174,6 +181,7 @@ class _Driver:
             try:
                 forgotten = self._start_again(death)
                 self._rig.wait_until_ready(self._running.graph.names)
+                self._revived = True
                 if forgotten and self._reference >= 0:
                     self._rig.set_reference()
                     self.reference_was_lost = True
