@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from numba import njit, prange
-from scipy.ndimage import maximum_filter
+from scipy.ndimage import find_objects, label, maximum_filter
 
 from fringedic.errors import InvalidWindowError
 from fringedic.rig import pixel_positions
@@ -74,10 +74,11 @@ def fit_planes(
     arrays = [np.asarray(cloud[name]) for name in ("x", "y", *names)]
     kind = np.result_type(np.float32, *arrays)
     fields = np.stack([np.asarray(each, kind) for each in arrays])
-    divided = np.zeros(fields.shape[1:], np.bool_)
-    if torn is not None and torn.any():
-        fields[0, torn] = np.nan
-        divided = maximum_filter(torn, size=[2 * each + 1 for each in half], mode="constant")
+    known = np.isfinite(fields[0])
+    for each in fields[1:]:
+        known &= np.isfinite(each)
+    if torn is not None:
+        known &= ~torn
     squared = np.empty((len(averaged), *fields.shape[1:]), kind)
     for target, name in zip(squared, averaged, strict=True):
         np.square(np.asarray(cloud[name], kind), out=target)
@@ -86,8 +87,21 @@ def fit_planes(
     slopes = np.empty((len(names), 2, *fields.shape[1:]), kind)
     white = np.empty((3, *fields.shape[1:]), kind)
     means = np.empty((len(averaged), *fields.shape[1:]), kind)
-    _fit(fields, squared, middle, half[0], half[1], divided, slopes, white, means)
+    _fit(fields, squared, middle, known, half[0], half[1], slopes, white, means)
+    if torn is not None and torn.any():
+        places = np.flatnonzero(_divided(torn, half))
+        _fit_joined(fields, squared, middle, known, places, half[0], half[1], slopes, white, means)
     return Planes(slopes, white, means, half, spacing)
+
+
+def _divided(torn: np.ndarray, half: tuple[int, int]) -> np.ndarray:
+    """Points whose window a tear may divide, bool (row, column): what is shorter than half of a window cannot."""
+    patches, _ = label(torn, np.ones((3, 3)))
+    long = np.zeros(torn.shape, np.bool_)
+    for number, place in enumerate(find_objects(patches), start=1):
+        if any(part.stop - part.start > each for part, each in zip(place, half, strict=True)):
+            long[place] |= patches[place] == number
+    return maximum_filter(long, size=[2 * each + 1 for each in half], mode="constant")
 
 
 def _middle(values: np.ndarray) -> float:
@@ -106,57 +120,171 @@ def _half_width(window: int, positions: np.ndarray) -> tuple[int, float]:
 
 
 @njit(cache=True, nogil=True)
-def _known(fields: np.ndarray, row: int, column: int) -> bool:
-    known = True
-    for k in range(len(fields)):
-        known = known and np.isfinite(fields[k, row, column])
-    return known
-
-
-@njit(cache=True, nogil=True)
 def _add_point(
-    fields: np.ndarray, squared: np.ndarray, middle: np.ndarray, row: int, column: int, sign: float, sums: np.ndarray
+    fields: np.ndarray,
+    squared: np.ndarray,
+    middle: np.ndarray,
+    row: int,
+    column: int,
+    sign: float,
+    sums: np.ndarray,
+    place: int,
 ) -> None:
-    """Add what a measured point gives to the sums (quantity).
+    """Add what a measured point gives to the sums (place, quantity).
 
     Quantities are the number of points, x, y, xx, xy, yy, then f, xf, yf of each field, then number and sum of each
     averaged field.
     """
     count = len(fields)
     x, y = fields[0, row, column] - middle[0], fields[1, row, column] - middle[1]
-    sums[0] += sign
-    sums[1] += sign * x
-    sums[2] += sign * y
-    sums[3] += sign * x * x
-    sums[4] += sign * x * y
-    sums[5] += sign * y * y
+    sums[place, 0] += sign
+    sums[place, 1] += sign * x
+    sums[place, 2] += sign * y
+    sums[place, 3] += sign * x * x
+    sums[place, 4] += sign * x * y
+    sums[place, 5] += sign * y * y
     for k in range(count - 2):
         f = sign * (fields[k + 2, row, column] - middle[k + 2])
-        sums[6 + 3 * k] += f
-        sums[7 + 3 * k] += x * f
-        sums[8 + 3 * k] += y * f
+        sums[place, 6 + 3 * k] += f
+        sums[place, 7 + 3 * k] += x * f
+        sums[place, 8 + 3 * k] += y * f
     at = 3 * count
     for k in range(len(squared)):
         if np.isfinite(squared[k, row, column]):
-            sums[at + 2 * k] += sign
-            sums[at + 2 * k + 1] += sign * squared[k, row, column]
+            sums[place, at + 2 * k] += sign
+            sums[place, at + 2 * k + 1] += sign * squared[k, row, column]
+
+
+@njit(cache=True, nogil=True)
+def _solve(
+    sums: np.ndarray,
+    place: int,
+    enough: float,
+    row: int,
+    column: int,
+    slopes: np.ndarray,
+    white: np.ndarray,
+    means: np.ndarray,
+) -> None:
+    """Plane of the sums (place, quantity) of a window; NaN where it holds too few points."""
+    number = sums[place, 0]
+    if number < enough:
+        slopes[:, :, row, column] = np.nan
+        white[:, row, column] = np.nan
+        means[:, row, column] = np.nan
+        return
+    x, y = sums[place, 1] / number, sums[place, 2] / number
+    xx = sums[place, 3] / number - x * x
+    xy = sums[place, 4] / number - x * y
+    yy = sums[place, 5] / number - y * y
+    determinant = xx * yy - xy * xy
+    for k in range(len(slopes)):
+        f = sums[place, 6 + 3 * k] / number
+        xf = sums[place, 7 + 3 * k] / number - x * f
+        yf = sums[place, 8 + 3 * k] / number - y * f
+        slopes[k, 0, row, column] = (yy * xf - xy * yf) / determinant
+        slopes[k, 1, row, column] = (xx * yf - xy * xf) / determinant
+    white[0, row, column] = yy / (number * determinant)
+    white[1, row, column] = xx / (number * determinant)
+    white[2, row, column] = -xy / (number * determinant)
+    for k in range(len(means)):
+        at = 6 + 3 * len(slopes) + 2 * k
+        # what remains of the sums where nothing is known is rounding
+        if sums[place, at] > 0.5:
+            means[k, row, column] = max(sums[place, at + 1] / sums[place, at], 0.0)
+        else:
+            means[k, row, column] = np.nan
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _fit(
+    fields: np.ndarray,
+    squared: np.ndarray,
+    middle: np.ndarray,
+    known: np.ndarray,
+    half_rows: int,
+    half_columns: int,
+    slopes: np.ndarray,
+    white: np.ndarray,
+    means: np.ndarray,
+) -> None:
+    """Planes in whole windows, by running sums."""
+    count, rows, columns = fields.shape
+    quantities = 3 * count + 2 * len(squared)
+    enough = _MINIMUM_COVERAGE * (2 * half_rows + 1) * (2 * half_columns + 1)
+    for block in prange((rows + _BLOCK - 1) // _BLOCK):
+        sums = np.zeros((columns, quantities))
+        total = np.empty((1, quantities))
+        first = block * _BLOCK
+        last = min(first + _BLOCK, rows)
+        for row in range(max(first - half_rows, 0), min(first + half_rows, rows)):
+            _add_row(fields, squared, middle, known, row, 1.0, sums)
+        for row in range(first, last):
+            if row + half_rows < rows:
+                _add_row(fields, squared, middle, known, row + half_rows, 1.0, sums)
+            if row > first and row - half_rows - 1 >= 0:
+                _add_row(fields, squared, middle, known, row - half_rows - 1, -1.0, sums)
+            total[:] = 0.0
+            for column in range(min(half_columns, columns)):
+                for k in range(quantities):
+                    total[0, k] += sums[column, k]
+            for column in range(columns):
+                if column + half_columns < columns:
+                    for k in range(quantities):
+                        total[0, k] += sums[column + half_columns, k]
+                if column - half_columns - 1 >= 0:
+                    for k in range(quantities):
+                        total[0, k] -= sums[column - half_columns - 1, k]
+                needed = enough if known[row, column] else np.inf
+                _solve(total, 0, needed, row, column, slopes, white, means)
 
 
 @njit(cache=True, nogil=True)
 def _add_row(
-    fields: np.ndarray, squared: np.ndarray, middle: np.ndarray, row: int, sign: float, sums: np.ndarray
-) -> None:
-    """Add what a row gives to the sums (column, quantity)."""
-    for column in range(fields.shape[2]):
-        if _known(fields, row, column):
-            _add_point(fields, squared, middle, row, column, sign, sums[column])
-
-
-@njit(cache=True, nogil=True)
-def _joined(
     fields: np.ndarray,
     squared: np.ndarray,
     middle: np.ndarray,
+    known: np.ndarray,
+    row: int,
+    sign: float,
+    sums: np.ndarray,
+) -> None:
+    """Add what a row gives to the sums (column, quantity)."""
+    for column in range(fields.shape[2]):
+        if known[row, column]:
+            _add_point(fields, squared, middle, row, column, sign, sums, column)
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _fit_joined(
+    fields: np.ndarray,
+    squared: np.ndarray,
+    middle: np.ndarray,
+    known: np.ndarray,
+    places: np.ndarray,
+    half_rows: int,
+    half_columns: int,
+    slopes: np.ndarray,
+    white: np.ndarray,
+    means: np.ndarray,
+) -> None:
+    """Planes around some places (flat indices) over the part of the window that is joined to its centre."""
+    count, _, columns = fields.shape
+    enough = _MINIMUM_COVERAGE * (2 * half_rows + 1) * (2 * half_columns + 1)
+    for index in prange(len(places)):
+        row, column = places[index] // columns, places[index] % columns
+        if known[row, column]:
+            sums = np.zeros((1, 3 * count + 2 * len(squared)))
+            _add_joined(fields, squared, middle, known, row, column, half_rows, half_columns, sums)
+            _solve(sums, 0, enough, row, column, slopes, white, means)
+
+
+@njit(cache=True, nogil=True)
+def _add_joined(
+    fields: np.ndarray,
+    squared: np.ndarray,
+    middle: np.ndarray,
+    known: np.ndarray,
     row: int,
     column: int,
     half_rows: int,
@@ -176,85 +304,13 @@ def _joined(
     while number > 0:
         number -= 1
         i, j = divmod(waiting[number], width)
-        _add_point(fields, squared, middle, top + i, left + j, 1.0, sums)
+        _add_point(fields, squared, middle, top + i, left + j, 1.0, sums, 0)
         for down, aside in ((-1, 0), (1, 0), (0, -1), (0, 1)):
             r, c = top + i + down, left + j + aside
             if r < top or r > bottom or c < left or c > right:
                 continue
             place = (r - top) * width + c - left
-            if not reached[place] and _known(fields, r, c):
+            if not reached[place] and known[r, c]:
                 reached[place] = True
                 waiting[number] = place
                 number += 1
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def _fit(
-    fields: np.ndarray,
-    squared: np.ndarray,
-    middle: np.ndarray,
-    half_rows: int,
-    half_columns: int,
-    divided: np.ndarray,
-    slopes: np.ndarray,
-    white: np.ndarray,
-    means: np.ndarray,
-) -> None:
-    count, rows, columns = fields.shape
-    quantities = 3 * count + 2 * len(squared)
-    enough = _MINIMUM_COVERAGE * (2 * half_rows + 1) * (2 * half_columns + 1)
-    for block in prange((rows + _BLOCK - 1) // _BLOCK):
-        sums = np.zeros((columns, quantities))
-        total = np.empty(quantities)
-        first = block * _BLOCK
-        last = min(first + _BLOCK, rows)
-        for row in range(max(first - half_rows, 0), min(first + half_rows, rows)):
-            _add_row(fields, squared, middle, row, 1.0, sums)
-        for row in range(first, last):
-            if row + half_rows < rows:
-                _add_row(fields, squared, middle, row + half_rows, 1.0, sums)
-            if row > first and row - half_rows - 1 >= 0:
-                _add_row(fields, squared, middle, row - half_rows - 1, -1.0, sums)
-            total[:] = 0.0
-            for column in range(min(half_columns, columns)):
-                for k in range(quantities):
-                    total[k] += sums[column, k]
-            for column in range(columns):
-                if column + half_columns < columns:
-                    for k in range(quantities):
-                        total[k] += sums[column + half_columns, k]
-                if column - half_columns - 1 >= 0:
-                    for k in range(quantities):
-                        total[k] -= sums[column - half_columns - 1, k]
-                known = _known(fields, row, column)
-                here = total
-                if known and divided[row, column]:
-                    here = np.zeros(quantities)
-                    _joined(fields, squared, middle, row, column, half_rows, half_columns, here)
-                number = here[0]
-                if not known or number < enough:
-                    slopes[:, :, row, column] = np.nan
-                    white[:, row, column] = np.nan
-                    means[:, row, column] = np.nan
-                    continue
-                x, y = here[1] / number, here[2] / number
-                xx = here[3] / number - x * x
-                xy = here[4] / number - x * y
-                yy = here[5] / number - y * y
-                determinant = xx * yy - xy * xy
-                for k in range(count - 2):
-                    f = here[6 + 3 * k] / number
-                    xf = here[7 + 3 * k] / number - x * f
-                    yf = here[8 + 3 * k] / number - y * f
-                    slopes[k, 0, row, column] = (yy * xf - xy * yf) / determinant
-                    slopes[k, 1, row, column] = (xx * yf - xy * xf) / determinant
-                white[0, row, column] = yy / (number * determinant)
-                white[1, row, column] = xx / (number * determinant)
-                white[2, row, column] = -xy / (number * determinant)
-                for k in range(len(squared)):
-                    at = 3 * count + 2 * k
-                    # what remains of the sums where nothing is known is rounding
-                    if here[at] > 0.5:
-                        means[k, row, column] = max(here[at + 1] / here[at], 0.0)
-                    else:
-                        means[k, row, column] = np.nan
