@@ -8,11 +8,9 @@ export ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST OPENBLA
 ruff check .
 ruff format --check .
 mypy
-# Every file in one process, the files side by side: most tests of nodes wait more than they compute.
-pytest=(python -m pytest -n 3 --dist loadfile)
 if setup/hardware.sh; then
-    "${pytest[@]}" "$@"
+    python -m pytest "$@"
 else
     echo "without these the tests of real devices are left out; make test-hardware runs them alone" >&2
-    "${pytest[@]}" -m "not hardware" "$@"
+    python -m pytest -m "not hardware" "$@"
 fi

@@ -32,7 +32,7 @@ WITHOUT_KEY = {
     *("pyvista", "rich", "rosbags", "tifffile", "typer", "xarray", "zarr", "zstandard"),
 }
 EXECUTABLES = {
-    "camera_node": ["camera"],
+    "camera_node": ["camera", "live_view"],
     "coupling_node": ["coupling"],
     "dic_node": ["dic", "extensometer"],
     "experiment_node": ["experiment", "player", "recorder"],

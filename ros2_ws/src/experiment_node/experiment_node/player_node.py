@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -52,6 +53,7 @@ PROFILES = {
 }
 
 # What nodes must know before they take the next frame.
+MATCHING_S = 1.0
 ANNOUNCEMENTS = (REFERENCE, CALIBRATION)
 
 
@@ -272,6 +274,10 @@ class PlayerNode(Node):
             self._wait(
                 partial(_has_subscribers, publisher, listeners), f"{name} has not reached everybody who listens".format
             )
+        # Whether the others have found each other only they know; it takes them as long as it took this node.
+        found_at = time.monotonic() + MATCHING_S
+        while time.monotonic() < found_at:
+            self._spinner.spin_once(timeout_sec=0.05)
 
     def _inputs(self) -> dict[str, list[str]]:
         """Return which topics each expected node must listen to."""
