@@ -189,9 +189,7 @@ def test_disk_that_is_full_while_recording(rig: Rig) -> None:
     size = (bag / "bag_0.mcap").stat().st_size
     resource.prlimit(rig.running.pid("recorder"), resource.RLIMIT_FSIZE, (size + 50_000, size + 50_000))
     with pytest.raises(StepFailedError, match="the disk is full"):
-        for _ in range(
-            3
-        ):  # the recorder writes behind the measurement, and tells it of the next step
+        for _ in range(3):  # the recorder writes behind the measurement, and tells it of the next step
             rig.works()
     assert _recorded(bag, good) == 12
     rig.running.stop(["recorder"])
