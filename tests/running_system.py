@@ -19,7 +19,6 @@ CONFIG = ROOT / "ros2_ws" / "src" / "fringedic_bringup" / "config"
 # Part of the tiny rig's image that a good step measures. The plate fills 94 % of the 160 px across, and a rim of up to
 # 5 px, where a window of 32 px sees too little of it, is NaN: (150 - 10) (120 - 10) / (160 * 120) = .80
 WORKING = 0.80
-SHARED_MEMORY = Path("/dev/shm")
 MODBUS_MACHINE = ROOT / "ros2_ws" / "src" / "load_frame_node" / "test" / "modbus_machine.py"
 MACHINE: dict[str, Any] = {
     "protocol": "modbus",
@@ -95,11 +94,6 @@ def processes_of(domain: str) -> list[str]:
         if f"ROS_DOMAIN_ID={domain}".encode() in variables and words and int(process.name) != os.getpid():
             found.append(words)
     return found
-
-
-def segments() -> set[str]:
-    """Names of the shared memory that Fast DDS holds."""
-    return {path.name for path in SHARED_MEMORY.glob("*fastrtps*")}
 
 
 def wait_until(done: Callable[[], object], what: str, timeout_s: float = 60.0) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from running_system import WORKING, Told, processes_of, segments, wait_until
+from running_system import WORKING, Told
 
 import fringedic
 from fringedic.errors import MissingTopicError, NodeDiedError, RecordingError
@@ -99,19 +99,6 @@ def test_text_file_instead_of_a_recording(tmp_path: Path) -> None:
     (tmp_path / "bag" / "bag_0.mcap").write_text("no recording")
     with pytest.raises(RecordingError, match=r"bag_0\.mcap"):
         fringedic.process_bag(tmp_path / "bag")
-
-
-def test_nothing_is_left_behind(tiny: Path, tmp_path: Path, domain: str) -> None:
-    """Neither by nodes that end as told nor by one that was killed."""
-    rig_file, _ = load_rig(tiny, None, None)
-    graph = rig_graph(rig_file, tiny, tmp_path, experiment="leftovers")
-    before = segments()
-    with RunningGraph(graph, tmp_path / "logs") as running:
-        wait_until(lambda: len(processes_of(domain)) >= len(graph.nodes), "the start of all nodes")
-        wait_until(lambda: segments() - before, "shared memory of the nodes")
-        os.kill(running.pid("phase"), signal.SIGKILL)
-    assert not processes_of(domain)
-    assert not segments() - before
 
 
 def test_command_says_what_is_wrong_in_one_sentence(tmp_path: Path) -> None:

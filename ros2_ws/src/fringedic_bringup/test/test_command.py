@@ -23,7 +23,6 @@ from fringedic_bringup.graph import Graph, NodeEntry, rig_graph
 from fringedic_bringup.processes import (
     SHARED_MEMORY,
     RunningGraph,
-    mapped_segments,
     private_domain,
     remove_stale_segments,
 )
@@ -148,13 +147,13 @@ def test_a_graph_leaves_no_process_and_no_shared_memory(tmp_path: Path) -> None:
         with RunningGraph(graph, tmp_path / "run" / "logs", domain=domain) as running:
             pids = [running.pid(name) for name in graph.names]
             (report,), _ = drive(running, one, Silent(), domain=domain)
-            owned = {name for pid in pids for name in shared_memory_of(pid)}
+            # ports are numbered through all domains, so that others may use some of the same
+            owned = {name for pid in pids for name in shared_memory_of(pid) if "port" not in name}
             os.kill(running.pid("phase"), signal.SIGKILL)
         assert not report.error and programme.experiment == "tiny"
     assert owned
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
-    # ports are numbered through all domains, so that others may use some of the same
-    assert owned & {path.name for path in SHARED_MEMORY.iterdir()} - mapped_segments() == set()
+    assert owned & {path.name for path in SHARED_MEMORY.iterdir()} == set()
 
 
 def test_shared_memory_in_use_is_left_alone_and_the_rest_removed() -> None:
@@ -163,13 +162,14 @@ def test_shared_memory_in_use_is_left_alone_and_the_rest_removed() -> None:
         path.write_bytes(b"segment")
     try:
         with used.open("r+b") as file, mmap.mmap(file.fileno(), 0):
-            assert remove_stale_segments() >= {stale.name}
+            remove_stale_segments()  # or another test that runs beside this one does
             assert used.exists() and used.with_name(f"{used.name}_el").exists()
             assert not stale.exists() and not stale.with_name(f"{stale.name}_el").exists()
-        assert used.name in remove_stale_segments()
+        remove_stale_segments()
+        assert not used.exists()
     finally:
         for path in SHARED_MEMORY.glob("fastrtps_00000000000000*"):
-            path.unlink()
+            path.unlink(missing_ok=True)
 
 
 def test_an_executable_that_is_not_installed_is_named(tmp_path: Path) -> None:
