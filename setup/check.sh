@@ -8,9 +8,11 @@ export ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST OPENBLA
 ruff check .
 ruff format --check .
 mypy
+# Two processes, each file in one of them: most tests of nodes wait more than they compute.
+pytest=(python -m pytest -n 2 --dist loadfile)
 if setup/hardware.sh; then
-    python -m pytest "$@"
+    "${pytest[@]}" "$@"
 else
     echo "without these the tests of real devices are left out; make test-hardware runs them alone" >&2
-    python -m pytest -m "not hardware" "$@"
+    "${pytest[@]}" -m "not hardware" "$@"
 fi

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 import traceback
 from collections.abc import Callable
 
@@ -11,6 +12,8 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
 from fringedic.errors import FringedicError
+
+SIGNAL_S = 0.5
 
 
 def run(make_node: Callable[[], Node]) -> int:
@@ -34,7 +37,7 @@ def run(make_node: Callable[[], Node]) -> int:
         print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
         return 1
     except Exception:
-        if not initialised or rclpy.ok():
+        if not initialised or _goes_on():
             traceback.print_exc()
             return 1
         # a signal ended the context: while the node was made, or between two steps of the executor
@@ -43,3 +46,11 @@ def run(make_node: Callable[[], Node]) -> int:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0
+
+
+def _goes_on() -> bool:
+    """Whether no signal has ended the context; it may break what is in hand just before the context hears of it."""
+    end = time.monotonic() + SIGNAL_S
+    while rclpy.ok() and time.monotonic() < end:
+        time.sleep(0.01)
+    return rclpy.ok()
