@@ -28,6 +28,8 @@ from fringedic_msgs.action import MeasureStep, MoveCrosshead
 
 JUMPING_CLOCK = Path(__file__).parent / "jumping_clock"
 MM = 1e-3
+# The camera of a virtual rig, which has to know where the specimen is, may notice first.
+UNTOLD = "(the load frame does not tell what it does|.*crosshead position nan mm)"
 
 
 class Rig:
@@ -151,8 +153,10 @@ def test_load_that_drifts_during_the_stack(rig: Rig) -> None:
 
 
 def test_machine_that_answers_nonsense(rig: Rig) -> None:
-    rig.fails("the load frame does not tell what it does", at_frame=2, then=lambda: rig.server.switch(2, True))
-    rig.server.switch(2, False)
+    try:
+        rig.fails(UNTOLD, at_frame=2, then=lambda: rig.server.switch(2, True))
+    finally:
+        rig.server.switch(2, False)
     wait_until(lambda: _holds(rig), "the machine to be understood again")
     rig.works()
 
@@ -165,8 +169,10 @@ def test_machine_that_reports_a_fault(rig: Rig) -> None:
 
 
 def test_server_that_is_gone_in_the_middle_of_a_stack(rig: Rig) -> None:
-    rig.fails("the load frame does not tell what it does", at_frame=3, then=rig.server.kill)
-    rig.server.start()
+    try:
+        rig.fails(UNTOLD, at_frame=3, then=rig.server.kill)
+    finally:
+        rig.server.start()
     wait_until(lambda: _holds(rig), "the machine to be found again")
     rig.client.move(0.2 * MM, 5 * MM)
     rig.works()
@@ -196,7 +202,8 @@ def test_disk_that_is_full_while_recording(rig: Rig) -> None:
     rig.running.stop(["recorder"])
     rig.running.restart("recorder", bag_path=str(rig.folder / "bag-2"))
     wait_until(lambda: _steps(rig), "a step with the new recorder")
-    assert BagReader(rig.folder / "bag-2").counts["/rig/camera/image_raw"] >= 12
+    images = "/rig/camera/image_raw"
+    wait_until(lambda: BagReader(rig.folder / "bag-2").counts.get(images, 0) >= 12, "its frames to be on the disk")
 
 
 def _recorded(bag: Path, step: int) -> int:
