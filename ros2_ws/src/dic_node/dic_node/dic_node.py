@@ -102,7 +102,7 @@ class DicNode(ProcessingNode[DicParameters]):
         if self._preview.get_subscription_count():
             colours = displacement_preview(result.displacement)
             self._preview.publish(image_message(colours, stamp_ns=stamp, frame_id=FRAME))
-        return Outcome(result.valid_fraction, result.rms, frames)
+        return Outcome(result.valid_fraction, result.rms, frames, correlated_step=result.correlated_step)
 
 
 def grid_message(result: DicResult, shape: tuple[int, ...]) -> CameraInfo:

@@ -128,6 +128,18 @@ def test_white_steps_come_from_the_camera(bench: DicBench, name: str, tracker: D
         bench.assert_identical(tracker.step(name, step, bench.stamp(step), bench.textures[step]))
 
 
+def test_status_says_which_step_the_texture_was_compared_with(
+    bench: DicBench, name: str, tracker: DisplacementTracker
+) -> None:
+    first, last = bench.textures[0], np.ascontiguousarray(bench.textures[0][::-1])
+    for step, share in enumerate((0.0, 0.25, 0.5, 0.75)):
+        texture = ((1 - share) * first + share * last).astype(np.float32)
+        status = bench.send_step(name, step, texture)
+        result = tracker.step(name, step, bench.stamp(step), texture)
+        assert (status.error_code, status.correlated_step) == (NodeStatus.NONE, result.correlated_step), step
+    assert result.correlated_step > 0, "the last image shows little of the first"
+
+
 def test_reference_of_the_following_steps(bench: DicBench, name: str, tracker: DisplacementTracker) -> None:
     for step in (0, 1):
         assert bench.send_step(name, step).error_code == NodeStatus.NONE

@@ -17,7 +17,7 @@ from fringedic.errors import ExportError
 from fringedic.export import FORMATS, export_dataset, tables
 from fringedic.facts import Facts
 from fringedic.results import open_experiment
-from fringedic.results.quantities import MAPS
+from fringedic.results.quantities import MAPS, STEP_NUMBERS
 from fringedic.results.rows import Row, Settings
 from fringedic.results.writer import DatasetWriter
 from fringedic.rig import RigModel
@@ -77,9 +77,12 @@ def dataset(tmp_path_factory):
     with DatasetWriter(path, {"experiment": "sheet", "source": "bag"}) as writer:
         for step in (0, 1, 2):
             stamp = START + step * 1_500_000_000
-            writer.add(Row(step, stamp, "", 0, 10.0 * step, 1e-4 * step, 0.9, 1e-5 * step, maps(step)), settings)
+            writer.add(
+                Row(step, stamp, "", 0, max(step - 1, 0), 10.0 * step, 1e-4 * step, 0.9, 1e-5 * step, maps(step)),
+                settings,
+            )
         white = {"displacement_x": maps(2)["displacement_x"], "displacement_y": maps(2)["displacement_y"]}
-        writer.add(Row(3, START + 4_000_000_000, "", 0, 20.0, 2e-4, 0.9, float("nan"), white), settings)
+        writer.add(Row(3, START + 4_000_000_000, "", 0, 0, 20.0, 2e-4, 0.9, float("nan"), white), settings)
         writer.add(Row(4, START + 5_000_000_000, "step 4: frames 2 of 8 never arrived"), settings)
     with open_experiment(path) as opened:
         yield opened
@@ -142,6 +145,7 @@ def test_vtk_series_shows_the_surface_in_mm_with_its_displacement(dataset, expor
     assert mesh.n_points == ROWS * COLUMNS - 1 and mesh.n_cells == (ROWS - 1) * (COLUMNS - 1) - 4
     normals = mesh.compute_normals(point_normals=False, consistent_normals=False, auto_orient_normals=False)["Normals"]
     assert (normals[:, 2] > 0.9).all(), "faces look towards the camera"
+    assert [mesh.field_data[name][0] for name in STEP_NUMBERS] == [0, 1, 1]
     check_metadata(json.loads(mesh.field_data["metadata"][0]))
     assert exported["vtk"].problems == ["step 3 has no surface", "step 4 has no surface"]
 
@@ -160,7 +164,7 @@ def test_ply_holds_the_moved_surface(dataset, exported):
     names = [line.split()[-1] for line in lines if line.startswith("property float")]
     vertices = np.frombuffer(body, "<f4", len(names) * mesh.n_points).reshape(-1, len(names))
     np.testing.assert_allclose(vertices[:, names.index("w_um")], measured(dataset, "w", 2, 1e-6), rtol=1e-6)
-    assert "comment units mm" in lines
+    assert {"comment units mm", "comment correlated_step 1", "comment increments_summed 1"} <= set(lines)
     check_metadata(json.loads(next(line for line in lines if "metadata" in line).removeprefix("comment metadata ")))
 
 
@@ -177,6 +181,9 @@ def test_csv_names_its_units(dataset, exported):
     assert steps["time_[s]"].tolist() == [0.0, 1.5, 3.0, 4.0, 5.0]
     assert steps["force_[N]"][:4].tolist() == [0, 10, 20, 20]
     assert steps["position_[mm]"][2] == 0.2 and steps["rms_displacement_[µm]"][1] == 10
+    assert steps["reference_step"].tolist() == [0, 0, 0, 0, -1]
+    assert steps["correlated_step"].tolist() == [0, 0, 1, 0, -1]
+    assert steps["increments_summed"].tolist() == [0, 0, 1, 0, -1]
     assert "never arrived" in str(steps["error"][4])
     check_metadata(json.loads((folder / "metadata.json").read_text()))
     assert exported["csv"].problems == ["step 4 has no measured point"]
@@ -189,6 +196,7 @@ def test_matlab_gets_si_units_and_names_them(dataset, exported):
     assert content["time"].tolist() == [0.0, 1.5, 3.0, 4.0, 5.0]
     assert content["column"].tolist() == [0, 3, 6, 9, 12]
     np.testing.assert_allclose(content["force"][:3], [0, 10, 20])
+    assert content["correlated_step"].tolist() == [0, 0, 1, 0, -1]
     check_metadata(json.loads(str(content["metadata"])))
 
 
@@ -200,6 +208,7 @@ def test_tiff_maps_are_32_bit_in_the_unit_of_their_name(dataset, exported):
     assert image.dtype == np.float32 and image.shape == (ROWS, COLUMNS) and np.isnan(image[HOLE])
     np.testing.assert_allclose(image, dataset.w.sel(step=2).values / 1e-6, rtol=1e-6)
     assert description["unit"] == "µm" and description["spacing_px"] == SPACING
+    assert (description["correlated_step"], description["increments_summed"]) == (1, 1)
     check_metadata(description)
     assert tifffile.imread(folder / "step_001_shape_z_mm.tif")[0, 0] == pytest.approx(
         float(dataset.shape_z[1, 0, 0]) * 1e3

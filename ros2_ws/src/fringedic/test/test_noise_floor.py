@@ -121,7 +121,7 @@ def test_a_report_shows_it_where_the_run_has_no_steps_at_rest(images: list[np.nd
     with DatasetWriter(file, {"experiment": "sheet", "source": "bag"}) as writer:
         for step, maps in enumerate(steps):
             float32 = {name: values.astype(np.float32) for name, values in maps.items()}
-            writer.add(Row(step, 10**9 * (step + 1), "", 0, 1.0, 1e-4 * step, 1.0, 0.0, float32), settings)
+            writer.add(Row(step, 10**9 * (step + 1), "", 0, 0, 1.0, 1e-4 * step, 1.0, 0.0, float32), settings)
     page = write_report(file).read_text("utf-8")
     assert "the noise floor is not measured" not in page
     assert "From 3 steps at rest before the experiment" in page

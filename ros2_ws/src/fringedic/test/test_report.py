@@ -84,7 +84,18 @@ def path(tmp_path_factory):
         for step, position in enumerate((0.0, 0.3e-6, 0.0, 1e-4, 2e-4)):
             stamp = START + step * 10**9
             writer.add(
-                Row(step, stamp, "", 0, 20.0 * step, position, 0.9, 1e-5 * step, maps(step, generator, reference)),
+                Row(
+                    step,
+                    stamp,
+                    "",
+                    0,
+                    3 if step == 4 else 0,
+                    20.0 * step,
+                    position,
+                    0.9,
+                    1e-5 * step,
+                    maps(step, generator, reference),
+                ),
                 settings,
             )
         writer.add(Row(5, START + 5 * 10**9, "step 5: frame 3 of 8 <never> arrived", position=0.0), settings)
@@ -192,7 +203,10 @@ def test_base_and_angle_are_those_of_the_pin_holes():
 def test_the_page_says_everything_and_needs_no_network(page):
     for word in ("sheet &lt;4&gt;", "Ada &amp; Bob", "bench 3, from planes", "Green-Lagrange", "quintic B-spline"):
         assert word in page, word
-    assert "step 5: step 5: frame 3 of 8 &lt;never&gt; arrived" in page
+    assert "<li>step 5: frame 3 of 8 &lt;never&gt; arrived</li>" in page
+    assert "step 4 could not be compared with the reference step; increments were summed" in page
+    cells = [re.findall("<td[^>]*>([^<]*)</td>", row) for row in page.split('id="steps"')[1].splitlines()]
+    assert [row[4:6] for row in cells if len(row) == 9] == [["0", "0"]] * 4 + [["0", "3"], ["-", "-"]]
     assert "10.58720/idics/gpg.ed2" in page and "Conformity is not claimed" in page
     assert "simulated" not in page.split("</style>")[1].split("<script")[0]
     text = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)

@@ -8,6 +8,7 @@ import sys
 import textwrap
 from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ import xarray as xr
 from mcap.reader import make_reader
 from pydantic import BaseModel
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.ndimage import gaussian_filter
 
 from fringedic.chain import (
     CouplingParameters,
@@ -38,6 +40,8 @@ from fringedic.results import (
     process_bag,
     truth_errors,
 )
+from fringedic.results.derived import Collected
+from fringedic.results.quantities import SCALARS, STEP_NUMBERS
 from fringedic.rig_file import RigFile, calibration_of
 from fringedic.sequence import FrameRecord, PatternKind, Projection, Stack
 from fringedic.virtual_rig import VirtualRig
@@ -187,8 +191,8 @@ class Bench:
         self.write("calibration", self.now, **{**values, "parameter_names": []})
         self.write("experiment/reference", self.now, experiment="plate", step=0)
 
-    def step(self, number, position, *, white=False, leave_out=(), derived=True):
-        """Expose one step, and publish what the nodes make of it."""
+    def step(self, number, position, *, white=False, leave_out=(), derived=True, image=None):
+        """Expose one step, or take a picture of something else, and publish what the nodes make of it."""
         projections = [Projection(PatternKind.WHITE)] if white else self.projections
         width, height = self.rig.projector_shape[::-1]
         frames, records = [], []
@@ -196,7 +200,7 @@ class Bench:
             self.now += 20_000_000
             stamp = self.now
             pattern = render_pattern(projection, width, height)
-            frame = self.rig.expose(pattern, position, self.frame)
+            frame = self.rig.expose(pattern, position, self.frame) if image is None else image
             self.frame += 1
             record = FrameRecord("plate", number, index, len(projections), projection, stamp, 0.01)
             frames.append(frame)
@@ -247,7 +251,8 @@ class Bench:
         dic = self.displacement.step("plate", number, stamp, texture)
         self.image("dic/displacement", stamp, dic.displacement)
         self.image("dic/sigma", stamp, dic.sigma)
-        self.write("dic/status", stamp, **{**status, "valid_fraction": dic.valid_fraction, "rms": dic.rms})
+        found = {"valid_fraction": dic.valid_fraction, "rms": dic.rms, "correlated_step": dic.correlated_step}
+        self.write("dic/status", stamp, **{**status, **found})
         if stack.kind == PatternKind.WHITE:
             self.write("coupling/status", stamp, **status)
             return
@@ -318,9 +323,45 @@ def test_desk_and_nodes_agree_bit_by_bit(bench, processed, tmp_path):
     with open_experiment(dataset_from_derived(bench.bag, output=tmp_path / "derived.nc")) as derived:
         assert derived.step.values.tolist() == [0, 1, 2, 3, 4, 6]
         desk = processed.sel(step=derived.step)
-        for name in [*MAPS, "time", "force", "position", "valid_fraction", "reference_step", "rms_displacement"]:
+        for name in [*MAPS, *SCALARS, *STEP_NUMBERS, "time"]:
             assert identical(desk[name].values, derived[name].values), name
         assert np.isfinite(desk["w"].sel(step=3)).mean() > 0.7
+        assert desk.correlated_step.values.tolist() == [0] * 6 and not desk.increments_summed.any()
+
+
+def test_steps_whose_increments_were_summed_are_told_by_desk_and_nodes(tmp_path):
+    """A texture that turns into another one within eight steps, which also moves."""
+    generator = np.random.default_rng(7)
+    first, last = (gaussian_filter(generator.normal(size=(120, 160)), 1.4, mode="wrap") for _ in range(2))
+    bench = Bench(tmp_path / "plate")
+    bench.begin()
+    for number, angle in enumerate(np.linspace(0, np.pi / 2, 8)):
+        texture = np.roll(np.cos(angle) * first + np.sin(angle) * last, number, axis=1)
+        bench.step(number, 0.0, white=True, image=np.round(128 + 40 * texture / first.std()).clip(0, 255).astype("u1"))
+    bench.writer.close()
+    desk = process_bag(tmp_path / "plate", output=tmp_path / "desk.nc")
+    nodes = dataset_from_derived(tmp_path / "plate", output=tmp_path / "nodes.nc")
+    with open_experiment(desk) as one, open_experiment(nodes) as other:
+        for name in ("displacement_x", "displacement_sigma_x", *STEP_NUMBERS):
+            assert identical(one[name].values, other[name].values), name
+        steps = one.correlated_step.values.tolist()
+        assert one.reference_step.values.tolist() == [0] * 8
+        assert steps[:2] == [0, 0] and steps == sorted(steps) and steps[-1] >= 3, steps
+        assert one.increments_summed.values.tolist() == [int(step > 0) for step in steps]
+        moved = float(one.displacement_x[-1].median())
+        assert abs(moved - 7) < 0.1, f"{moved} px: does not count from the reference step"
+
+
+def test_recordings_of_versions_that_did_not_tell_say_so():
+    collected = Collected({"dic/status", "dic/displacement", "dic/sigma"})
+    image = {"height": 1, "width": 1, "encoding": "32FC2", "step": 8, "is_bigendian": 0, "data": np.zeros(8, np.uint8)}
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=1, nanosec=0))
+    status = SimpleNamespace(header=header, step=3, error_code=0, error_message="", valid_fraction=1.0, frames=1)
+    rows = []
+    for topic in ("dic/displacement", "dic/sigma"):
+        rows += collected.take(topic, SimpleNamespace(header=header, **image))
+    rows += collected.take("dic/status", status)
+    assert [(row.step, row.reference_step, row.correlated_step) for row in rows] == [(3, 3, None)]
 
 
 def test_results_do_not_depend_on_the_number_of_threads(bench, processed, tmp_path):

@@ -73,6 +73,8 @@ class Outcome:
         What should be known about a good result; the status' message, and a warning in the log.
     relative
         The phase is true up to whole fringes only.
+    correlated_step
+        The step whose images this step's were compared with, for a displacement.
     """
 
     valid_fraction: float = nan
@@ -80,6 +82,7 @@ class Outcome:
     frames: int = 0
     remark: str = ""
     relative: bool = False
+    correlated_step: int = 0
 
 
 class StampJoin:
@@ -240,6 +243,7 @@ class ProcessingNode(Node, Generic[ModelT]):
             error_message=message,
             valid_fraction=outcome.valid_fraction,
             relative=outcome.relative,
+            correlated_step=outcome.correlated_step,
             rms=outcome.rms,
             frames=outcome.frames,
             duration=duration,

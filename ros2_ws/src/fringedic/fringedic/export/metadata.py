@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.provenance import git_commit, software
+from fringedic.results.quantities import STEP_NUMBERS
 
 _JSON_ATTRIBUTES = ("calibration", "parameters", "rig", "facts")
 MAP_DIMENSIONS = ("step", "row", "column")
@@ -39,6 +40,11 @@ def map_names(dataset: xr.Dataset) -> list[str]:
         for name, variable in dataset.data_vars.items()
         if variable.dims == MAP_DIMENSIONS and variable.dtype.kind == "f"
     ]
+
+
+def step_numbers(step: xr.Dataset) -> dict[str, int]:
+    """Return which steps one step was measured against, and whether increments were summed, as far as it is told."""
+    return {name: int(step[name]) for name in STEP_NUMBERS if name in step}
 
 
 def seconds(dataset: xr.Dataset) -> np.ndarray:

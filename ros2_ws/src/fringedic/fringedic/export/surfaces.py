@@ -11,7 +11,7 @@ import pyvista
 import xarray as xr
 
 from fringedic.errors import ExportError
-from fringedic.export.metadata import experiment_name, map_names, metadata_text, seconds
+from fringedic.export.metadata import experiment_name, map_names, metadata_text, seconds, step_numbers
 from fringedic.results.quantities import people_unit
 
 MILLI = 1e-3
@@ -89,6 +89,8 @@ def write_vtk(dataset: xr.Dataset, folder: Path) -> list[str]:
                 mesh.point_data[f"{name}_{unit.identifier}"] = _float32(step[name].values[valid], unit.factor)
         mesh.field_data["metadata"] = [text]
         mesh.field_data["TimeValue"] = np.array([time])
+        for name, value in step_numbers(step).items():
+            mesh.field_data[name] = np.array([value])
         name = f"step_{int(step.step):03d}.vtp"
         mesh.save(folder / name)
         entries.append(f'    <DataSet timestep="{time:.9g}" part="0" file={quoteattr(name)}/>')
@@ -137,7 +139,8 @@ def write_ply(dataset: xr.Dataset, folder: Path) -> list[str]:
         for name in names:
             unit = people_unit(name, step[name].attrs.get("units", ""))
             columns[f"{name}_{unit.identifier}"] = _float32(step[name].values[valid], unit.factor)
-        _save_ply(folder / f"step_{int(number):03d}.ply", columns, quads, ["units mm", f"metadata {text}"])
+        comments = ["units mm", *(f"{name} {value}" for name, value in step_numbers(step).items()), f"metadata {text}"]
+        _save_ply(folder / f"step_{int(number):03d}.ply", columns, quads, comments)
     if len(skipped) == dataset.sizes["step"]:
         raise ExportError("no step has a surface that PLY could hold")
     return skipped

@@ -13,8 +13,8 @@ import tifffile
 import xarray as xr
 
 from fringedic.errors import ExportError
-from fringedic.export.metadata import MAP_DIMENSIONS, map_names, metadata, metadata_text, seconds
-from fringedic.results.quantities import people_unit
+from fringedic.export.metadata import MAP_DIMENSIONS, map_names, metadata, metadata_text, seconds, step_numbers
+from fringedic.results.quantities import STEP_NUMBERS, people_unit
 
 MATLAB_LIMIT = 2**31 - 1  # bytes of one variable in a MATLAB 5 file
 _LIGHT = ("modulation", "texture")  # known of every pixel, measured or not
@@ -57,7 +57,7 @@ def _steps_table(dataset: xr.Dataset) -> list[list[Any]]:
         unit, factor = _SCALAR_UNITS.get(name, ("1", 1.0))
         heading.append(f"{name} [{unit}]")
         columns.append([float(f"{value / factor:.9g}") for value in dataset[name].values])
-    for name in ("reference_step", "error"):
+    for name in (*STEP_NUMBERS, "error"):
         if name in dataset:
             heading.append(name)
             columns.append(dataset[name].values.tolist())
@@ -83,9 +83,7 @@ def write_matlab(dataset: xr.Dataset, file: Path) -> list[str]:
             )
     for name in names:
         content[name] = dataset[name].transpose("row", "column", "step").values
-    for name in _SCALARS:
-        if name in dataset:
-            content[name] = dataset[name].values
+    content |= {name: dataset[name].values.astype(float) for name in (*_SCALARS, *STEP_NUMBERS) if name in dataset}
     content |= {name: dataset[name].values.astype(float) for name in MAP_DIMENSIONS}
     content["time"] = seconds(dataset)
     units = {name: dataset[name].attrs.get("units", "1") for name in content if name in dataset}
@@ -113,6 +111,7 @@ def write_tiff(dataset: xr.Dataset, folder: Path) -> list[str]:
                 "unit": unit.text,
                 "meaning": step[name].attrs.get("long_name", ""),
                 "step": int(number),
+                **step_numbers(step),
                 "first_row_px": int(dataset["row"][0]),
                 "first_column_px": int(dataset["column"][0]),
                 "spacing_px": int(dataset["column"][1] - dataset["column"][0]) if dataset.sizes["column"] > 1 else 1,

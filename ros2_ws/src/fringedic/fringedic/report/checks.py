@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import xarray as xr
 
 from fringedic.provenance import UNKNOWN
 from fringedic.report.items import Known
@@ -18,7 +19,7 @@ _EXPLAINED = (0.8, 1.25)  # measured noise over stated one
 def warnings(known: Known, static: Sequence[int], floors: Sequence[NoiseFloor]) -> list[str]:
     """Return one sentence per warning."""
     dataset = known.dataset
-    found = [f"step {int(step)}: {error}" for step, error in _errors(known)]
+    found = [error if f"step {step}" in error else f"step {step}: {error}" for step, error in _errors(known)]
     if "damage" in dataset.attrs:
         found.append(f"the recording is damaged: {dataset.attrs['damage']}")
     if known.exposures is not None and known.exposures.dropped:
@@ -26,6 +27,13 @@ def warnings(known: Known, static: Sequence[int], floors: Sequence[NoiseFloor]) 
     for step, fraction in zip(dataset["step"].values, dataset["valid_fraction"].values, strict=True):
         if fraction < FEW_POINTS:
             found.append(f"step {int(step)}: only {fraction:.0%} of the points are measured")
+    summed = [int(step) for step, flag in zip(dataset["step"].values, _summed(dataset), strict=True) if flag == 1]
+    if summed:
+        found.append(
+            f"the texture changed: step{'s' if len(summed) > 1 else ''} {', '.join(map(str, summed))} could not be "
+            "compared with the reference step; increments were summed, whose errors add up, as the stated standard "
+            "deviations say"
+        )
     if not static and not known.noise.spatial:
         found.append(
             "the noise floor is not measured: no step repeats the reference step at rest; measure the specimen at "
@@ -57,6 +65,12 @@ def warnings(known: Known, static: Sequence[int], floors: Sequence[NoiseFloor]) 
     if commit == UNKNOWN or "changes" in commit:
         found.append(f"the software cannot be traced to one version of its source: commit {commit}")
     return found
+
+
+def _summed(dataset: xr.Dataset) -> np.ndarray:
+    """Whether each step's displacement is a sum of increments: 1, 0, or -1 where older datasets do not tell."""
+    name = "increments_summed"
+    return dataset[name].values if name in dataset else np.full(dataset.sizes["step"], -1)
 
 
 def _errors(known: Known) -> list[tuple[int, str]]:

@@ -249,12 +249,18 @@ def _step_rows(dataset: xr.Dataset) -> list[list[str]]:
                 f"{seconds:.1f}",
                 _figure(step["force"]),
                 _figure(step["position"] / MILLI),
+                *(_step_number(dataset, name, index) for name in ("reference_step", "correlated_step")),
                 _figure(100 * step["valid_fraction"]),
                 _figure(float(dataset["rms_displacement"].values[index]) / MICRO),
                 str(dataset["error"].values[index]),
             ]
         )
     return rows
+
+
+def _step_number(dataset: xr.Dataset, name: str, index: int) -> str:
+    number = int(dataset[name].values[index]) if name in dataset else -1
+    return str(number) if number >= 0 else "-"
 
 
 def _truth_rows(dataset: xr.Dataset, file: Path) -> list[list[str]]:

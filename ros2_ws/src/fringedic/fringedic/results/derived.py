@@ -86,6 +86,8 @@ class Collected:
             self._reference = row.step if self._reference is None else self._reference
             announced = self._reference_of[stamp]
             row.reference_step = self._reference if announced is None else announced
+            # recordings of older versions do not tell
+            row.correlated_step = getattr(parts.get("dic/status"), "correlated_step", None)
         if "coupling/shape" in parts:
             row.maps |= {f"shape_{name}": values for name, values in cloud_arrays(parts["coupling/shape"]).items()}
         if "coupling/displacement" in parts:

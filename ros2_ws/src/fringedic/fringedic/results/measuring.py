@@ -185,6 +185,7 @@ def _add_phase(row: Row, result: PhaseResult) -> None:
 def _add_displacement(row: Row, result: DicResult) -> None:
     row.valid_fraction = result.valid_fraction
     row.reference_step = result.reference_step
+    row.correlated_step = result.correlated_step
     row.maps |= displacement_maps(result.displacement, result.sigma)
 
 

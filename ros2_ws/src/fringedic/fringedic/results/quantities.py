@@ -50,6 +50,11 @@ SCALARS: dict[str, Quantity] = {
     "valid_fraction": Quantity("1", "part of the points with a result of the last processing step"),
     "rms_displacement": Quantity("m", "root mean square length of (u, v, w)"),
 }
+STEP_NUMBERS: dict[str, str] = {  # -1 without a displacement, or where a recording of an older version does not tell
+    "reference_step": "step from whose configuration the displacement counts",
+    "correlated_step": "step whose images this one's were compared with",
+    "increments_summed": "1 when the displacement is composed with that of correlated_step, else 0",
+}
 POSITIONS = {"x", "y", "z", "shape_x", "shape_y", "shape_z"}
 PHASE_TOPICS = {"map": "phase", "sigma": "phase_sigma", "modulation": "modulation", "texture": "texture"}
 

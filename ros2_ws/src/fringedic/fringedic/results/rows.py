@@ -21,6 +21,7 @@ class Row:
     stamp: int | None = None
     error: str = ""
     reference_step: int | None = None
+    correlated_step: int | None = None
     force: float = float("nan")
     position: float = float("nan")
     valid_fraction: float = float("nan")

@@ -12,7 +12,7 @@ import numpy as np
 
 from fringedic.errors import DatasetError
 from fringedic.provenance import git_commit, software
-from fringedic.results.quantities import MAPS, SCALARS
+from fringedic.results.quantities import MAPS, SCALARS, STEP_NUMBERS
 from fringedic.results.rows import Row, Settings
 from fringedic.results.stores import MAP_DIMENSIONS, TEXT, Store, create_store
 
@@ -38,7 +38,8 @@ class DatasetWriter:
         self._store = create_store(self._target)
         self._variable("step", ("step",), "i8", "1", "load step")
         self._variable("time", ("step",), "i8", "nanoseconds since 1970-01-01", "stamp of the last exposure")
-        self._variable("reference_step", ("step",), "i8", "1", "step that the displacement is measured against")
+        for name, meaning in STEP_NUMBERS.items():
+            self._variable(name, ("step",), "i8", "1", meaning)
         self._variable("error", ("step",), TEXT, "", "why the step failed, empty when it did not")
         for name, quantity in SCALARS.items():
             self._variable(name, ("step",), "f8", *quantity)
@@ -62,9 +63,12 @@ class DatasetWriter:
         values: dict[str, Any] = {
             "step": row.step,
             "time": row.stamp,
-            "reference_step": -1 if row.reference_step is None else row.reference_step,
+            "reference_step": row.reference_step,
+            "correlated_step": row.correlated_step,
+            "increments_summed": None if row.correlated_step is None else row.correlated_step != row.reference_step,
             "error": row.error,
         }
+        values |= {name: -1 if values[name] is None else int(values[name]) for name in STEP_NUMBERS}
         values |= {name: getattr(row, name) for name in SCALARS}
         for name, value in values.items():
             self._store.put(name, index, value)
