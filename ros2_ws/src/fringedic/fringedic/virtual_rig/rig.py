@@ -59,16 +59,27 @@ class View:
     offset: NDArray[np.float32]
     residual: float
     _weights: dict[str, tuple[NDArray[np.int32], NDArray[np.float32]]] = field(default_factory=dict)
+    _edges: dict[str, NDArray[np.float32]] = field(default_factory=dict)
 
     def weights(self, axis: str, size: int, defocus: float) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
         """First projector column (or row) that lights each pixel, and the weights from there on; kept once made."""
         if axis not in self._weights:
-            coordinate = self.projector_column if axis == "column" else self.projector_row
+            coordinate = self._coordinate(axis)
             first = np.empty(coordinate.shape, np.int32)
             weights = np.empty((*coordinate.shape, exposure.taps_of(defocus)), np.float32)
             exposure.spread_weights(coordinate, defocus, size, first, weights)
             self._weights[axis] = first, weights
         return self._weights[axis]
+
+    def edge(self, axis: str, size: int, defocus: float) -> NDArray[np.float32]:
+        """Sum of the weights of all projector columns (or rows) at each pixel; kept once made."""
+        if axis not in self._edges:
+            self._edges[axis] = np.empty(self.lit.shape, np.float32)
+            exposure.edge_weight(self._coordinate(axis), defocus, size, self._edges[axis])
+        return self._edges[axis]
+
+    def _coordinate(self, axis: str) -> Map:
+        return self.projector_column if axis == "column" else self.projector_row
 
 
 class VirtualRig:
@@ -241,13 +252,12 @@ class VirtualRig:
         defocus = projector.defocus_px
         response = (np.linspace(0.0, 1.0, 256) ** projector.gamma).astype(np.float32)
         light = np.empty(self.shape, np.float32)
-        edge = np.empty(self.shape, np.float32)
         if (projector_image == projector_image[:1]).all():
-            exposure.edge_weight(view.projector_row, defocus, projector.rows, edge)
+            edge = view.edge("row", projector.rows, defocus)
             weights = view.weights("column", projector.columns, defocus)
             exposure.light_along(response[projector_image[0]], *weights, edge, light)
         elif (projector_image == projector_image[:, :1]).all():
-            exposure.edge_weight(view.projector_column, defocus, projector.columns, edge)
+            edge = view.edge("column", projector.columns, defocus)
             weights = view.weights("row", projector.rows, defocus)
             exposure.light_along(response[projector_image[:, 0]], *weights, edge, light)
         else:
