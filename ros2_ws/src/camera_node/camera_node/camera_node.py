@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 from sensor_msgs.msg import CameraInfo, Image
 
@@ -24,7 +25,7 @@ from fringedic_ros.camera_info import camera_info
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.lifecycle import HardwareNode
 from fringedic_ros.main import run
-from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, OVERRIDABLE, STATE
+from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATEST, OVERRIDABLE
 from fringedic_ros.records import exposure_message
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.waiting import Condition, sleep, until, wait_for
@@ -76,9 +77,7 @@ class CameraNode(HardwareNode[CameraParameters]):
         self._exposures = self.create_publisher(Exposure, "camera/exposure", IMAGES)
         self._clocks = self.create_publisher(ClockDrift, "camera/clock", LATCHED)
         self._told_of_driver = -math.inf
-        self.create_subscription(Image, "projector/image", self._take_pattern, LATCHED)
-        self.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
-        self.create_subscription(ReferencePlane, "reference_plane/state", self._take_plane, LATCHED)
+        self._of_scene: list[Subscription] = []
         self.create_subscription(RigCalibration, "calibration", self._take_calibration, LATCHED)
         self.create_subscription(StepStatus, "experiment/step", self._take_step, EVENTS)
         # a capture waits for the scene: it needs a group of its own, which also serves one capture after the other
@@ -91,6 +90,12 @@ class CameraNode(HardwareNode[CameraParameters]):
     def open(self) -> None:
         """Open the camera that the parameters name."""
         self._driver = self.parameters.value.open(self)
+        if self._driver.needs_scene:  # a real camera sees it: a load frame at 1 kHz would take it half a core
+            self._of_scene = [
+                self.create_subscription(Image, "projector/image", self._take_pattern, LATCHED),
+                self.create_subscription(LoadState, "load_frame/state", self._take_load, LATEST),
+                self.create_subscription(ReferencePlane, "reference_plane/state", self._take_plane, LATCHED),
+            ]
 
     def activate(self) -> None:
         """Begin the free run, when one is asked for."""
@@ -160,6 +165,8 @@ class CameraNode(HardwareNode[CameraParameters]):
             time.sleep(0.01)
         self._worker.stop()
         self._worker = Worker(self)
+        while self._of_scene:
+            self.destroy_subscription(self._of_scene.pop())
         if self._driver is not None:
             self._driver.close()
             self._driver = None
@@ -208,7 +215,7 @@ class CameraNode(HardwareNode[CameraParameters]):
         """What the camera sees now: the pattern that was shown and the specimen at the middle of the exposure."""
         timeout = self.parameters.value.timeout_s
         stamp = self.get_clock().now().nanoseconds + round(exposure_time * 1e9 / 2)
-        if not self._needs_scene():
+        if not self._of_scene:
             return Scene(stamp, (), 0.0, None, exposure_time)
         if shown_ns:
             await self._scene_changed.wait(
@@ -238,9 +245,6 @@ class CameraNode(HardwareNode[CameraParameters]):
     def _shown(self) -> tuple[ShownPattern, ...]:
         """The latest patterns, oldest first."""
         return tuple(ShownPattern(image_array(each), to_nanoseconds(each.header.stamp)) for each in self._patterns)
-
-    def _needs_scene(self) -> bool:
-        return self._driver is not None and self._driver.needs_scene
 
     # one frame on request
 

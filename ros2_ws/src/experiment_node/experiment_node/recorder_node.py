@@ -6,6 +6,7 @@ import os
 import queue
 import shutil
 import threading
+import time
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
@@ -20,7 +21,7 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from experiment_node.messages import header_stamp, message_type
 from experiment_node.tally import ExposureTally
-from experiment_node.topics import DERIVED_TOPICS, EXPOSURE, IMAGE, RAW_TOPICS, STEP
+from experiment_node.topics import DERIVED_TOPICS, EXPOSURE, IMAGE, RAW_TOPICS, SAMPLE_TOPICS, STEP
 from fringedic.errors import DiskFullError, FringedicError
 from fringedic.recording import BagWriter, Qos
 from fringedic_msgs.msg import RecorderStatus, StepStatus
@@ -34,6 +35,8 @@ BACKLOG_BYTES = 512_000_000
 # Both outlast a recorder that gets no processor for a while: images for four seconds, samples at 1 kHz for ten.
 RECORDING_DEPTH = SAMPLES.depth
 AT_ONCE = 100  # messages of one topic, before the others get their turn
+# A turn of the executor costs as much as ten samples: of a machine that gives a thousand in a second, some at a time.
+GATHERED_S = 0.002
 IMAGE_DEPTH = 128
 # Of the thread that compresses and writes: measuring a step is more urgent.
 NICENESS = 5
@@ -154,8 +157,12 @@ class RecorderNode(Node):
             self._publish_status()
             return
 
+        gathered = name in SAMPLE_TOPICS
+
         def take(data: bytes, info: dict[str, Any]) -> None:
             taken = [(data, info)]
+            if gathered:
+                time.sleep(GATHERED_S)
             # what else has come, at once: a turn of the executor takes longer than many messages
             with suppress(InvalidHandle), subscription.handle:
                 while len(taken) < AT_ONCE and (waiting := subscription.handle.take_message(kind, True)) is not None:

@@ -10,6 +10,8 @@ NODE_PARAMETERS = "node_parameters"
 IMAGE = "camera/image_raw"
 EXPOSURE = "camera/exposure"
 
+SAMPLE_TOPICS = ("load_frame/state", "load_frame/wrench", "load_frame/joint_states")
+
 # Everything that the results follow from. Without these a test cannot be evaluated again.
 RAW_TOPICS = (
     IMAGE,
@@ -21,9 +23,7 @@ RAW_TOPICS = (
     PLANE,
     CALIBRATION,
     NODE_PARAMETERS,
-    "load_frame/state",
-    "load_frame/wrench",
-    "load_frame/joint_states",
+    *SAMPLE_TOPICS,
     "load_frame/clock",
     "extensometer/strain",
     "extensometer/sigma",
@@ -46,6 +46,13 @@ DERIVED_TOPICS = (
     "coupling/displacement",
     "coupling/status",
 )
+
+# Which of them each processing node publishes, and who must not miss any.
+PUBLISHED = {
+    name: tuple(topic for topic in DERIVED_TOPICS if topic.startswith(f"{name}/"))
+    for name in ("phase", "dic", "coupling")
+}
+READERS = (*PUBLISHED, "recorder", "experiment", "player")
 
 # What each processing node listens to: a replay begins when all of these have found each other.
 PROCESSING_INPUTS = {

@@ -7,6 +7,7 @@ import fcntl
 import itertools
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -28,6 +29,9 @@ from fringedic_bringup.graph import Graph, NodeEntry
 # A node that is told to end finishes what it has in hand; a recorder still has a bag to close.
 PATIENCE_S = {signal.SIGINT: 15.0, signal.SIGTERM: 5.0, signal.SIGKILL: 5.0}
 SHARED_MEMORY = Path("/dev/shm")
+# Of each node, for what it sends: some images. A container may have no more than 64 MB for all nodes of two runs.
+SEGMENT_BYTES = 16_000_000
+SEGMENTS = 32
 BETWEEN_LOOKS_S = 0.2
 _SEGMENT = re.compile(r"(?:sem\.)?(?P<name>fastrtps_(?:port\d+|[0-9a-f]{16}))(?:(?P<lock>_[es]l)|_mutex)?")
 # Domains above 101 would collide with the ports that Linux gives to outgoing connections.
@@ -159,6 +163,7 @@ def node_environment(domain: int | None = None) -> dict[str, str]:
     environment = dict(os.environ)
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(configuration("fastdds.xml")))
+    environment.setdefault("FRINGEDIC_SEGMENT_BYTES", str(_segment_bytes()))
     environment |= {
         "OPENBLAS_NUM_THREADS": "1",
         "MKL_NUM_THREADS": "1",
@@ -171,6 +176,15 @@ def node_environment(domain: int | None = None) -> dict[str, str]:
     if domain is not None:
         environment["ROS_DOMAIN_ID"] = str(domain)
     return environment
+
+
+def _segment_bytes() -> int:
+    """Size of a node's shared memory, which Fast DDS takes at once, that leaves enough for the others."""
+    try:
+        whole = shutil.disk_usage(SHARED_MEMORY).total
+    except OSError:  # no Linux
+        return SEGMENT_BYTES
+    return min(SEGMENT_BYTES, whole // SEGMENTS)
 
 
 def configuration(name: str) -> Path:
@@ -241,9 +255,11 @@ def mapped_segments() -> set[str]:
 
 
 def _is_locked(path: Path) -> bool:
+    # a shared lock fails beside an exclusive one, but not beside that of somebody else who looks at the same time
+    kind = fcntl.LOCK_SH if path.name.endswith("_el") else fcntl.LOCK_EX
     try:
         with path.open("ab") as file:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(file, kind | fcntl.LOCK_NB)
     except OSError:
         return True
     return False

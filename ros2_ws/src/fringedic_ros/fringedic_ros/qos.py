@@ -34,6 +34,9 @@ SAMPLES = _reliable(10_000)
 STATE = _reliable(1000)
 """For who acts on samples of the load frame, and for the strain of the extensometer."""
 
+LATEST = _reliable(1)
+"""For who looks at the newest sample of the load frame alone."""
+
 DIAGNOSTICS = _reliable(10)
 """`/diagnostics`."""
 
