@@ -20,7 +20,6 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 
 from experiment_node.running_step import Experiment, RunningStep
-from experiment_node.step_runner import CONNECTING_TIME
 from experiment_node.turn import StepFailure, Turn
 from fringedic.calibration_session import CalibrationSession, Plane, Setting, grid_in_words, place_in_words
 from fringedic.camera.turned_grid import SMALLEST_TURN
@@ -189,7 +188,7 @@ class CalibrationServer:
             turn.goal.publish_feedback(feedback)
 
         with self._listening(PHASE_MAPS) as heard:
-            await turn.pause(CONNECTING_TIME)
+            await self._node.runner.reach_readers(turn, ("phase",), parameters.start_timeout_s)
             for feedback.plane, plane in enumerate(planes, start=1):
                 feed_back(place_in_words(plane.kind, plane.angle, plane.height))
                 await self._put(turn, result, plane)

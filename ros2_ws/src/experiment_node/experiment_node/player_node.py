@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -27,7 +26,9 @@ from experiment_node.topics import (
     IMAGE,
     NODE_PARAMETERS,
     PROCESSING_INPUTS,
+    PUBLISHED,
     RAW_TOPICS,
+    READERS,
     REFERENCE,
     STEP,
 )
@@ -36,6 +37,7 @@ from fringedic.recording import BagReader, RawMessage, type_hash
 from fringedic.rig import RigModel
 from fringedic.sequence import stamp_of
 from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, Reference, RigCalibration, StepStatus
+from fringedic_ros.matching import Matching
 from fringedic_ros.parameters import declare
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
 from fringedic_ros.records import calibration_message
@@ -53,7 +55,6 @@ PROFILES = {
 }
 
 # What nodes must know before they take the next frame.
-MATCHING_S = 1.0
 ANNOUNCEMENTS = (REFERENCE, CALIBRATION)
 
 
@@ -120,6 +121,7 @@ class PlayerNode(Node):
             node: self.create_client(SetParametersAtomically, f"{node}/set_parameters_atomically")
             for node in PROCESSING_INPUTS
         }
+        self._matching = Matching(self, PUBLISHED, READERS)
         self.problems: list[str] = []
 
     def play(self) -> str:
@@ -274,10 +276,10 @@ class PlayerNode(Node):
             self._wait(
                 partial(_has_subscribers, publisher, listeners), f"{name} has not reached everybody who listens".format
             )
-        # Whether the others have found each other only they know; it takes them as long as it took this node.
-        found_at = time.monotonic() + MATCHING_S
-        while time.monotonic() < found_at:
-            self._spinner.spin_once(timeout_sec=0.05)
+        matching = self._matching.unmatched
+        self._wait(
+            lambda: not matching(PUBLISHED), lambda: f"{', '.join(matching(PUBLISHED))}: not everybody is reached"
+        )
 
     def _inputs(self) -> dict[str, list[str]]:
         """Return which topics each expected node must listen to."""
@@ -287,10 +289,7 @@ class PlayerNode(Node):
             for node, names in PROCESSING_INPUTS.items()
         }
         if self.parameters.value.recorder:
-            inputs["recorder"] = [
-                *played,
-                *(name for name in DERIVED_TOPICS if self.count_publishers(self.resolve_topic_name(name))),
-            ]
+            inputs["recorder"] = [*played, *DERIVED_TOPICS]
         return inputs
 
     def _listeners(self, name: str) -> set[str]:

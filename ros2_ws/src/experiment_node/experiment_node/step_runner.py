@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -13,7 +13,8 @@ from rclpy.node import Node
 
 from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.running_step import Experiment, RunningStep
-from experiment_node.turn import StepFailure
+from experiment_node.topics import PUBLISHED, READERS
+from experiment_node.turn import StepFailure, Turn
 from fringedic.errors import WaitTimeoutError
 from fringedic.load_samples import summarise_load
 from fringedic.sequence import PatternKind, Projection
@@ -21,6 +22,7 @@ from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import Exposure, LoadState, NodeStatus, RecorderStatus, Reference, StepStatus
 from fringedic_msgs.srv import CaptureFrame, ShowPattern
 from fringedic_ros.diagnostics import NodeDiagnostics
+from fringedic_ros.matching import Matching
 from fringedic_ros.qos import EVENTS, LATCHED, STATE
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.waiting import Condition
@@ -76,6 +78,7 @@ class StepRunner:
         self._connected = dict.fromkeys(("camera/exposure", *(f"{name}/status" for name in FAILED_NODE)), False)
         self._connected_at = time.monotonic()
         self._newcomer = True  # somebody whom not everybody may know yet
+        self._matching = Matching(node, PUBLISHED, READERS)
         self._subscribe_connected(Exposure, "camera/exposure", self._take_exposure)
         for name in FAILED_NODE:
             self._subscribe_connected(NodeStatus, f"{name}/status", self._result_taker(name))
@@ -122,6 +125,24 @@ class StepRunner:
             self._diagnostics.failure(str(failure))
         self._announce(step, StepStatus.END if failure is None else StepStatus.ERROR, failure)
         return failure
+
+    async def reach_readers(self, turn: Turn, nodes: Collection[str], timeout_s: float) -> None:
+        """Wait until what these nodes publish reaches everybody who listens.
+
+        Raises
+        ------
+        StepFailure
+            NO_SUBSCRIBER.
+        """
+        self._matching.forget()
+        await turn.wait_polling(
+            lambda: not self._matching.unmatched(nodes),
+            timeout_s,
+            lambda: (
+                Result.NO_SUBSCRIBER,
+                f"{', '.join(self._matching.unmatched(nodes))}: not all who listen are reached; start the nodes anew",
+            ),
+        )
 
     # what the others say
 
@@ -193,6 +214,7 @@ class StepRunner:
             lambda: (Result.NO_SUBSCRIBER, f"nobody publishes {', '.join(absent())}; start the nodes they belong to"),
         )
         await self._await_quiet_graph(step)
+        await self.reach_readers(step.turn, step.nodes, timeout)
         await step.turn.wait_polling(
             lambda: self._steps.get_subscription_count() >= self._node.count_subscribers("experiment/step"),
             timeout,

@@ -23,6 +23,7 @@ from fringedic_msgs.action import CalibrateDistortion, CalibrateRig, MeasureStep
 from fringedic_msgs.msg import Exposure, NodeStatus, ReferencePlane, RigCalibration, StepStatus
 from fringedic_msgs.srv import CaptureFrame, PlaceReferencePlane, ShowPattern
 from fringedic_ros.images import image_message
+from fringedic_ros.matching import offer_reader_counts
 from fringedic_ros.qos import DERIVED, EVENTS, IMAGES, LATCHED
 from fringedic_ros.stamps import to_msg
 from fringedic_ros.testing import NodeProcess, Peer
@@ -78,6 +79,7 @@ class Rig(Peer):
         self.images = self.create_publisher(Image, "camera/image_raw", IMAGES)
         self.exposures = self.create_publisher(Exposure, "camera/exposure", IMAGES)
         self.status = self.create_publisher(NodeStatus, "phase/status", EVENTS)
+        offer_reader_counts(self, "phase")
         self.map = self.create_publisher(Image, "phase/map", DERIVED)
         self.sigma = self.create_publisher(Image, "phase/sigma", DERIVED)
         self.group = ReentrantCallbackGroup()

@@ -35,7 +35,7 @@ from fringedic_msgs.msg import (
     RigCalibration,
     StepStatus,
 )
-from fringedic_msgs.srv import CaptureFrame, SetReference, ShowPattern, StartExperiment
+from fringedic_msgs.srv import CaptureFrame, CountReaders, SetReference, ShowPattern, StartExperiment
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
@@ -69,6 +69,7 @@ class Rig(Peer):
         self.hang: Future | None = None
         self.answers: dict[str, int] = {}
         self.silent: set[str] = set()
+        self.reaches_all = True
         self.load_mode: int | None = None
         self.force_per_frame = 1.0  # [N]
         self.jump_before: int | None = None  # the frame before which the clock jumps back
@@ -88,6 +89,8 @@ class Rig(Peer):
         self.create_service(ShowPattern, "projector/show", self._show, callback_group=group)
         self.capture = self.create_service(CaptureFrame, "camera/capture", self._capture, callback_group=group)
         self.create_service(Trigger, "load_frame/hold", self._hold, callback_group=group)
+        for name in self.statuses:
+            self.create_service(CountReaders, f"{name}/count_readers", self._count_readers, callback_group=group)
         self.measure = ActionClient(self, MeasureStep, "measure_step")
         self.start = self.create_client(StartExperiment, "experiment/start")
         self.set_reference = self.create_client(SetReference, "experiment/set_reference")
@@ -128,6 +131,12 @@ class Rig(Peer):
         if request.index == request.count - 1:
             self.publish_statuses(request.experiment, request.step, response.stamp)
         response.subscribers = 1
+        return response
+
+    async def _count_readers(
+        self, request: CountReaders.Request, response: CountReaders.Response
+    ) -> CountReaders.Response:
+        response.counts = [1000 * self.reaches_all] * len(request.topics)
         return response
 
     async def _hold(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -496,6 +505,24 @@ def test_absent_node_is_named(rig: Rig) -> None:
     assert failed.error_code == Result.NO_SUBSCRIBER and "coupling/status" in failed.error_message
     rig.statuses["coupling"] = rig.create_publisher(NodeStatus, "coupling/status", EVENTS)
     assert rig.step().error_code == Result.NONE
+
+
+def test_results_that_would_not_reach_the_next_node_are_waited_for(rig: Rig) -> None:
+    rig.change(start_timeout_s=1.0)
+    rig.reaches_all = False
+    publisher = rig.statuses.pop("phase")  # somebody who comes makes the experiment ask again
+    rig.destroy_publisher(publisher)
+    rig.statuses["phase"] = rig.create_publisher(NodeStatus, "phase/status", EVENTS)
+    rig.wait(rig.statuses["phase"].get_subscription_count, "the experiment node")
+    failed = rig.step()
+    assert failed.error_code == Result.NO_SUBSCRIBER and "/phase/status" in failed.error_message, failed.error_message
+    rig.change(start_timeout_s=60.0)
+    running = rig.request(mode=MeasureStep.Goal.FRINGES)
+    rig.serve(1.5)
+    assert not any(each.stage == StepStatus.BEGIN and each.step == failed.step + 1 for each in rig.steps)
+    rig.reaches_all = True
+    assert rig.result(running)[1].error_code == Result.NONE
+    rig.change(start_timeout_s=START_TIMEOUT)
 
 
 def test_calibration_comes_from_the_file(rig: Rig) -> None:

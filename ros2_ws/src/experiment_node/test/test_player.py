@@ -17,11 +17,12 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image
 
 from experiment_node.player_node import RecordedStep, is_complete, split_steps
-from experiment_node.topics import EXPOSURE, IMAGE, PROCESSING_INPUTS, STEP
+from experiment_node.topics import EXPOSURE, IMAGE, PROCESSING_INPUTS, PUBLISHED, STEP
 from fringedic.recording import BagWriter, RawMessage
 from fringedic.sequence import FrameRecord, Orientation, PatternKind, Projection
 from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, Reference, RigCalibration, StepStatus
 from fringedic_ros.images import image_message
+from fringedic_ros.matching import offer_reader_counts
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED
 from fringedic_ros.records import exposure_message
 from fringedic_ros.spinning import Spinning
@@ -79,7 +80,11 @@ class ScriptedNode(Node):
         super().__init__(name, namespace="rig")
         self._journal = journal
         self._silent = silent
-        self._status = self.create_publisher(NodeStatus, f"{name}/status", EVENTS)
+        for topic in PUBLISHED[name]:
+            publisher = self.create_publisher(NodeStatus, topic, EVENTS)
+            if topic == f"{name}/status":
+                self._status = publisher
+        offer_reader_counts(self, name)
         self.declare_parameter("window", 0)
         self.add_on_set_parameters_callback(self._set)
         kinds: dict[str, tuple[type, Callable[[Any], None], Any]] = {

@@ -47,7 +47,6 @@ START_TIMEOUT_S = 60.0
 HEARTBEATS_S = 0.5
 # A service whose node was killed is listed for 20 s beside the one of the node that was started again.
 LISTED_S = 20.0
-MATCHING_S = 1.0
 SERVICES = {"camera": "camera/capture", "projector": "projector/show", "load_frame": "load_frame/hold"}
 # The experiment node ends every step by itself; this only ends the wait for one that is gone.
 STEP_TIMEOUT_S = 3600.0
@@ -85,8 +84,8 @@ class RigClient:
         self._name = name
         self._watch = watch
         self._context = Context()
-        for name, value in node_environment().items():
-            os.environ.setdefault(name, value)  # the same middleware settings as the nodes have
+        for variable, value in node_environment().items():
+            os.environ.setdefault(variable, value)  # the same middleware settings as the nodes have
         rclpy.init(context=self._context, domain_id=domain)
         self._node = Node(name, namespace=namespace, context=self._context)
         self._executor = SingleThreadedExecutor(context=self._context)
@@ -156,10 +155,6 @@ class RigClient:
             return absent
 
         self._wait(lambda: not missing(), timeout_s, lambda: f"not ready: {', '.join(missing())}")
-        # Whether the nodes have found each other only they know; it takes them as long as it took this one.
-        found_at = time.monotonic() + MATCHING_S
-        while time.monotonic() < found_at:
-            self._executor.spin_once(timeout_sec=0.1)
         self._known_servers = self._servers(expected)
         topics = [self._node.resolve_topic_name(name) for name in (*RAW_TOPICS, *DERIVED_TOPICS)]
         self._known_readers = {gid for topic in topics for gid in self._recorder_readers(topic)}

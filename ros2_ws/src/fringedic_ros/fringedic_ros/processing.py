@@ -30,6 +30,7 @@ from fringedic.errors import (
 )
 from fringedic_msgs.msg import NodeStatus, StepStatus
 from fringedic_ros.diagnostics import NodeDiagnostics
+from fringedic_ros.matching import offer_reader_counts
 from fringedic_ros.parameters import ModelT, declare
 from fringedic_ros.qos import EVENTS
 from fringedic_ros.stamps import to_msg, to_nanoseconds
@@ -154,6 +155,7 @@ class ProcessingNode(Node, Generic[ModelT]):
         self._answered: OrderedDict[tuple[str, int], None] = OrderedDict()
         self._unjoined = 0
         self._statuses = self.create_publisher(NodeStatus, f"{name}/status", EVENTS)
+        offer_reader_counts(self, name)
 
     def subscribe_to_steps(self) -> None:
         """Begin to hear how the experiment's steps end."""

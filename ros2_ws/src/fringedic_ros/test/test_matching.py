@@ -1,0 +1,55 @@
+"""Who publishes says whom it has reached."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+import rclpy
+from rclpy.node import Node
+from std_msgs.msg import Empty
+
+from fringedic_ros.matching import Matching, offer_reader_counts
+from fringedic_ros.qos import EVENTS, LATCHED
+from fringedic_ros.testing import Peer
+
+
+@pytest.fixture
+def peer() -> Iterator[Peer]:
+    rclpy.init()
+    peer = Peer("experiment")
+    yield peer
+    peer.destroy_node()
+    rclpy.try_shutdown()
+
+
+def node(peer: Peer, name: str) -> Node:
+    made = Node(name)
+    peer.serve_also(made)
+    return made
+
+
+def test_a_known_reader_that_is_not_reached_is_waited_for(peer: Peer) -> None:
+    phase = node(peer, "phase")
+    phase.create_publisher(Empty, "phase/map", EVENTS)
+    phase.create_publisher(Empty, "phase/status", EVENTS)
+    offer_reader_counts(phase, "phase")
+    matching = Matching(peer, {"phase": ["phase/map", "phase/status"], "dic": ["dic/status"]}, ("dic", "recorder"))
+    assert matching.unmatched(["phase", "dic"]) == ["/phase/map", "/phase/status", "/dic/status"], "before any answer"
+    peer.wait(lambda: not matching.unmatched(["phase"]), "the answer about topics without readers")
+
+    reader, late = node(peer, "dic"), node(peer, "recorder")
+    reader.create_subscription(Empty, "phase/status", lambda _: None, EVENTS)
+    # never matches: what it asks for is not offered
+    unreached = late.create_subscription(Empty, "phase/map", lambda _: None, LATCHED)
+    stranger = node(peer, "viewer")
+    stranger.create_subscription(Empty, "phase/status", lambda _: None, LATCHED)
+    matching.forget()
+    peer.wait(lambda: matching.unmatched(["phase"]) == ["/phase/map"], "the reader that is reached")
+    peer.serve(0.3)
+    assert matching.unmatched(["phase"]) == ["/phase/map"]
+    late.destroy_subscription(unreached)
+    peer.wait(lambda: not matching.unmatched(["phase"]), "the end of the reader that was not")
+    assert matching.unmatched(["phase", "dic"]) == ["/dic/status"], "a node that is not there has reached nobody"
+    for each in (phase, reader, late, stranger):
+        each.destroy_node()
