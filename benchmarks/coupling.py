@@ -263,6 +263,7 @@ def spacing_rows(rendered: Rendered, spacing: int) -> list[Row]:
     in_plane = displacement_dataset(found.displacement, found.sigma, spacing, (0, 0), DicParameters().window)
     prepared = [PreparedShape(each, z_filter=2.0) for each in rendered.shapes()]
     cloud = couple(*prepared, in_plane, z_filter=2.0)
+    cracked = with_crack(cloud)
     return [
         (f"every {spacing} px: displacement in the image", milliseconds(lambda: correlate(1)), None),
         (f"every {spacing} px: coupling", milliseconds(lambda: couple(*prepared, in_plane, z_filter=2.0)), None),
@@ -272,8 +273,21 @@ def spacing_rows(rendered: Rendered, spacing: int) -> list[Row]:
             milliseconds(lambda: surface_strain(cloud, window=STRAIN_WINDOW)),
             None,
         ),
+        (
+            f"every {spacing} px: the same with a crack of 300 px",
+            milliseconds(lambda: surface_strain(cracked, window=STRAIN_WINDOW)),
+            None,
+        ),
         (f"every {spacing} px: whole coupling step", milliseconds(lambda: couple_step(1, found)), None),
     ]
+
+
+def with_crack(cloud: xr.Dataset) -> xr.Dataset:
+    """Open a crack of 300 px along the middle row of a displacement by 100 µm."""
+    row, column = np.meshgrid(cloud.row.values, cloud.column.values, indexing="ij")
+    opening = 1e-4 * np.sqrt(np.clip(1 - ((column - 640) / 150) ** 2, 0, None))
+    beside = np.where(row < 480, 0.5, -0.5) * np.exp(-np.abs(row - 480) / 150)
+    return cloud.assign(v=cloud.v + (opening * beside).astype(np.float32))
 
 
 def window_figure(rendered: Rendered, path: Path) -> None:

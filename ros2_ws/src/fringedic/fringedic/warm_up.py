@@ -9,6 +9,7 @@ import time
 from dataclasses import replace
 
 import numpy as np
+import xarray as xr
 
 from fringedic.chain import (
     CouplingParameters,
@@ -23,6 +24,7 @@ from fringedic.correlation import measure_displacement
 from fringedic.patterns import fringe_sequence
 from fringedic.rig import RigModel
 from fringedic.sequence import FrameRecord, Stack
+from fringedic.surface.planes import fit_planes
 
 SIZE = 96  # [px]: enough for every stage, compilation takes all the time anyway
 
@@ -103,6 +105,18 @@ def warm_up() -> None:
             white = _stack(dtype, 0).frames[0]
             measure_displacement(white, white, initial=_still(1))
             measure_displacement(white_texture(white), white_texture(white), spacing=2, initial=_still(2))
+    with _Part("strain beside a tear"):
+        _torn_surface()
+
+
+def _torn_surface() -> None:
+    """Fit planes on both sides of a tear, as the strain does it: the kernels for that wait for the first crack."""
+    row, column = np.meshgrid(np.arange(SIZE), np.arange(SIZE), indexing="ij")
+    names = ("x", "y", "z", "u", "v", "w", "noise_z", "noise_z_deformed", "displacement_sigma_x", "displacement_sigma_y")
+    values = dict.fromkeys(names, (("row", "column"), np.ones((SIZE, SIZE), np.float32)))
+    values |= {"x": (("row", "column"), column.astype(np.float32)), "y": (("row", "column"), row.astype(np.float32))}
+    cloud = xr.Dataset(values, {"row": np.arange(SIZE), "column": np.arange(SIZE)})
+    fit_planes(cloud, names[2:6], 11, names[6:], np.abs(row - SIZE // 2) < 2)
 
 
 def _still(spacing: int) -> tuple[np.ndarray, np.ndarray]:

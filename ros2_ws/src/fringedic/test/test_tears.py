@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import label, uniform_filter1d
 
 from fringedic.correlation import measure_displacement
 from fringedic.surface import surface_strain
+from fringedic.surface.planes import fit_planes
 from fringedic.surface.tears import torn_points
 
 PIXEL = 50e-6
@@ -97,6 +98,40 @@ def test_a_step_of_the_height_is_a_tear_and_a_hole_is_none() -> None:
     for name in ("displacement_x", "displacement_y"):
         hole[name].values[np.hypot(row - 120, column - 160) < 30] = np.nan
     assert not torn_points(flat_cloud(hole)).any()
+
+
+def test_windows_hold_what_is_joined_to_their_centre() -> None:
+    """Beside a tear that winds through missing points, against flood fill and least squares in each window."""
+    rows, columns, half = 150, 170, 12
+    row, column = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    generator = np.random.default_rng(8)
+    turn = np.hypot(row - 75, column - 85) - 3 * np.arctan2(row - 75, column - 85)
+    torn = np.abs(turn % 20 - 10) < 1.5
+    known = generator.random((rows, columns)) > 0.1
+    fields = {"x": PIXEL * column, "y": -PIXEL * row, "z": generator.normal(size=(rows, columns))}
+    fields["z"][~known] = np.nan
+    fields["noise"] = 1 + generator.random((rows, columns))
+    cloud = xr.Dataset(
+        {name: (("row", "column"), values) for name, values in fields.items()},
+        {"row": np.arange(rows), "column": np.arange(columns)},
+    )
+    planes = fit_planes(cloud, ("z",), 2 * half + 1, ("noise",), torn)
+    measured, least = known & ~torn, ((2 * half + 1) ** 2 + 1) // 2
+    worst, parts, places = 0.0, 0, np.argwhere(measured)
+    for i, j in places[generator.integers(0, len(places), 300)]:
+        window = slice(max(i - half, 0), i + half + 1), slice(max(j - half, 0), j + half + 1)
+        pieces, _ = label(measured[window])
+        joined = pieces == pieces[min(i, half), min(j, half)]
+        slopes, mean = planes.slopes[0, :, i, j], planes.means[0, i, j]
+        if joined.sum() < least:
+            assert np.isnan([*slopes, mean]).all()
+            continue
+        parts += joined.sum() < measured[window].sum()
+        basis = np.stack([fields["x"][window][joined], fields["y"][window][joined], np.ones(joined.sum())], axis=-1)
+        plane = np.linalg.lstsq(basis / PIXEL, fields["z"][window][joined], rcond=None)[0][:2] / PIXEL
+        worst = max(worst, *np.abs(slopes - plane) * PIXEL, abs(mean - np.mean(fields["noise"][window][joined] ** 2)))
+    assert parts > 20, f"only {parts} windows were divided"
+    assert worst < 1e-12, f"{worst:.1e}"
 
 
 @pytest.mark.parametrize("period", [90.0, 150.0, 300.0])
