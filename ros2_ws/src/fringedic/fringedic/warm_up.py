@@ -112,7 +112,7 @@ def warm_up() -> None:
 def _torn_surface() -> None:
     """Fit planes on both sides of a tear, as the strain does it: the kernels for that wait for the first crack."""
     row, column = np.meshgrid(np.arange(SIZE), np.arange(SIZE), indexing="ij")
-    names = ("x", "y", "z", "u", "v", "w", "noise_z", "noise_z_deformed", "displacement_sigma_x", "displacement_sigma_y")
+    names = (*"xyzuvw", "noise_z", "noise_z_deformed", "displacement_sigma_x", "displacement_sigma_y")
     values = dict.fromkeys(names, (("row", "column"), np.ones((SIZE, SIZE), np.float32)))
     values |= {"x": (("row", "column"), column.astype(np.float32)), "y": (("row", "column"), row.astype(np.float32))}
     cloud = xr.Dataset(values, {"row": np.arange(SIZE), "column": np.arange(SIZE)})
