@@ -2,7 +2,8 @@
 
 The virtual rig's camera looks through two lenses, one that Brown's model describes and one that it does not. OpenCV
 gets 15 images of a chessboard through the same lenses with the same noise. ``--quick`` leaves most of it out, and the
-page as it is. Takes about five minutes on two quiet cores.
+page as it is. ``--times`` measures the times alone and puts them into the page. Takes about five minutes on two quiet
+cores.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the nodes; two threa
 
 import argparse
 import math
+import re
 import textwrap
 import time
 from dataclasses import dataclass
@@ -28,6 +30,7 @@ from fringedic.camera import DistortionMap
 from fringedic.camera.grid import GridMeasurement, measure_distortion
 from fringedic.camera.homography import apply_homography, fit_homography
 from fringedic.camera.turned_grid import locate_pin_hole, measure_turned_grid
+from fringedic.errors import GridAliasedError
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "validation" / "distortion.md"
@@ -45,6 +48,11 @@ REFERENCE = {"Brown": 0.0013, "odd": 0.175}  # what OpenCV left in an earlier st
 PITCH_MM = 0.4
 PITCHES_MM = (0.25, 0.3, 0.4, 0.5, 0.75, 1.0, 2.0)
 TURNED = (-12.0, 12.0)  # [degree]
+SMALL = (320, 240)  # [px] the same field with fewer pixels
+SMALL_PERIODS = (6, 7, 8, 10)  # [px]
+SMALL_TURNS = (2.0, 3.5)  # [degree]
+SMALL_BLUR = 0.43  # [px] of the lines: lens and the area of a pixel
+TIME_ROW = "time of one measurement [s]"
 FRAMES = 5
 VIEWS = 15
 BOARD = (27, 19)  # inner corners
@@ -52,14 +60,14 @@ SQUARE = 1.9e-3  # [m]
 CORNER_BLUR = 0.6  # [px] standard deviation of the chessboard's edges
 
 
-def twin_with(lens: str, **stage: Any) -> VirtualRig:
+def twin_with(lens: str, camera: dict[str, Any] | None = None, **stage: Any) -> VirtualRig:
     """Return the misaligned rig of the calibration table with a lens, in front of the grid."""
     return VirtualRig(
         VirtualRigConfiguration.from_dict(
             {
                 "preset": "reference_plane",
                 "alignment": "misaligned",
-                "camera": {"lens": LENSES[lens]},
+                "camera": {"lens": LENSES[lens], **(camera or {})},
                 "specimen": {"surface": "grid"},
                 "stage": {"grid_pitch_mm": PITCH_MM, **stage},
             }
@@ -228,6 +236,29 @@ def pitches() -> list[tuple[float, float, float]]:
     return rows
 
 
+def small() -> list[str]:
+    """Return rows of the period, and of what is left of Brown's lens on a small image, for each turn of the grid."""
+    columns, rows = SMALL
+    pixel = 64.0 / columns  # [mm]
+    camera = {"columns": columns, "rows": rows, "pixel_size_um": 1e3 * pixel}
+    lines = []
+    for period in SMALL_PERIODS:
+        cells = [f"{period} ({rows // period})"]
+        for turn in SMALL_TURNS:
+            stage = {"grid_pitch_mm": period * pixel, "grid_blur_um": 1e3 * SMALL_BLUR * pixel}
+            twin = twin_with("Brown", camera, grid_turned_degree=turn, **stage)
+            image = np.mean([grid_image(twin, frame) for frame in range(8)], axis=0)
+            try:
+                found = measure_distortion(image, pitch=1e-3 * period * pixel)
+            except GridAliasedError:
+                cells.append("refused")
+                continue
+            left = Truth(twin).left_by(found.distortion)[0]
+            cells.append(f"{left:.5f} ({found.sigma:.5f}){', warned of' if found.warnings else ''}")
+        lines.append("| " + " | ".join(cells) + " |")
+    return lines
+
+
 def turned() -> list[str]:
     """Return rows of what one picture and three pictures of the grid tell about where the pin-hole stands."""
     rows = []
@@ -293,7 +324,7 @@ def table(results: dict[str, LensResult]) -> list[str]:
         )
     row("OpenCV in an earlier study of such lenses", [f"{REFERENCE[name]:g}" for name in results])
     row("order chosen by cross-validation", [str(result.measurement.order) for result in each])
-    row("time of one measurement [s]", [f"{result.seconds:.1f}" for result in each])
+    row(TIME_ROW, [f"{result.seconds:.1f}" for result in each])
     return lines
 
 
@@ -336,7 +367,10 @@ def draw(results: dict[str, LensResult], path: Path) -> None:
 
 
 def write_page(
-    results: dict[str, LensResult], by_pitch: list[tuple[float, float, float]], by_turning: list[str]
+    results: dict[str, LensResult],
+    by_pitch: list[tuple[float, float, float]],
+    with_few_lines: list[str],
+    by_turning: list[str],
 ) -> None:
     """Write the page and its picture."""
     draw(results, PAGE.with_suffix(".png"))
@@ -346,7 +380,8 @@ def write_page(
     reflectance .7, projector 1.5 mm off, camera tilted by 0.2 degree. The Brown lens has k1 -.3, k2 1, p1 2e-4, p2
     -3e-4; the odd one k1 -.3 and a bump of .64 px along the columns and -.38 px along the rows that falls off as a
     Gaussian of 154 px. OpenCV gets {VIEWS} chessboards of {BOARD[0]} x {BOARD[1]} corners in poses up to 20 degrees
-    through the same lens, with the same noise, corners by `findChessboardCornersSB`, in the same run."""
+    through the same lens, with the same noise, corners by `findChessboardCornersSB`, in the same run. `--times`
+    renews the times alone."""
     below = """
     Arrows and colours are scaled picture by picture. The cross-validation contains the scatter of the left-out
     points themselves, the error against the truth does not: the two curves have their minimum at the same place,
@@ -355,6 +390,11 @@ def write_page(
     "Foretold" is the standard deviation of all terms of the polynomials; a homography takes eight of them, so that
     somewhat less is left. A coarse grid has fewer points, each as noisy, and windows as wide as four of its
     periods."""
+    few = f"""
+    Few lines: the same field on {SMALL[0]} x {SMALL[1]} px, Brown lens, mean of 8 frames, lines blurred by {SMALL_BLUR}
+    px. Harmonics that the pixels alias vary more slowly on a small image, so that polynomials follow them; noise
+    matters less. More turn makes them fast. A grid that is turned too little is refused or warned of, and the words say
+    by how much it has to be turned."""
     place = f"""
     One picture of the grid does not tell a tilted camera from a lens off its axis; two more of it on the plane turned
     by {" and ".join(f"{degrees:+g}" for degrees in TURNED)} degree do (one frame each). The axis is 1 mm off:"""
@@ -377,6 +417,14 @@ def write_page(
         "",
         *_paragraph(foretold),
         "",
+        *_paragraph(few),
+        "",
+        "| period [px] (lines along the shorter side) | "
+        + " | ".join(f"turned by {turn:g} degree: left (foretold) [px]" for turn in SMALL_TURNS)
+        + " |",
+        "|---:|" + "---:|" * len(SMALL_TURNS),
+        *with_few_lines,
+        "",
         *_paragraph(place),
         "",
         "| lens | foot of the pin-hole off [µm] | of a motion along z in x, y [%] | distance off [µm] |",
@@ -391,20 +439,41 @@ def _paragraph(text: str) -> list[str]:
     return textwrap.wrap(" ".join(text.split()), 120)
 
 
+def renew_times() -> None:
+    """Measure the times alone and put them into the page."""
+    cells = []
+    for lens in LENSES:
+        image, times = grid_image(twin_with(lens), 10), []
+        for _ in range(FRAMES):
+            begin = time.perf_counter()
+            measure_distortion(image, pitch=1e-3 * PITCH_MM)
+            times.append(time.perf_counter() - begin)
+        cells.append(f"{min(times):.1f}")
+    row = f"| {TIME_ROW} | {' | '.join(cells)} |"
+    print(row)
+    PAGE.write_text(
+        re.sub(rf"^\| {re.escape(TIME_ROW)} .*$", row, PAGE.read_text("utf-8"), flags=re.MULTILINE), "utf-8"
+    )
+
+
 def main() -> None:
     """Measure, print the table, write the page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="one frame and few boards, and the page stays as it is")
+    parser.add_argument("--times", action="store_true", help="the times alone, put into the page")
     options = parser.parse_args()
+    if options.times:
+        renew_times()
+        return
     if options.quick:
         print("\n".join(table({lens: study(lens, 1, 4, ()) for lens in LENSES})))
         return
     results = {lens: study(lens, FRAMES, VIEWS, (1, 3, 5, 7, 9, 11, 13, 15, 17, 18)) for lens in LENSES}
     by_pitch = pitches()
     print("\n".join(table(results)))
-    by_turning = turned()
-    print("\n".join(by_turning))
-    write_page(results, by_pitch, by_turning)
+    with_few_lines, by_turning = small(), turned()
+    print("\n".join([*with_few_lines, *by_turning]))
+    write_page(results, by_pitch, with_few_lines, by_turning)
     print(f"page: {PAGE}")
 
 

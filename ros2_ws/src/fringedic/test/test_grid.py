@@ -201,13 +201,50 @@ def test_noise_of_the_field_is_foretold() -> None:
 def test_a_pitch_in_step_with_the_pixels_is_named() -> None:
     aligned = {"alignment": "aligned", "ideal": True}
     image = image_of(half_size({}, stage={"grid_turned_degree": 0.0, "grid_pitch_mm": 0.2}, **aligned))
-    with pytest.raises(GridAliasedError, match="turn the grid by 1 to 3 degrees"):
+    with pytest.raises(GridAliasedError, match=r"turned by 0.0 degree: turn the grid so that it is 2 degrees"):
         measure_distortion(image, pitch=2e-4)
     weak = image_of(half_size({}, stage={"grid_turned_degree": 0.0, "grid_pitch_mm": 0.4}, **aligned))
     found = measure_distortion(weak, pitch=4e-4)
     assert any("turn the grid" in warning for warning in found.warnings)
     turned = image_of(half_size({}, stage={"grid_turned_degree": 2.0, "grid_pitch_mm": 0.4}, **aligned))
     assert measure_distortion(turned, pitch=4e-4).warnings == ()
+
+
+def small_image(turn: float, period: float) -> tuple[VirtualRig, np.ndarray]:
+    """The field of the usual rig on 320 x 240 px; the mean of four frames, blurred by lens and pixels."""
+    camera = {"columns": 320, "rows": 240, "pixel_size_um": 200.0}
+    stage = {"grid_pitch_mm": 0.2 * period, "grid_blur_um": 86.0, "grid_turned_degree": turn}
+    twin = twin_with(BROWN, camera=camera, stage=stage)
+    return twin, np.mean([image_of(twin, frame) for frame in range(4)], axis=0)
+
+
+def test_few_lines_have_to_be_turned_more() -> None:
+    """Aliases are slower in a small image: what is warned of is worse, and the advice is good."""
+    twin, little = small_image(2.0, 8.0)
+    warned = measure_distortion(little, pitch=1.6e-3)
+    assert all("turn the grid so that it is 3.5 degrees" in words for words in warned.warnings), warned.warnings
+    assert len(warned.warnings) == 2
+    turned, enough = small_image(3.5, 8.0)
+    found = measure_distortion(enough, pitch=1.6e-3)
+    left, before = left_by(found.distortion, turned)[0], left_by(warned.distortion, twin)[0]
+    print(f"{left:.5f} px left, {before:.5f} px with the lines turned by 2 degree; order {found.order}")
+    assert found.warnings == ()
+    assert left < 1e-3
+    assert before > 1.5 * left
+    with pytest.raises(GridAliasedError, match=r"3.5 degrees"):
+        measure_distortion(small_image(2.0, 6.0)[1], pitch=1.2e-3)
+
+
+def test_crossings_in_step_with_the_pixels_are_warned_of() -> None:
+    """tan 6 degree is about a tenth, and so is the frequency of the lines."""
+    found = measure_distortion(small_image(6.0, 10.0)[1], pitch=2e-3)
+    assert any("in step" in words for words in found.warnings), found.warnings
+
+
+def test_a_lens_without_errors_gets_no_order_by_chance() -> None:
+    twin = half_size({}, camera={"columns": 400, "rows": 300}, stage={"grid_pitch_mm": 0.5})
+    orders = [measure_distortion(image_of(twin, frame), pitch=5e-4).order for frame in range(8)]
+    assert orders.count(1) >= 6, f"orders {orders}"
 
 
 def test_images_without_a_grid_are_refused() -> None:

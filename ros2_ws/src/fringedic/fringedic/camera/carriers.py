@@ -12,8 +12,11 @@ _COARSEST = 12  # periods along the shorter side of the image
 _CONTRAST = 20.0  # a grid's peak over the typical amplitude at its frequency; noise and speckle reach 6
 _HARMONIC = 0.3  # amplitude at a half or third of a frequency, over that of a peak which may be its harmonic
 _SECOND = 0.15  # a direction's amplitude over the stronger one's
-_SLOWEST = 12.0  # an alias with fewer periods across the image cannot be told from a distortion
+# An alias with fewer periods across the image cannot be told from a distortion: of the lines of one direction, and of
+# the crossings, which is weaker.
+_SLOWEST, _SLOWEST_CROSSED = 12.0, 4.0
 _STRONG, _WEAK = 5, 11  # highest harmonics of printed lines that make an image useless, or worse
+_MOST_TURNED = 15.0  # [degree] more is not asked for
 
 
 def find_carriers(image: np.ndarray) -> np.ndarray:
@@ -77,32 +80,59 @@ def find_carriers(image: np.ndarray) -> np.ndarray:
 def check_aliasing(carriers: np.ndarray, shape: tuple[int, int]) -> list[str]:
     """Return warnings about harmonics of the lines that the pixels turn into a slow error of the phase.
 
-    Harmonic m of a direction with the frequency k is sampled like (m - 1) k beside k, but for whole numbers. Where that
-    is nearly zero along both axes, the error varies as slowly as a distortion. Turning the grid makes it fast.
+    Component (m, n) of crossed lines with the frequencies k and l is sampled like (m - 1) k + n l beside k, but for
+    whole numbers. Where that is nearly zero along both axes, the error varies as slowly as a distortion. Turning the
+    grid makes it fast, the smaller the image the more turn it takes.
 
     Raises
     ------
     GridAliasedError
         When it is a strong harmonic.
     """
-    size = np.array([shape[1], shape[0]])
     warnings = []
-    for name, carrier in zip(("columns", "rows"), carriers, strict=True):
-        slow = []
-        for harmonic in [m for n in range(2, _WEAK + 1) for m in (-n, n)]:
-            beside = (harmonic - 1) * carrier
-            if np.max(np.abs(beside - np.round(beside)) * size) < _SLOWEST:
-                slow.append(abs(harmonic))
+    for direction, name in enumerate(("columns", "rows")):
+        slow = _slow_components(carriers, direction, shape)
         if not slow:
             continue
+        period = 1 / np.hypot(*carriers[direction])
         text = (
-            f"the period along the {name} is {1 / np.hypot(*carrier):.3f} px and in step with the pixels: turn the "
-            "grid by 1 to 3 degrees"
+            f"the period along the {name} is {period:.3f} px and in step with the pixels, to which the lines are "
+            f"turned by {_turn(carriers):.1f} degree: {_advice(float(period), shape)}"
         )
         if min(slow) <= _STRONG:
             raise GridAliasedError(text)
         warnings.append(text)
     return warnings
+
+
+def _slow_components(carriers: np.ndarray, direction: int, shape: tuple[int, int]) -> list[int]:
+    """Return the orders |m| + |n| of the components that vary slowly beside one direction."""
+    size = np.array([shape[1], shape[0]])
+    own, other = carriers[direction], carriers[1 - direction]
+    slow = []
+    for m in range(-_WEAK, _WEAK + 1):
+        for n, slowest in ((0, _SLOWEST), (-1, _SLOWEST_CROSSED), (1, _SLOWEST_CROSSED)):
+            beside = (m - 1) * own + n * other
+            if abs(m) > 1 and np.max(np.abs(beside - np.round(beside)) * size) < slowest:
+                slow.append(abs(m) + abs(n))
+    return slow
+
+
+def _turn(carriers: np.ndarray) -> float:
+    """Return the angle between the lines and the pixels [degree], below 45."""
+    return abs(float(np.degrees(np.arctan2(carriers[0, 1], carriers[0, 0]))))
+
+
+def _advice(period: float, shape: tuple[int, int]) -> str:
+    """Return the least turn, in half degrees, that is good for a period, and half a degree beside it as well."""
+    good = []
+    for degrees in np.arange(0.5, _MOST_TURNED + 1.0, 0.5):
+        c, s = np.cos(np.radians(degrees)) / period, np.sin(np.radians(degrees)) / period
+        straight = np.array([[c, -s], [s, c]])
+        good.append(not any(_slow_components(straight, direction, shape) for direction in (0, 1)))
+        if len(good) > 2 and all(good[-3:]):
+            return f"turn the grid so that it is {degrees - 0.5:g} degrees"
+    return "print another pitch"
 
 
 def _typical(amplitude: np.ndarray, radius: np.ndarray, index: tuple[int, int]) -> float:

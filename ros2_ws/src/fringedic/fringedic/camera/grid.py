@@ -104,14 +104,14 @@ def measure_distortion(
 
     The windowed Fourier phases of both directions (cubic B-spline windows of four periods that follow the phase found
     so far) are the grid's coordinates of the points seen. With the homography G from these to pixels that fits best,
-    U = G(phases) - p at each point; equations 6 and 7 are -D = U with P the period. A polynomial of the order that
-    predicts left-out points best is fitted to each component of U.
+    U = G(phases) - p at each point; equations 6 and 7 are -D = U with P the period. A polynomial of the lowest order
+    that predicts left-out points as well as the best does is fitted to each component of U.
 
     Parameters
     ----------
     grid_image : (row, column)
         Crossed lines or crossed cosines on a flat surface, 6 to 15 px per period, turned by 1 to 3 degrees against the
-        pixels, filling the image.
+        pixels (more on images of less than 500 rows), filling the image.
     pitch
         Period of the grid [m]; it gives the scale of `GridMeasurement.plane`.
     mask : (row, column) bool
