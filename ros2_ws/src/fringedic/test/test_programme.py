@@ -137,8 +137,22 @@ def test_forecast_follows_steps_images_holds_and_ways() -> None:
     assert deep.size == pytest.approx(base.size + 24 * 800_000)
     raw = forecast(rig(recording={"derived": False}), short)
     assert base.size - raw.size == pytest.approx(2 * 800_000 * 120)  # of maps and clouds at every pixel
+    later = forecast(rig(recording={"process": False}), short)
+    assert later.duration < base.duration  # what is measured at the end is measured in the time for writing
+    assert later.duration + later.writing == pytest.approx(base.duration + base.writing)
     assert forecast(rig(), programme("steps: [{mode: white}]")).frames == 1
     assert forecast(rig(), programme(NESTED)).in_words().startswith("at most 14 steps, 121 frames: about ")
+
+
+def test_forecast_counts_the_free_run_of_the_extensometer() -> None:
+    held = programme("steps: [{position_mm: 0.0, hold_s: 600}]")
+    pads = {"first_px": [200, 400], "second_px": [800, 400], "rate_hz": 25.0}
+    without, free = forecast(rig(), held), forecast(rig(extensometer=pads), held)
+    assert without.free_frames == 0 and free.duration == without.duration and free.frames == without.frames
+    print(f"{free.in_words()}")
+    assert 600 * 25 <= free.free_frames < 620 * 25
+    assert free.size - without.size == pytest.approx(free.free_frames * 800_000, rel=1e-3)
+    assert f"12 frames and {free.free_frames} of the free run: about 10 min" in free.in_words()
 
 
 def test_a_run_that_does_not_fit_is_refused(tmp_path: Path) -> None:
