@@ -1,9 +1,8 @@
 """How long a programme will take on a rig, and how much room its recording and results need: before it starts.
 
 Both are upper bounds where a programme may end early, and estimates elsewhere; what they are made of stands beside each
-constant below. What nobody knows before is left out: how busy the computer is with other things (times of several programs on
-two cores can be four times as long), steps that are measured again after a node was lost, and how long it takes until a
-condition of an `until` is met.
+constant below. What nobody knows before is left out: how busy the computer is with other things (which has made it four
+times as long), steps that are measured again after a node was lost, and when a condition of an `until` is met.
 """
 
 from __future__ import annotations
