@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations, pairwise
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from fringedic.errors import FramesOutOfOrderError, WrongPatternError
 from fringedic.phase.layout import Layout
@@ -117,7 +117,7 @@ def _residual(levels: np.ndarray, fit: np.ndarray, angles: np.ndarray, camera: C
     double = (fit[1] ** 2 - fit[2] ** 2) / strength, 2 * fit[1] * fit[2] / strength  # B cos(2 phi), B sin(2 phi)
     harmonic = np.outer(np.cos(2 * angles), double[0]) + np.outer(np.sin(2 * angles), double[1])
     rest -= np.vdot(harmonic, rest) / np.vdot(harmonic, harmonic) * harmonic
-    squared = np.einsum("kp,kp->p", rest, rest) / chi2.median(freedom) - camera.variance(fit[0])
+    squared = np.einsum("kp,kp->p", rest, rest) / chdtri(freedom, 0.5) - camera.variance(fit[0])
     return _over_modulation(squared, fit)
 
 
@@ -133,7 +133,7 @@ def _steps(fits: Sequence[np.ndarray], layout: Layout, camera: CameraNoise) -> l
             continue
         scatter = 1 / count + 1 / (sum(layout.counts) - count)
         away = fit[0] - _mean_of_others(fits, layout, number)
-        found.append(_over_modulation(away**2 / chi2.median(1) - scatter * camera.variance(fit[0]), fit))
+        found.append(_over_modulation(away**2 / chdtri(1, 0.5) - scatter * camera.variance(fit[0]), fit))
     return found
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import nnls
-from scipy.stats import chi2
+from scipy.special import chdtri  # scipy.stats takes each node half a second to load
 
 from fringedic.phase.layout import check_frames, layout_of, shift_angles
 from fringedic.sequence import Projection
@@ -89,6 +89,6 @@ def estimate_noise(
     texture = sample[layout.code :].mean(axis=0)
     classes = np.array_split(np.argsort(texture, kind="stable"), min(_LEVELS, sample.shape[1]))
     level = np.array([texture[each].mean() for each in classes])
-    variance = np.array([np.median(unexplained[each]) for each in classes]) / chi2.median(freedom)
+    variance = np.array([np.median(unexplained[each]) for each in classes]) / chdtri(freedom, 0.5)
     read_variance, shot = nnls(np.stack([np.ones_like(level), level], axis=1), variance)[0]
     return CameraNoise(max(math.sqrt(read_variance), ROUNDING_NOISE), float(shot))

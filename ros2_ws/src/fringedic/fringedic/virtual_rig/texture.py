@@ -13,7 +13,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 from scipy.spatial import Voronoi
 
 from fringedic.virtual_rig import tracing
@@ -125,6 +124,8 @@ def furrow_strokes(outline: NDArray[np.float64], feature: float, seed: int) -> S
 
 
 def _lines(rng: np.random.Generator, outline: NDArray[np.float64], feature: float, direction: float) -> Strokes:
+    from scipy.signal import lfilter  # half a second to load, for skin alone
+
     radius = 0.5 * math.hypot(outline[1] - outline[0], outline[3] - outline[2])
     centre_x, centre_y = 0.5 * (outline[0] + outline[1]), 0.5 * (outline[2] + outline[3])
     spacing, pace = 8.0 * feature, 1.6 * feature
