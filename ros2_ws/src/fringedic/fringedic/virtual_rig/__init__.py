@@ -1,7 +1,7 @@
 """Digital twin of a rig: it renders what camera and projector would see, and knows the truth.
 
-It imports nothing from the measuring modules: matrices and ray tracing are its own. What is listed here is loaded when it
-is first used: a simulated load frame needs no ray tracing.
+It imports nothing from the measuring modules: matrices and ray tracing are its own. What is listed here is loaded when
+it is first used: a simulated load frame needs no ray tracing.
 """
 
 from __future__ import annotations
