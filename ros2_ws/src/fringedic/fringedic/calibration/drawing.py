@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, FancyArrowPatch, Rectangle
-from matplotlib.ticker import NullFormatter, ScalarFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from fringedic.rig import RigModel
 from fringedic.sequence import Orientation
@@ -59,19 +59,21 @@ def draw_geometry(
     if largest:
         turned = math.degrees(abs(largest))
         axes.add_patch(Arc((0, 0), 2.3 * half, 2.3 * half, theta1=0, theta2=turned, color=_GREY, lw=1))
-        top = (reach * math.cos(abs(largest)) + 0.02 * h0, reach * math.sin(abs(largest)))
-        axes.text(*top, "angle > 0 raises\nthis side", fontsize=8, color=_GREY, va="center")
+        # under the plane, where no light crosses it
+        axes.text(reach, -0.03 * h0, "angle > 0 raises\nthis side", fontsize=8, color=_GREY, va="top")
     for side in (-half, half):
         axes.plot([0, side], [h0, 0], color=_CAMERA, lw=0.8, alpha=0.7)
     across = rig.projector_width if vertical else rig.projector_height
     _projector(axes, rig, (d, hp), math.atan(0.5 * across / rig.projector_focal_length), vertical)
     _device(axes, (0.0, h0), (0.0, 0.0), 0.09 * h0, _CAMERA, "camera")
-    _measure(axes, (0, 0), (0, h0), _text("h0", h0, "mm", numbers), (-0.6 * half, 0.5 * h0), "right")
-    _measure(axes, (d, 0), (d, hp), _text("hp", hp, "mm", numbers), (d + math.copysign(0.03 * h0, d), 0.45 * hp),
-             "left" if d > 0 else "right")  # fmt: skip
+    towards, sides = math.copysign(1.0, d), ("right", "left") if d > 0 else ("left", "right")
+    beside, gap = -1.15 * towards * reach, 0.03 * towards * h0
+    _measure(axes, (beside, 0), (beside, h0), _text("h0", h0, "mm", numbers), (beside - gap, 0.5 * h0), sides[0])
+    _measure(axes, (d, 0), (d, hp), _text("hp", hp, "mm", numbers), (d + gap, 0.5 * hp), sides[1])
     level = max(h0, hp) * 1.13
     _measure(axes, (0, level), (d, level), _text("d", d, "mm", numbers), (0.5 * d, level * 1.015), "center")
-    axes.plot([0, 0], [h0, level * 1.02], color=_GREY, lw=0.5, ls=":")
+    for line in (([0, 0], [h0, level * 1.02]), ([0, beside], [h0, h0]), ([0, beside], [0, 0])):
+        axes.plot(*line, color=_GREY, lw=0.5, ls=":")
     axes.plot([d, d], [hp, level * 1.02], color=_GREY, lw=0.5, ls=":")
     name = "x" if vertical else "y"
     for tip in ((0.55 * half, 0.0), (0.0, 0.16 * h0)):
@@ -79,11 +81,12 @@ def draw_geometry(
     axes.text(0.57 * half, -0.045 * h0, name, fontsize=9)
     axes.text(0.012 * h0, 0.15 * h0, "z", fontsize=9)
     axes.text(
-        -reach,
-        -0.07 * h0,
-        f"reference plane z = 0, {2 * half:.1f} mm in view" if numbers else "reference plane z = 0",
+        0.3 * half,
+        -0.03 * h0 - reach * math.sin(abs(largest)),
+        f"reference plane z = 0,\n{2 * half:.1f} mm in view" if numbers else "reference plane z = 0",
         fontsize=8,
         color=_PLANE,
+        ha="right",
         va="top",
     )
     axes.margins(0.06)
@@ -122,13 +125,13 @@ def _device(
     axes.plot(*place, "o", color="white", ms=4, mec=colour)
     back = math.radians(angle)
     axes.text(
-        place[0] - 1.15 * size * math.cos(back),
-        place[1] - 1.45 * size * math.sin(back),
+        place[0] + math.copysign(0.8 * size, place[0] or -1.0) - 0.5 * size * math.cos(back),
+        place[1] - 0.5 * size * math.sin(back),
         name,
         color=colour,
         fontsize=9,
         ha="left" if place[0] > 0 else "right",
-        va="bottom",
+        va="center",
     )
 
 
@@ -211,8 +214,10 @@ def draw_planes(calibration: RigCalibration) -> Figure:
         label="block mean, predicted noise",
     )
     axes.set_yscale("log")
-    axes.yaxis.set_major_formatter(ScalarFormatter())
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axes.yaxis.set_minor_formatter(NullFormatter())
+    axes.set_ylim(bottom=0.5e6 * min(each.systematic for each in calibration.planes))
     labels = [
         f"{math.degrees(each.angle):+.4g}°"
         + (f"\n{1e3 * each.height:+g} mm" if each.height else "")
@@ -229,12 +234,12 @@ def draw_planes(calibration: RigCalibration) -> Figure:
 def draw_correlation(calibration: RigCalibration) -> Figure:
     """Draw the correlation matrix of the errors of the fitted parameters."""
     names = [each.title for each in calibration.parameters]
-    figure = Figure(figsize=(7.2, 5.4), layout="constrained")
+    figure = Figure(figsize=(8.4, 4.2), layout="constrained")
     axes = figure.add_subplot()
     shown = axes.imshow(calibration.correlation, cmap="RdBu_r", vmin=-1, vmax=1)
     axes.set_xticks(range(len(names)), [str(i + 1) for i in range(len(names))], fontsize=8)
     axes.set_yticks(range(len(names)), [f"{name}  {i + 1}" for i, name in enumerate(names)], fontsize=8)
-    figure.colorbar(shown, ax=axes, label="correlation", shrink=0.8)
+    figure.colorbar(shown, ax=axes, label="correlation")
     return figure
 
 

@@ -89,20 +89,23 @@ def check_aliasing(carriers: np.ndarray, shape: tuple[int, int]) -> list[str]:
     GridAliasedError
         When it is a strong harmonic.
     """
-    warnings = []
+    names, periods, strongest = [], [], _WEAK
     for direction, name in enumerate(("columns", "rows")):
         slow = _slow_components(carriers, direction, shape)
-        if not slow:
-            continue
-        period = 1 / np.hypot(*carriers[direction])
-        text = (
-            f"the period along the {name} is {period:.3f} px and in step with the pixels, to which the lines are "
-            f"turned by {_turn(carriers):.1f} degree: {_advice(float(period), shape)}"
-        )
-        if min(slow) <= _STRONG:
-            raise GridAliasedError(text)
-        warnings.append(text)
-    return warnings
+        if slow:
+            names.append(name)
+            periods.append(float(1 / np.hypot(*carriers[direction])))
+            strongest = min(strongest, *slow)
+    if not names:
+        return []
+    lengths = " and ".join(f"{period:.3f}" for period in periods)
+    text = (
+        f"the period along the {' and '.join(names)} is {lengths} px and in step with the pixels, to which the lines "
+        f"are turned by {_turn(carriers):.1f} degree: {_advice(float(np.mean(periods)), shape)}"
+    )
+    if strongest <= _STRONG:
+        raise GridAliasedError(text)
+    return [text]
 
 
 def _slow_components(carriers: np.ndarray, direction: int, shape: tuple[int, int]) -> list[int]:
