@@ -164,6 +164,14 @@ def map_figure(maps: xr.Dataset, panel: Panel, limits: tuple[float, float], *, t
     return figure
 
 
+def redraw_map(figure: Figure, maps: xr.Dataset, panel: Panel, *, title: str) -> None:
+    """Show the map of another step in a figure of `map_figure`, with the same colour scale and layout."""
+    figure.set_layout_engine("none")  # to lay it out anew takes longer than to draw it
+    axes = figure.axes[0]
+    axes.images[0].set_data(_thinned(maps[panel.name].values / panel.factor))
+    axes.set_title(title)
+
+
 def phase_preview(phase: np.ndarray) -> np.ndarray:
     """Colour a phase map [rad], shape (row, column), as one turn of the colour circle per fringe: uint8 rgb."""
     turns = np.mod(np.nan_to_num(phase) / (2 * np.pi), 1.0)
@@ -192,6 +200,11 @@ def _coloured(hue_saturation_value: np.ndarray, measured: np.ndarray) -> np.ndar
     return colours
 
 
+def _thinned(values: np.ndarray) -> np.ndarray:
+    thin = max(1, max(values.shape) // _WIDEST)
+    return values[::thin, ::thin]
+
+
 def _draw(
     axes: Axes,
     values: np.ndarray,
@@ -201,8 +214,6 @@ def _draw(
 ) -> None:
     from matplotlib import colormaps
 
-    thin = max(1, max(values.shape) // _WIDEST)
-    shown = values[::thin, ::thin]
     finite = values[np.isfinite(values)]
     low, high = np.percentile(finite, (_TAIL, 100 - _TAIL)) if finite.size else (0.0, 1.0)
     if limits is not None:
@@ -214,7 +225,7 @@ def _draw(
         low, high = low - 0.5, low + 0.5
     name = "RdBu_r" if panel.symmetric else "viridis"
     image = axes.imshow(
-        shown,
+        _thinned(values),
         cmap=colormaps[name].with_extremes(bad=_NOT_MEASURED_COLOUR),
         vmin=low,
         vmax=high,

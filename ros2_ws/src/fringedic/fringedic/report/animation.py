@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import Colormap
 from PIL import Image
 
 from fringedic.errors import DatasetError
-from fringedic.pictures import Panel, map_figure
+from fringedic.pictures import Panel, map_figure, redraw_map
 
 FRAMES = 60  # of longer experiments every n-th step is shown
 FRAME_MS, LAST_FRAME_MS = 250, 1500
-_COLOURS = 128
+_GREYS = 40  # of the 256 colours of a GIF; the others are the map's, so that they show no contours of their own
 
 
 def save_animation(dataset: xr.Dataset, file: str | os.PathLike[str], panel: Panel) -> Path:
@@ -49,17 +50,31 @@ def animation(dataset: xr.Dataset, panel: Panel) -> bytes:
         raise DatasetError(f"no step has the map {panel.name}")
     steps = steps[:: -(-len(steps) // FRAMES)]
     limits = _limits(dataset, panel, steps)
+    figure = map_figure(dataset.sel(step=steps[0]), panel, limits, title=_title(steps[0], panel))
+    canvas, palette = FigureCanvasAgg(figure), _palette(figure.axes[0].images[0].get_cmap())
     frames = []
     for step in steps:
-        figure = map_figure(dataset.sel(step=step), panel, limits, title=f"step {step}: {panel.title}")
-        canvas = FigureCanvasAgg(figure)
+        if frames:
+            redraw_map(figure, dataset.sel(step=step), panel, title=_title(step, panel))
         canvas.draw()
         picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
-        frames.append(picture.quantize(_COLOURS, method=Image.Quantize.FASTOCTREE))
+        frames.append(picture.quantize(palette=palette, dither=Image.Dither.NONE))
     stream = io.BytesIO()
     durations = [FRAME_MS] * (len(frames) - 1) + [LAST_FRAME_MS]
     frames[0].save(stream, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0)
     return stream.getvalue()
+
+
+def _palette(colours: Colormap) -> Image.Image:
+    """Return a picture that has the colours of a map, and greys for all around it."""
+    shades = np.concatenate([colours(np.linspace(0, 1, 256 - _GREYS))[:, :3], np.linspace([0] * 3, [1] * 3, _GREYS)])
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(np.round(255 * shades).astype(np.uint8).tobytes())
+    return palette
+
+
+def _title(step: int, panel: Panel) -> str:
+    return f"step {step}: {panel.title}"
 
 
 def _measured(dataset: xr.Dataset, name: str) -> list[int]:
