@@ -52,7 +52,7 @@ def animation(dataset: xr.Dataset, panel: Panel) -> bytes:
     limits = _limits(dataset, panel, steps)
     figure = map_figure(dataset.sel(step=steps[0]), panel, limits, title=_title(steps[0], panel))
     canvas, palette = FigureCanvasAgg(figure), _palette(figure.axes[0].images[0].get_cmap())
-    frames = []
+    frames: list[Image.Image] = []
     for step in steps:
         if frames:
             redraw_map(figure, dataset.sel(step=step), panel, title=_title(step, panel))
