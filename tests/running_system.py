@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 from pymodbus.client import ModbusTcpClient
 
@@ -19,7 +20,7 @@ CONFIG = ROOT / "ros2_ws" / "src" / "fringedic_bringup" / "config"
 # Part of the tiny rig's image that a good step measures. The plate fills 94 % of the 160 px across, and a rim of up to
 # 5 px, where a window of 32 px sees too little of it, is NaN: (150 - 10) (120 - 10) / (160 * 120) = .80
 WORKING = 0.80
-MODBUS_MACHINE = ROOT / "ros2_ws" / "src" / "load_frame_node" / "test" / "modbus_machine.py"
+MACHINES = ROOT / "ros2_ws" / "src" / "load_frame_node" / "test"
 MACHINE: dict[str, Any] = {
     "protocol": "modbus",
     "host": "127.0.0.1",
@@ -104,13 +105,15 @@ def wait_until(done: Callable[[], object], what: str, timeout_s: float = 60.0) -
         time.sleep(0.05)
 
 
-class ModbusServer:
-    """The machine's process; it can be killed and started again at its port."""
+class MachineServer:
+    """A machine's process; it can be killed and started again at its port."""
+
+    script = ""
 
     def __init__(self) -> None:
         self.port = 0
 
-    def __enter__(self) -> ModbusServer:
+    def __enter__(self) -> Self:
         self.start()
         return self
 
@@ -118,7 +121,7 @@ class ModbusServer:
         self.kill()
 
     def start(self) -> None:
-        command = [sys.executable, str(MODBUS_MACHINE), str(self.port)]
+        command = [sys.executable, str(MACHINES / self.script), str(self.port)]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         assert self.process.stdout is not None
         self.port = int(self.process.stdout.readline())
@@ -129,6 +132,22 @@ class ModbusServer:
         assert self.process.stdout is not None
         self.process.stdout.close()
 
+
+class ModbusServer(MachineServer):
+    """Speaks Modbus TCP."""
+
+    script = "modbus_machine.py"
+
     def switch(self, coil: int, on: bool) -> None:
         with ModbusTcpClient("127.0.0.1", port=self.port) as technician:
             technician.write_coil(coil, on, device_id=1)
+
+
+class ScpiServer(MachineServer):
+    """Speaks text commands on a socket."""
+
+    script = "scpi_machine.py"
+
+    def tell(self, command: str) -> None:
+        with socket.create_connection(("127.0.0.1", self.port)) as technician:
+            technician.sendall(f"{command}\n".encode())

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-import signal
-import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +13,7 @@ import yaml
 from running_system import MACHINE, WORKING, Killer, ModbusServer, Told
 
 from camera_node.testing import FakeCamera
+from fringe_projector_node.testing import VirtualDisplay
 from fringedic.recording import BagReader
 from fringedic_bringup.replay import replay
 from fringedic_bringup.report import RunReport
@@ -66,22 +64,16 @@ def test_ten_steps_on_the_virtual_rig(folder: Path) -> None:
 @contextmanager
 def devices(folder: Path) -> Iterator[ModbusServer]:
     """Camera, display and machine; the last as a machine file beside the rig files."""
-    read_end, write_end = os.pipe()
-    screen = ["Xvfb", "-displayfd", str(write_end), "-screen", "0", "640x480x24"]
+    (folder / "screen").mkdir()
     with (
         FakeCamera(),
-        subprocess.Popen(screen, pass_fds=[write_end], stderr=subprocess.DEVNULL) as display,
+        VirtualDisplay(folder / "screen", 640, 480) as display,
         ModbusServer() as machine,
         pytest.MonkeyPatch.context() as patch,
     ):
-        os.close(write_end)
-        try:
-            with open(read_end) as answer:
-                patch.setenv("DISPLAY", f":{answer.readline().strip()}")
-            (folder / "machine.yaml").write_text(yaml.safe_dump({**MACHINE, "port": machine.port}))
-            yield machine
-        finally:
-            display.send_signal(signal.SIGTERM)
+        patch.setenv("DISPLAY", display.name)
+        (folder / "machine.yaml").write_text(yaml.safe_dump({**MACHINE, "port": machine.port}))
+        yield machine
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import time
 from typing import Any
@@ -43,6 +44,8 @@ class DisplayScreen:
         self._window: Any = None
         self._renderer: Any = None
         self._texture: Any = None
+        self._desktop = _Desktop()
+        self._desktop_size = self._desktop.size()
         self._open()
 
     def show(self, image: np.ndarray) -> int:
@@ -101,6 +104,12 @@ class DisplayScreen:
                 )
             elif event.type == pygame.WINDOWSIZECHANGED and (event.x, event.y) != self._size:
                 lost = f"the projector's display or window changed to {event.x}x{event.y} px; restore its resolution"
+        if (size := self._desktop.size()) != self._desktop_size:
+            self._close_window()
+            raise ScreenError(
+                "the displays changed from {}x{} to {}x{} px in all; restore their resolution, or start this node "
+                "again with the right one".format(*self._desktop_size, *size)
+            )
         if self._window is None:
             return
         if not lost and self._window.size != self._size:
@@ -113,11 +122,11 @@ class DisplayScreen:
         """Close the window."""
         self._close_window()
         self._pygame.display.quit()
+        self._desktop.close()
 
     def _open(self) -> None:
         pygame = self._pygame
         try:
-            # opened anew each time, so that displays which were plugged in meanwhile are seen
             pygame.display.quit()
             pygame.display.init()
             sizes = pygame.display.get_desktop_sizes()
@@ -154,3 +163,35 @@ class DisplayScreen:
         if window is not None:
             self._texture = self._renderer = None
             window.destroy()
+
+
+class _Desktop:
+    """Asks an X server how large all its displays are together; SDL does that only once in a process."""
+
+    def __init__(self) -> None:
+        self._server: Any = None
+        if os.environ.get("DISPLAY"):
+            try:
+                self._x11 = ctypes.CDLL("libX11.so.6")
+            except OSError:  # then there is no window either, which the caller is about to find
+                return
+            self._x11.XOpenDisplay.restype = ctypes.c_void_p
+            self._x11.XDefaultRootWindow.restype = ctypes.c_ulong
+            self._server = self._x11.XOpenDisplay(None)
+
+    def size(self) -> tuple[int, int]:
+        """Width and height [px]; (0, 0) without an X server."""
+        if not self._server:
+            return 0, 0
+        server = ctypes.c_void_p(self._server)
+        root, x, y = ctypes.c_ulong(), ctypes.c_int(), ctypes.c_int()
+        width, height, border, depth = (ctypes.c_uint() for _ in range(4))
+        answers = (ctypes.byref(each) for each in (root, x, y, width, height, border, depth))
+        self._x11.XGetGeometry(server, ctypes.c_ulong(self._x11.XDefaultRootWindow(server)), *answers)
+        return width.value, height.value
+
+    def close(self) -> None:
+        """End the connection."""
+        if self._server:
+            self._x11.XCloseDisplay(ctypes.c_void_p(self._server))
+            self._server = None

@@ -57,6 +57,7 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
         # one group, so that the screen serves one call after the other
         screen = MutuallyExclusiveCallbackGroup()
         self.create_service(ShowPattern, "projector/show", self._show, callback_group=screen)
+        self._lost: ScreenError | None = None
         self.create_timer(_CHECK_PERIOD_S, self._check, callback_group=screen)
 
     def open(self) -> None:
@@ -96,6 +97,9 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
         try:
             if not self.active:
                 raise ScreenError("the projector is not active; configure and activate it")
+            lost, self._lost = self._lost, None
+            if lost is not None:
+                raise lost
             response.shown = to_msg(self._put(self._render(_asked(request), request.name)))
             self.diagnostics.success()
         except InvalidPatternError as error:
@@ -105,9 +109,11 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
         return response
 
     def _check(self) -> None:
+        """Notice a lost window between two patterns; who has shown the one that was in it hears of it with the next."""
         try:
             self._screen.check()
         except ScreenError as error:
+            self._lost = error
             self.get_logger().error(str(error))
             self.diagnostics.failure(str(error))
 

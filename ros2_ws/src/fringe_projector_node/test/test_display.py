@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import ctypes
-import os
-import struct
-import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 import pygame
@@ -17,6 +12,7 @@ import pytest
 import rclpy
 
 from fringe_projector_node.display import DisplayScreen
+from fringe_projector_node.testing import VirtualDisplay, WindowManager
 from fringedic.errors import ScreenError
 from fringedic.patterns import render_pattern
 from fringedic.sequence import Orientation, PatternKind, Projection
@@ -26,68 +22,6 @@ from fringedic_ros.testing import NodeProcess, Peer
 pytestmark = pytest.mark.hardware
 
 WIDTH, HEIGHT = 640, 480
-
-
-class VirtualDisplay:
-    """An X server without a screen, whose memory can be read as a file in the format of `xwd`."""
-
-    def __init__(self, folder: Path) -> None:
-        self._memory = folder / "Xvfb_screen0"
-        read_end, write_end = os.pipe()
-        self.process = subprocess.Popen(
-            ["Xvfb", "-displayfd", str(write_end), "-screen", "0", f"{WIDTH}x{HEIGHT}x24", "-fbdir", str(folder)],
-            pass_fds=[write_end],
-            stderr=subprocess.DEVNULL,
-        )
-        os.close(write_end)
-        with open(read_end) as answer:
-            self.name = f":{answer.readline().strip()}"
-
-    def screenshot(self) -> np.ndarray:
-        """Red, green and blue of every pixel, uint8 (row, column, 3)."""
-        memory = self._memory.read_bytes()
-        header = np.frombuffer(memory, ">u4", 25)
-        start, columns, rows, line, colours = header[[0, 4, 5, 12, 19]].astype(int)
-        pixels = np.frombuffer(memory, np.uint8, rows * line, start + 12 * colours)
-        return pixels.reshape(rows, line)[:, : 4 * columns].reshape(rows, columns, 4)[:, :, 2::-1]
-
-
-class WindowManager:
-    """Another program that does to windows what a user or a window manager does."""
-
-    def __enter__(self) -> Self:
-        self._x11 = ctypes.CDLL("libX11.so.6")
-        for function in (self._x11.XOpenDisplay, self._x11.XDefaultRootWindow, self._x11.XInternAtom):
-            function.restype = ctypes.c_void_p
-        self._display = ctypes.c_void_p(self._x11.XOpenDisplay(None))
-        self._root = ctypes.c_ulong(self._x11.XDefaultRootWindow(self._display))
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._x11.XCloseDisplay(self._display)
-
-    def windows(self) -> list[int]:
-        """Top windows, the uppermost last."""
-        root, parent, count = ctypes.c_ulong(), ctypes.c_ulong(), ctypes.c_uint()
-        windows = ctypes.POINTER(ctypes.c_ulong)()
-        found = (ctypes.byref(each) for each in (root, parent, windows, count))
-        self._x11.XQueryTree(self._display, self._root, *found)
-        return [windows[number] for number in range(count.value)]
-
-    def do(self, function: str, window: int, *values: int) -> None:
-        """Call a function of Xlib on a window."""
-        getattr(self._x11, function)(self._display, ctypes.c_ulong(window), *values)
-        self._x11.XSync(self._display, 0)
-
-    def close(self, window: int) -> None:
-        """Ask the window to close, as its button does: a ClientMessage of WM_PROTOCOLS."""
-        protocols, delete = (
-            self._x11.XInternAtom(self._display, name, 0) for name in (b"WM_PROTOCOLS", b"WM_DELETE_WINDOW")
-        )
-        fields = (33, 0, 1, self._display.value, window, protocols, 32, delete, 0, 0, 0, 0)
-        message = struct.pack("iPiPLLi4xl4l32x", *fields)
-        event = ctypes.create_string_buffer(message, 192)
-        self.do("XSendEvent", window, 0, 0, ctypes.byref(event))
 
 
 def shown_in_time(display: VirtualDisplay, pattern: np.ndarray) -> bool:
@@ -104,12 +38,10 @@ def shown_in_time(display: VirtualDisplay, pattern: np.ndarray) -> bool:
 def display(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[VirtualDisplay]:
     folder = tmp_path / "display"
     folder.mkdir()
-    display = VirtualDisplay(folder)
-    monkeypatch.setenv("DISPLAY", display.name)
-    yield display
-    pygame.display.quit()
-    display.process.terminate()
-    display.process.wait()
+    with VirtualDisplay(folder, WIDTH, HEIGHT) as display:
+        monkeypatch.setenv("DISPLAY", display.name)
+        yield display
+        pygame.display.quit()
 
 
 @pytest.mark.parametrize(
@@ -174,6 +106,21 @@ def test_window_that_is_lost_opens_again(display: VirtualDisplay, what: str, val
         while time.monotonic() < deadline:
             screen.check()
             time.sleep(0.01)
+    screen.show(pattern)
+    assert shown_in_time(display, pattern)
+    screen.close()
+
+
+def test_display_at_another_resolution_is_refused_until_it_is_restored(display: VirtualDisplay) -> None:
+    """No window manager resizes the window, and SDL does not hear of it."""
+    screen = DisplayScreen(0, WIDTH, HEIGHT)
+    pattern = render_pattern(Projection(PatternKind.WHITE), WIDTH, HEIGHT)
+    screen.show(pattern)
+    display.change_resolution(320, 240)
+    for _ in range(2):
+        with pytest.raises(ScreenError, match="changed from 640x480 to 320x240 px in all; restore"):
+            screen.show(pattern)
+    display.change_resolution(WIDTH, HEIGHT)
     screen.show(pattern)
     assert shown_in_time(display, pattern)
     screen.close()

@@ -51,6 +51,9 @@ def run(make_node: Callable[[], Node]) -> int:
 def _goes_on() -> bool:
     """Whether no signal has ended the context; it may break what is in hand just before the context hears of it."""
     end = time.monotonic() + SIGNAL_S
-    while rclpy.ok() and time.monotonic() < end:
-        time.sleep(0.01)
+    try:
+        while rclpy.ok() and time.monotonic() < end:
+            time.sleep(0.01)
+    except KeyboardInterrupt:  # Python hears of the same signal
+        return False
     return rclpy.ok()

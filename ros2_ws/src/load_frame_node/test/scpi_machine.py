@@ -38,6 +38,8 @@ class Conversation:
                 self.silent = True
             case "BABBLE":
                 self.babbling = True
+            case "SPEAK":
+                self.silent = self.babbling = False
         return None
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
