@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from correlation_study.plots import save_plots
 from correlation_study.results import SINE_PERIODS, Results
 from correlation_study.scenes import GREY_LEVELS
+from correlation_study.speed import Speed
 from correlation_study.table import Row
 
 SINE_TARGETS = (0.003, 0.0012, 0.0012)
@@ -67,7 +69,13 @@ def target_rows(results: Results) -> list[Row]:
         rows.append(Row(f"{large.name}, 10 GL [px]", (large.rmse,), (target,), 4, note))
     departure = np.abs(results.scores.deviation - 1)
     rows.append(Row("z-scores, largest departure of their deviation from 1", (float(departure.max()),), (0.1,), 3))
-    for one in results.speeds:
+    return rows
+
+
+def time_rows(speeds: list[Speed]) -> list[Row]:
+    """Measured times and memory beside the targets."""
+    rows = []
+    for one in speeds:
         targets = one.pixels < 2
         rows += [
             Row(f"{one.columns}x{one.rows}, every pixel, sigma and validity included [s]", (one.measure,),
@@ -83,9 +91,42 @@ def best_sample_14(candidates: dict) -> object:
     return min(candidates, key=lambda setting: float(np.sum(candidates[setting].rmse)))
 
 
-def write_page(results: Results, rows: list[Row], path: Path) -> None:
+def write_page(results: Results, path: Path) -> None:
     """Write the page and its plots beside it."""
     save_plots(results, path.with_suffix(""))
+    text = _rendered(
+        "page.md.jinja",
+        r=results,
+        targets=target_rows(results),
+        window=results.window,
+        speeds=results.speeds,
+        rows=time_rows(results.speeds),
+        grey_levels=GREY_LEVELS,
+        sine_periods=[int(period) for period in SINE_PERIODS],
+        sine_targets=SINE_TARGETS,
+        best_ours=best_sample_14(results.sample_14) if results.sample_14 else None,
+        folder=path.stem,
+        date=datetime.now(UTC).strftime("%Y-%m-%d"),
+    )
+    path.write_text(text)
+
+
+def write_times(speeds: list[Speed], window: int, path: Path) -> None:
+    """Write the last section of the page anew, which tells the times."""
+    text = path.read_text()
+    times = _rendered("times.md.jinja", window=window, speeds=speeds, rows=time_rows(speeds))
+    path.write_text(text[: text.index(times.splitlines()[0])] + times)
+
+
+def window_of(path: Path) -> int:
+    """Window that the page's times belong to [px]."""
+    found = re.search(r"every pixel, window (\d+) px", path.read_text())
+    if found is None:
+        raise SystemExit(f"{path} tells no window: measure everything once, without --times")
+    return int(found[1])
+
+
+def _rendered(template: str, **values: object) -> str:
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         undefined=StrictUndefined,
@@ -95,18 +136,17 @@ def write_page(results: Results, rows: list[Row], path: Path) -> None:
     )
     environment.filters["px"] = lambda value, digits=4: f"{value:.{digits}f}"
     environment.filters["many"] = lambda values, digits=4: " / ".join(f"{value:.{digits}f}" for value in values)
-    text = environment.get_template("page.md.jinja").render(
-        r=results,
-        rows=rows,
-        grey_levels=GREY_LEVELS,
-        sine_periods=[int(period) for period in SINE_PERIODS],
-        sine_targets=SINE_TARGETS,
-        best_ours=best_sample_14(results.sample_14) if results.sample_14 else None,
-        folder=path.stem,
-        date=datetime.now(UTC).strftime("%Y-%m-%d"),
-        machine=_machine(),
-    )
-    path.write_text(text)
+    environment.filters["target_table"] = _target_table
+    return environment.get_template(template).render(machine=_machine(), **values)
+
+
+def _target_table(rows: list[Row]) -> str:
+    lines = ["| figure | measured | target | |", "|---|---:|---:|---|"]
+    for row in rows:
+        name = f"{row.name.strip()} ({row.note})" if row.note else row.name.strip()
+        verdict = "**missed**" if row.verdict == "missed" else row.verdict
+        lines.append(f"| {name} | {row.value} | {row.target} | {verdict} |")
+    return "\n".join(lines)
 
 
 def _machine() -> str:

@@ -94,6 +94,12 @@ def _said(what: str) -> Iterator[None]:
     print(f" {time.perf_counter() - begin:.0f} s", file=sys.stderr, flush=True)
 
 
+def measure_times(extent: Extent, window: int) -> list[Speed]:
+    """Time images of several sizes."""
+    speed(256, 256, window, 1)  # leaves the compiled loops behind, so that compiling does not count below
+    return [speed(rows, columns, window, runs) for rows, columns, runs in extent.sizes]
+
+
 def measure_all(extent: Extent, *, with_rivals: bool = True) -> Results:
     """Run every study."""
     begin = time.perf_counter()
@@ -148,8 +154,7 @@ def measure_all(extent: Extent, *, with_rivals: bool = True) -> Results:
             f"zoi, window {studies.ZONE} px": studies.diameter(Speckle((200, 200), 92), studies.ZONE, "zoi", 3),
         }
     with _said("speed"):
-        speed(256, 256, window, 1)  # leaves the compiled loops behind, so that compiling does not count below
-        speeds = [speed(rows, columns, window, runs) for rows, columns, runs in extent.sizes]
+        speeds = measure_times(extent, window)
     with _said("OpenCV"):
         opencv = {
             f"{name} {size}": figures.filter_of(static, flow(static, size), moving, flow(moving, size))
