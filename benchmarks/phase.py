@@ -107,23 +107,30 @@ def rms(values: np.ndarray) -> float:
 
 def measure_noise(page: Page) -> None:
     """Noise of the target rig, and of one with speckle."""
-    for name, twin in (
-        ("target rig, exposed for its surface", rig_of(**TARGET_RIG, sensor={"white_level": EXPOSED, **TARGET_NOISE})),
+    plate = rig_of(preset="plate")
+    for name, twin, shifts in (
+        (
+            "target rig, exposed for its surface",
+            rig_of(**TARGET_RIG, sensor={"white_level": EXPOSED, **TARGET_NOISE}),
+            8,
+        ),
         (
             "target rig, exposed for white, albedo .7",
             rig_of(**TARGET_RIG, sensor={"white_level": ALBEDO * EXPOSED, **TARGET_NOISE}),
+            8,
         ),
-        ("plate with speckle", rig_of(preset="plate")),
+        ("plate with speckle", plate, 8),
+        ("plate with speckle, four frames more", plate, 12),
     ):
         rows, columns = twin.projector_shape
-        sequence = finest(columns, rows)
+        sequence = finest(columns, rows, (*SHIFTS[:-1], shifts))
         result = absolute_phase(frames_of(twin, sequence), sequence.projections, noise=NOISE)
         error = result.phase.values / TURN - exact_turns(twin)
         score = np.nanstd(error * TURN / result.sigma.values)
         typical = float(np.nanmedian(np.abs(error))) / 0.6745
         modulation = float(result.modulation.median())
         page.add(
-            f"noise, {name}, q = 8, modulation {modulation:.0f} GL: RMS / at a typical pixel [fringe]",
+            f"noise, {name}, q = {shifts}, modulation {modulation:.0f} GL: RMS / at a typical pixel [fringe]",
             f"{rms(error):.5f} / {typical:.5f}",
             "<= .0021",
         )
@@ -422,6 +429,9 @@ unwrapping, which uses all frequencies at once. OpenCV's spatial unwrapping is p
 Orders from a single pitch (spatial unwrapping, one image) are relative: right up to the same number of whole
 fringes. What a shadow cuts off from the largest region is left out (white in the picture); OpenCV gives it orders,
 and wrong ones.
+On speckle the typical pixel is darker than the bright paint that sets the exposure. More frames of the finest pitch help
+as 1 / sqrt(q); merging the phases of the coarser pitches with weights hardly does, because they tell the same height
+with so much less sensitivity: those of 40 px, q = 4, add 4 / 16 of a frame to 8, and 2 % less noise were measured.
 A response is corrected by the patterns; what is left is the projector's 8 bits. Exposures are merged at each pixel, so
 that noise and sigma are those of the best exposures there.
 The one-image error grows towards the border of

@@ -211,10 +211,9 @@ def test_a_known_pin_hole_frees_tilt_and_principal_column() -> None:
     assert moved.camera_tilt_x - model.camera_tilt_x == pytest.approx(-0.7e-3 / distance, rel=0.02)
 
 
-def test_distances_scale_with_the_pixel_size() -> None:
+def test_distances_scale_with_the_pixel_size(misaligned: tuple[Bench, list[np.ndarray]]) -> None:
     """Phases tell ratios only; a grid whose pitch is uncertain makes every length as uncertain."""
-    bench = Bench(MISALIGNED)
-    phases = bench.planes()
+    bench, phases = misaligned
     calibration = bench.calibrate(noisy(phases, 1), sigma_pixel_size=400e-9)
     sigma = np.sqrt(np.diag(np.reshape(calibration.model.covariance, (len(calibration.model.parameter_names),) * 2)))
     for name, relative in (("camera_distance", 1e-3), ("pixel_size", 1e-3), ("projector_x", 1e-3)):
@@ -222,9 +221,9 @@ def test_distances_scale_with_the_pixel_size() -> None:
         assert abs(found) == pytest.approx(relative, rel=0.01), name
 
 
-def test_unknown_tilt_is_sought_and_said() -> None:
-    bench = Bench(MISALIGNED)
-    calibration = bench.calibrate(noisy(bench.planes(), 2), plane=None, held_out=HELD_OUT)
+def test_unknown_tilt_is_sought_and_said(misaligned: tuple[Bench, list[np.ndarray]]) -> None:
+    bench, phases = misaligned
+    calibration = bench.calibrate(noisy(phases, 2), plane=None, held_out=HELD_OUT)
     assert any("tilt" in each for each in calibration.warnings)
     error = bench.sphere_error(calibration)
     print(f"without a grid: largest error of z {1e6 * error:.2f} µm")
@@ -373,7 +372,7 @@ def test_a_plane_that_was_not_moved_is_named(misaligned: tuple[Bench, list[np.nd
         bench.calibrate(still)
 
 
-@pytest.mark.parametrize("change", ["angle", "pushed", "order", "half order", "pattern"])
+@pytest.mark.parametrize("change", ["angle", "pushed", "order", "half order"])
 def test_the_bad_image_is_named(misaligned: tuple[Bench, list[np.ndarray]], change: str) -> None:
     bench, phases = misaligned
     bad = list(phases)
@@ -386,12 +385,9 @@ def test_the_bad_image_is_named(misaligned: tuple[Bench, list[np.ndarray]], chan
     elif change == "order":
         bad[4] = phases[4] + 2 * math.pi
         says = r"order is wrong by \+1 everywhere"
-    elif change == "half order":
+    else:
         bad[4] = phases[4] + 2 * math.pi * (np.arange(SIZE[0]) > 100)
         says = "order is wrong on .* % of it"
-    else:
-        bad[4] = 0.6 * phases[4] + 3 * np.sin(np.linspace(0, 8, SIZE[0]))
-        says = "not that of the plane at any angle"
     calibration = bench.calibrate(noisy(bad, 8))
     print(calibration.verdict)
     assert not calibration.go

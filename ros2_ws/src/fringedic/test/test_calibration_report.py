@@ -141,3 +141,4 @@ def test_a_wrong_pattern_is_recognised() -> None:
     print(calibration.verdict)
     assert not calibration.go
     assert calibration.bad_images == ("image 3 (angle -5 degree)",)
+    assert "not that of the plane at any angle" in calibration.verdict
