@@ -429,9 +429,9 @@ unwrapping, which uses all frequencies at once. OpenCV's spatial unwrapping is p
 Orders from a single pitch (spatial unwrapping, one image) are relative: right up to the same number of whole
 fringes. What a shadow cuts off from the largest region is left out (white in the picture); OpenCV gives it orders,
 and wrong ones.
-On speckle the typical pixel is darker than the bright paint that sets the exposure. More frames of the finest pitch help
-as 1 / sqrt(q); merging the phases of the coarser pitches with weights hardly does, because they tell the same height
-with so much less sensitivity: those of 40 px, q = 4, add 4 / 16 of a frame to 8, and 2 % less noise were measured.
+On speckle the typical pixel is darker than the bright paint that sets the exposure. More frames of the finest pitch
+help as 1 / sqrt(q); merging the phases of the coarser pitches with weights hardly does, because they tell the same
+height with so much less sensitivity: those of 40 px, q = 4, add 4 / 16 of a frame to 8; 2 % less noise was measured.
 A response is corrected by the patterns; what is left is the projector's 8 bits. Exposures are merged at each pixel, so
 that noise and sigma are those of the best exposures there.
 The one-image error grows towards the border of
