@@ -9,6 +9,7 @@ import os
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -164,6 +165,7 @@ def node_environment(domain: int | None = None) -> dict[str, str]:
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(configuration("fastdds.xml")))
     environment.setdefault("FRINGEDIC_SEGMENT_BYTES", str(_segment_bytes()))
+    environment.setdefault("FRINGEDIC_ADDRESS", _address(environment["ROS_AUTOMATIC_DISCOVERY_RANGE"]))
     environment |= {
         "OPENBLAS_NUM_THREADS": "1",
         "MKL_NUM_THREADS": "1",
@@ -176,6 +178,16 @@ def node_environment(domain: int | None = None) -> dict[str, str]:
     if domain is not None:
         environment["ROS_DOMAIN_ID"] = str(domain)
     return environment
+
+
+def _address(discovery_range: str) -> str:
+    """Address at which nodes listen: this computer alone, or what it is called by those it reaches by default."""
+    if discovery_range == "LOCALHOST":
+        return "127.0.0.1"
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as towards, suppress(OSError):
+        towards.connect(("192.0.2.1", 9))  # an address for documentation; connecting a datagram socket sends nothing
+        return str(towards.getsockname()[0])
+    return "127.0.0.1"
 
 
 def _segment_bytes() -> int:

@@ -1,0 +1,135 @@
+"""The processes of a graph: what they may use, and that nothing of them is left."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import re
+import signal
+import socket
+import struct
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from fringedic.errors import NodeDiedError, NodeNotInstalledError
+from fringedic.programme import Programme
+from fringedic_bringup.driving import drive
+from fringedic_bringup.graph import Graph, NodeEntry, rig_graph
+from fringedic_bringup.processes import (
+    SHARED_MEMORY,
+    RunningGraph,
+    node_environment,
+    private_domain,
+    remove_stale_segments,
+)
+from fringedic_bringup.run import load_rig
+
+TINY = Path(__file__).parent.parent / "config" / "tiny.yaml"
+
+
+class Silent:
+    def stage(self, text: str) -> None: ...
+
+    def step(self, number: int, steps: int, text: str, frame: int = 0, frames: int = 0) -> None: ...
+
+    def note(self, text: str) -> None: ...
+
+
+def shared_memory_of(pid: int) -> set[str]:
+    """Return the Fast DDS segments whose lock file a process holds open."""
+    opened = (os.readlink(link) for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink())
+    return {Path(path).name.removesuffix("_el") for path in opened if path.startswith("/dev/shm/fastrtps_")}
+
+
+def test_a_node_that_cannot_start_fails_the_run_with_the_end_of_its_log(tmp_path: Path) -> None:
+    with private_domain() as domain:
+        graph = Graph("rig", (NodeEntry("camera", "camera_node", "camera", {"source": "files", "files": "nowhere"}),))
+        with RunningGraph(graph, tmp_path, domain=domain) as running, pytest.raises(NodeDiedError) as caught:
+            while True:
+                running.check()
+                time.sleep(0.1)
+    assert "camera ended with exit code 1" in str(caught.value) and "nowhere" in str(caught.value)
+
+
+def udp_addresses(pid: int, ports: range) -> set[str]:
+    """Addresses at which a process has bound one of these ports."""
+    sockets = set()
+    for descriptor in Path(f"/proc/{pid}/fd").iterdir():
+        with suppress(FileNotFoundError):
+            sockets.update(re.findall(r"socket:\[(\d+)\]", str(descriptor.readlink())))
+    addresses = set()
+    for line in Path(f"/proc/{pid}/net/udp").read_text().splitlines()[1:]:
+        fields = line.split()
+        address, port = fields[1].split(":")
+        if fields[9] in sockets and int(port, 16) in ports:
+            addresses.add(socket.inet_ntoa(struct.pack("=I", int(address, 16))))
+    return addresses
+
+
+@pytest.mark.slow
+def test_a_graph_leaves_no_process_and_no_shared_memory(tmp_path: Path) -> None:
+    rig, programme = load_rig(TINY, None, None)
+    one = Programme.model_validate({"experiment": "one", "steps": [{"position_mm": 0.1}]})
+    with private_domain() as domain:
+        graph = rig_graph(rig, TINY, tmp_path / "run")
+        with RunningGraph(graph, tmp_path / "run" / "logs", domain=domain) as running:
+            pids = [running.pid(name) for name in graph.names]
+            (report,), _ = drive(running, one, Silent(), domain=domain)
+            # ports are numbered through all domains, so that others may use some of the same
+            owned = {name for pid in pids for name in shared_memory_of(pid) if "port" not in name}
+            largest = max((SHARED_MEMORY / name).stat().st_size for name in owned)
+            os.kill(running.pid("phase"), signal.SIGKILL)
+        assert not report.error and programme.experiment == "tiny"
+    assert largest >= int(node_environment()["FRINGEDIC_SEGMENT_BYTES"])  # as asked for, not the middleware's default
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+
+    def left() -> set[str]:
+        return owned & {path.name for path in SHARED_MEMORY.iterdir()}
+
+    if left():  # other participants that start now look whether its owner lives, and lock it while they do
+        remove_stale_segments()
+    assert left() == set()
+
+
+def test_shared_memory_in_use_is_left_alone_and_the_rest_removed() -> None:
+    used, stale = SHARED_MEMORY / "fastrtps_00000000000000aa", SHARED_MEMORY / "fastrtps_00000000000000bb"
+    for path in (used, stale, used.with_name(f"{used.name}_el"), stale.with_name(f"{stale.name}_el")):
+        path.write_bytes(b"segment")
+    try:
+        with used.open("r+b") as file, mmap.mmap(file.fileno(), 0):
+            remove_stale_segments()  # or another test that runs beside this one does
+            assert used.exists() and used.with_name(f"{used.name}_el").exists()
+            assert not stale.exists() and not stale.with_name(f"{stale.name}_el").exists()
+        remove_stale_segments()
+        assert not used.exists()
+    finally:
+        for path in SHARED_MEMORY.glob("fastrtps_00000000000000*"):
+            path.unlink(missing_ok=True)
+
+
+def test_nodes_listen_to_this_computer_alone(tmp_path: Path) -> None:
+    graph = Graph("rig", (NodeEntry("coupling", "coupling_node", "coupling"),))
+    with private_domain() as domain, RunningGraph(graph, tmp_path, domain=domain) as running:
+        ports = range(
+            7400 + 250 * domain, 7400 + 250 * (domain + 1)
+        )  # of this domain, by the DDS interoperability standard
+        end = time.monotonic() + 90
+        while not (addresses := udp_addresses(running.pid("coupling"), ports)):
+            running.check()
+            assert time.monotonic() < end, "the node does not listen at all"
+            time.sleep(0.05)
+        assert addresses == {"127.0.0.1"}
+
+
+def test_an_executable_that_is_not_installed_is_named(tmp_path: Path) -> None:
+    graph = Graph("rig", (NodeEntry("camera", "camera_node", "periscope"),))
+    with pytest.raises(NodeNotInstalledError, match="camera_node periscope"), RunningGraph(graph, tmp_path):
+        pass
+
+
+def test_replays_at_the_same_time_get_domains_of_their_own() -> None:
+    with private_domain() as first, private_domain() as second:
+        assert first != second
