@@ -6,7 +6,8 @@ import base64
 import io
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -99,15 +100,22 @@ def write_report(
         target = Path(output) if output is not None else (recording or source).with_name("report.html")
         if target.exists() and not overwrite:
             raise DatasetError(f"{target} exists already; choose another --output or ask to overwrite it")
+        with _naming_what_cannot_be_written(target):
+            target.parent.mkdir(parents=True, exist_ok=True)
         page = _page(dataset, recording, source, static_steps, extensometers)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+    with _naming_what_cannot_be_written(target):
         temporary = target.with_name(f".{target.name}.writing")
         temporary.write_text(page, encoding="utf-8")
         temporary.replace(target)
+    return target
+
+
+@contextmanager
+def _naming_what_cannot_be_written(target: Path) -> Iterator[None]:
+    try:
+        yield
     except OSError as error:
         raise DatasetError(f"{target}: cannot be written: {error.strerror}") from error
-    return target
 
 
 def _recording(source: Path, dataset: xr.Dataset) -> Path | None:
