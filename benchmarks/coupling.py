@@ -18,7 +18,7 @@ import matplotlib.pyplot as plt
 import numba
 import numpy as np
 import xarray as xr
-from scipy.ndimage import binary_erosion
+from scipy.ndimage import binary_dilation, binary_erosion, maximum_filter, minimum_filter
 
 from fringedic.chain import (
     CouplingParameters,
@@ -44,6 +44,7 @@ SEED = 4021
 PITCH = 10.0
 SPACING = 4
 STRAIN_WINDOW = 85
+FIGURES, TIMES = "<!-- figures -->\n", "Best times [ms]"
 FRINGE, PIXEL = 0.002, 0.0026  # noise of phase and displacement of such frames
 Row = tuple[str, float, float | None]
 
@@ -71,9 +72,8 @@ class Rendered:
         return displacement_dataset(self.displacement[1], self.sigma[1], SPACING, (0, 0), DicParameters().window)
 
 
-def render(specimen: str) -> Rendered:
+def render(twin: VirtualRig) -> Rendered:
     """Expose, demodulate and correlate two steps."""
-    twin = VirtualRig.from_preset(specimen, seed=SEED)
     rig = RigModel(**twin.optics())
     sequence = fringe_sequence(rig.projector_width, rig.projector_height, [800, 160, 40, PITCH], [4, 4, 4, 8])
     position = 0.2 * twin.maximum_position
@@ -100,6 +100,13 @@ def render(specimen: str) -> Rendered:
     )
 
 
+def strains(rendered: Rendered, cloud: xr.Dataset, window: int = STRAIN_WINDOW) -> tuple[xr.Dataset, xr.Dataset]:
+    """Return the measured strain, and that of the exact fields over the same windows."""
+    measured = np.isfinite(cloud.w.values)
+    exact = {name: (("row", "column"), np.where(measured, rendered.truth[name].values, np.nan)) for name in "xyzuvw"}
+    return surface_strain(cloud, window=window), surface_strain(xr.Dataset(exact, cloud.coords), window=window)
+
+
 def twin_rows(rendered: Rendered, maps: dict[str, np.ndarray]) -> list[Row]:
     """Errors of what is measured in rendered frames, 48 px away from the edges of what both images see."""
     truth = rendered.truth
@@ -119,12 +126,7 @@ def twin_rows(rendered: Rendered, maps: dict[str, np.ndarray]) -> list[Row]:
             rows.append((f"{name}, {words}: z-score (.9 to 1.1)", float(np.nanstd(error / sigma.values)), None))
             if z_filter:
                 maps[f"error of {name} [µm]"] = 1e6 * error
-    measured = np.isfinite(cloud.w.values)
-    exact = xr.Dataset(
-        {name: (("row", "column"), np.where(measured, truth[name].values, np.nan)) for name in "xyzuvw"},
-        cloud.coords,
-    )
-    found, true = (surface_strain(each, window=STRAIN_WINDOW) for each in (cloud, exact))
+    found, true = strains(rendered, cloud)
     for name, target in (("e_11", 40), ("e_12", 20), ("e_22", 28)):
         error = np.where(inner, found[name].values - true[name].values, np.nan)
         rows.append((f"{name} over {STRAIN_WINDOW} px, filtered: RMS error [µstrain]", 1e6 * rms(error), target))
@@ -139,6 +141,35 @@ def twin_rows(rendered: Rendered, maps: dict[str, np.ndarray]) -> list[Row]:
         score = float(np.nanstd(error / in_plane[f"sigma_{axis}"].values))
         rows.append((f"displacement_{axis} that it rests on: RMS error [px]", rms(error), None))
         rows.append((f"displacement_{axis}: z-score", score, None))
+    return rows
+
+
+def score_rows() -> list[Row]:
+    """Z-scores on other surfaces, and what moves them away from 1: light on turning flanks, pixels across steps."""
+    skin, stepped = (VirtualRig.from_preset(name, seed=SEED) for name in ("skin", "stepped"))
+    smooth = skin.with_specimen({**skin.configuration.specimen.model_dump(), "relief_um": 0.0})
+    rows: list[Row] = []
+    for words, twin in (("skin", skin), ("skin without relief", smooth), ("stepped plate", stepped)):
+        rendered = render(twin)
+        truth, in_plane = rendered.truth, rendered.in_plane()
+        cloud = couple(*rendered.shapes(), in_plane, calibration=rendered.rig, z_filter=2.0)
+        found, true = strains(rendered, cloud)
+        scores = {
+            f"displacement_{axis}": (in_plane[f"displacement_{axis}"], truth, in_plane[f"sigma_{axis}"])
+            for axis in "xy"
+        }
+        scores |= {name: (cloud[name], truth, cloud[f"sigma_{name}"]) for name in "uvw"}
+        scores |= {name: (found[name], true, found[f"sigma_{name}"]) for name in ("e_11", "e_12", "e_22")}
+        inner = binary_erosion((truth.valid & truth.lit).values, iterations=48 // SPACING)
+        parts = {words: inner}
+        if twin is stepped:
+            height = truth.z.values
+            jumps = maximum_filter(height, 3) - minimum_filter(height, 3) > SPACING * rendered.rig.pixel_size
+            parts |= {f"{words}, 8 px and more from a step": inner & ~binary_dilation(jumps)}
+        for part, where in parts.items():
+            for name, (value, exact, sigma) in scores.items():
+                score = (value.values - exact[name].values) / sigma.values
+                rows.append((f"{part}, {name}: z-score", float(np.nanstd(score[where])), None))
     return rows
 
 
@@ -294,17 +325,12 @@ def window_figure(rendered: Rendered, path: Path) -> None:
     """Noise of the strain, measured and predicted, over the virtual strain gauge."""
     truth = rendered.truth
     cloud = couple(*rendered.shapes(), rendered.in_plane(), z_filter=2.0)
-    measured = np.isfinite(cloud.w.values)
-    exact = xr.Dataset(
-        {name: (("row", "column"), np.where(measured, truth[name].values, np.nan)) for name in "xyzuvw"},
-        cloud.coords,
-    )
     figure, axes = plt.subplots(figsize=(6, 4), layout="constrained")
     windows = (21, 29, 41, 61, 85, 121)
     for colour, name in zip(("C0", "C1", "C2"), ("e_11", "e_22", "e_12"), strict=True):
         errors, sigmas, lengths = [], [], []
         for window in windows:
-            found, true = (surface_strain(each, window=window) for each in (cloud, exact))
+            found, true = strains(rendered, cloud, window)
             inner = binary_erosion((truth.valid & truth.lit).values, iterations=(32 + window // 2) // SPACING)
             errors.append(1e6 * rms(np.where(inner, (found[name] - true[name]).values, np.nan)))
             sigmas.append(1e6 * rms(found[f"sigma_{name}"].where(inner).values))
@@ -312,6 +338,9 @@ def window_figure(rendered: Rendered, path: Path) -> None:
         axes.loglog(lengths, errors, "o", color=colour, label=f"{name}, RMS error")
         axes.loglog(lengths, sigmas, "-", color=colour, label=f"{name}, predicted sigma")
     axes.set(xlabel="virtual strain gauge [px]", ylabel="noise of the strain [µstrain]")
+    ticks = [50, 60, 80, 100, 120, 150]
+    axes.set_xticks(ticks, labels=[str(tick) for tick in ticks])
+    axes.set_xticks([], minor=True)
     axes.grid(True, which="both", alpha=0.3)
     axes.legend(ncols=2, fontsize=8)
     figure.savefig(path, dpi=110)
@@ -326,6 +355,8 @@ def error_figure(maps: dict[str, np.ndarray], path: Path) -> None:
         shown = each.imshow(values, cmap="RdBu_r", vmin=-limit, vmax=limit, extent=(0, 1280, 960, 0))
         each.set_title(name, fontsize=9)
         each.tick_params(labelsize=7)
+        each.set_xlabel("column [px]", fontsize=7)
+        each.set_ylabel("row [px]", fontsize=7)
         figure.colorbar(shown, ax=each, shrink=0.8)
     figure.savefig(path, dpi=100)
     plt.close(figure)
@@ -338,28 +369,42 @@ def shown(title: str, rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
+def between(text: str, begin: str, end: str, new: str) -> str:
+    """Return a text with something new from one mark to another."""
+    before, mark, rest = text.partition(begin)
+    _, stop, after = rest.partition(end)
+    if not (mark and stop):
+        raise SystemExit(f"the page has no '{begin.strip()}' before '{end}'")
+    return f"{before}{new}{stop}{after}"
+
+
 def main() -> None:
     """Measure and print the tables, and write the page when asked to."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--page", type=Path, help="Markdown page to write the figures into, between its marks")
-    page = parser.parse_args().page
-    rendered, maps = render("plate"), dict[str, np.ndarray]()
-    tables = {
-        "Rendered frames of a plate": twin_rows(rendered, maps),
-        "Exact surfaces with white noise of .002 fringe and .0026 px": exact_rows(rendered),
-        "Twenty increments to 10 %": increment_rows(),
-    }
+    parser.add_argument("--times", action="store_true", help="measure the times alone, and write them alone")
+    options = parser.parse_args()
+    rendered, maps = render(VirtualRig.from_preset("plate", seed=SEED)), dict[str, np.ndarray]()
+    tables = {}
+    if not options.times:
+        tables = {
+            "Rendered frames of a plate": twin_rows(rendered, maps),
+            "Other surfaces: where scores are not 1": score_rows(),
+            "Exact surfaces with white noise of .002 fringe and .0026 px": exact_rows(rendered),
+            "Twenty increments to 10 %": increment_rows(),
+        }
     load = os.getloadavg()[0]  # of other programs: these figures alone depend on it
-    times = f"Best times [ms], 1280x960, {numba.get_num_threads()} threads, load average before {load:.0f}"
+    times = f"{TIMES}, 1280x960, {numba.get_num_threads()} threads, load average before {load:.0f}"
     tables[times] = time_rows(rendered)
     text = "\n\n".join(shown(title, rows) for title, rows in tables.items())
     print(text)
-    if page is not None:
-        before, mark, rest = page.read_text(encoding="utf-8").partition("<!-- figures -->\n")
-        _, end, after = rest.partition("<!-- end of figures -->")
-        page.write_text(f"{before}{mark}\n{text}\n\n{end}{after}", encoding="utf-8")
-        error_figure(maps, page.with_name("coupling_errors.png"))
-        window_figure(rendered, page.with_name("coupling_strain.png"))
+    if options.page is not None:
+        page = options.page.read_text(encoding="utf-8")
+        begin, new = (f"### {TIMES}", text) if options.times else (FIGURES, f"{FIGURES}\n{text}")
+        options.page.write_text(between(page, begin, "<!-- end of figures -->", f"{new}\n\n"), encoding="utf-8")
+    if options.page is not None and not options.times:
+        error_figure(maps, options.page.with_name("coupling_errors.png"))
+        window_figure(rendered, options.page.with_name("coupling_strain.png"))
 
 
 if __name__ == "__main__":
