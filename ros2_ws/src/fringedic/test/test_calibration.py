@@ -359,6 +359,18 @@ def test_wrong_signs_are_recognised(misaligned: tuple[Bench, list[np.ndarray]]) 
         bench.calibrate(lifted, None, heights=-heights)
 
 
+def test_wrong_units_are_recognised(misaligned: tuple[Bench, list[np.ndarray]]) -> None:
+    """Phases do not tell the size of a rig: one in millimetre fits as well."""
+    bench, phases = misaligned
+    known = {"pitch": PITCH, "projector_size": (800, 600)}
+    for pixel_size in (0.4, 400.0, 1e-8):
+        with pytest.raises(InvalidCalibrationError, match=r"camera would stand .* given in metre"):
+            calibrate_rig(phases, ANGLES, pixel_size, **known)
+    heights = np.array([-10e-3, -5e-3, 0.0, 5e-3, 10e-3])
+    with pytest.raises(CalibrationAnglesError, match="heights are too large; are they in metre"):
+        bench.calibrate([bench.plane(0.0, height) for height in heights], None, heights=1e3 * heights)
+
+
 def test_wrong_pitch_leaves_the_projector(misaligned: tuple[Bench, list[np.ndarray]]) -> None:
     bench, phases = misaligned
     with pytest.raises(CalibrationPhaseError, match="the pitch of 40 px"):

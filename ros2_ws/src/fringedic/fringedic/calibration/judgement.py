@@ -16,13 +16,14 @@ from fringedic.calibration.planes import PlaneBlocks
 from fringedic.calibration.result import Candidate, Parameter, PlaneResult, RigCalibration
 from fringedic.calibration.suspects import unusual_ripple
 from fringedic.camera.plane_view import PlaneView
-from fringedic.errors import CalibrationAnglesError
+from fringedic.errors import CalibrationAnglesError, InvalidCalibrationError
 from fringedic.rig import RigModel
 from fringedic.rig_uncertainty import PARAMETERS, parameter_values, position_errors
 
 GOOD = 1.0  # systematic residual in units of the noise of one pixel, up to which it is hidden by noise
 USABLE = 3.0  # and up to which the calibration can still be used, with a warning
 WIDEST_FIELD = 2.0  # width of the field in units of the camera's distance; wider means wrong angles
+NEAREST, FARTHEST = 0.01, 50.0  # [m] of the camera from the plane; beyond these the scale is wrong
 _STEP = 1e-5
 _RIPPLE = 2e-3 * 2 * math.pi  # [rad]
 _NEGLIGIBLE_RIPPLE = 5.0  # times its own noise
@@ -52,6 +53,21 @@ _TITLES: dict[str, tuple[str, str, float]] = {
 }
 
 
+def _check_size(camera: Camera, distance: float, turned: bool) -> None:
+    """Refuse a rig of a size that no rig has: phases do not tell it, and would fit as well."""
+    width = camera.pixel_size * max(camera.width / camera.pixel_aspect, camera.height)
+    if width > WIDEST_FIELD * distance:
+        wrong = "angles are too large; are they in radian?" if turned else "heights are too large; are they in metre?"
+        raise CalibrationAnglesError(
+            f"the camera would stand {1e3 * distance:.3g} mm from a field of {1e3 * width:.3g} mm: the {wrong}"
+        )
+    if not NEAREST < distance < FARTHEST:
+        raise InvalidCalibrationError(
+            f"the camera would stand {distance:.3g} m from a field of {width:.3g} m: are the grid's pitch, the pixel "
+            "size and heights given in metre and angles in radian (in files: millimetre, degree)?"
+        )
+
+
 def judge(
     *,
     camera: Camera,
@@ -74,15 +90,12 @@ def judge(
     Raises
     ------
     CalibrationAnglesError
-        When the rig would look at a field wider than any lens sees: angles of the wrong unit.
+        When the rig would look at a field wider than any lens sees: angles or heights of the wrong unit.
+    InvalidCalibrationError
+        When the camera would stand nearer or farther than that of any rig: lengths of the wrong unit.
     """
     solution = trials[best]
-    width = camera.pixel_size * max(camera.width / camera.pixel_aspect, camera.height)
-    if width > WIDEST_FIELD * solution.values["camera_distance"]:
-        raise CalibrationAnglesError(
-            f"the camera would stand {1e3 * solution.values['camera_distance']:.3g} mm from a field of "
-            f"{1e3 * width:.3g} mm: the angles are too large; are they in radian?"
-        )
+    _check_size(camera, solution.values["camera_distance"], bool(np.any(placement.angles)))
     model = _with_covariance(camera, solution, identifier, source)
     planes, maps = [], []
     for i, plane in enumerate(blocks):
