@@ -41,6 +41,10 @@ class CalibrationMissingError(StepError, LookupError):
     """A step needs the rig's calibration and none has been given."""
 
 
+class CalibrationMismatchError(FringedicError, ValueError):
+    """A shape was made with another calibration than the one it is used with."""
+
+
 class CalibrationPhaseError(FringedicError, ValueError):
     """The phase maps of calibration planes cannot be those of a plane in front of this rig."""
 

@@ -191,7 +191,8 @@ class RigModel:
             of the phase and the covariance of the calibration, |dX/dphi|^2 sigma_phi^2 + J Sigma_p J^T; ``noise_z``
             [m], the part of sigma_z that is the phase's noise; ``dz_dphi`` along the line of sight [m/rad]. All have
             the phase's float type and are NaN where the phase is NaN. The attributes ``camera_distance`` [m] and
-            ``ray_matrix`` (row-major) tell the lines of sight of ideal pixels. Errors of the calibration are nearly the
+            ``ray_matrix`` (row-major) tell the lines of sight of ideal pixels, ``calibration_identifier`` whose they
+            are. Errors of the calibration are nearly the
             same for neighbouring pixels; for displacements see `fringedic.rig_uncertainty.displacement_variance`.
 
         Raises
@@ -243,7 +244,11 @@ class RigModel:
                 for (name, unit), values in zip(units.items(), result, strict=True)
             },
             coords={"row": row, "column": column},
-            attrs={"camera_distance": self.camera_distance, "ray_matrix": ray_matrix.ravel().tolist()},
+            attrs={
+                "camera_distance": self.camera_distance,
+                "ray_matrix": ray_matrix.ravel().tolist(),
+                "calibration_identifier": self.identifier,
+            },
         )
 
     def paper_model(self, pitch: float) -> PaperModel:

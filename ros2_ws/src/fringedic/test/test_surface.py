@@ -1,5 +1,7 @@
 """Coupling on exact cases: perspective, noise, holes and tears; strain on rigid motions, stretch and shear."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -17,7 +19,7 @@ from surface_case import (
     seen_point,
 )
 
-from fringedic.errors import InvalidWindowError, RaysMissingError, ShapeMismatchError
+from fringedic.errors import CalibrationMismatchError, InvalidWindowError, RaysMissingError, ShapeMismatchError
 from fringedic.patterns import fringe_sequence
 from fringedic.phase import absolute_phase
 from fringedic.rig import RigModel
@@ -244,6 +246,17 @@ def test_calibration_replaces_the_attributes(case: Case) -> None:
     with pytest.raises(RaysMissingError, match="calibration"):
         couple(shape, bare, displacement)
     xr.testing.assert_equal(couple(shape, bare, displacement, calibration=RIG), expected)
+
+
+def test_shapes_of_another_calibration_are_refused(case: Case) -> None:
+    shape, after, displacement = case.measured(0, 0)
+    with pytest.raises(CalibrationMismatchError, match=r"reference shape and deformed shape.*camera at"):
+        couple(shape, after.assign_attrs(camera_distance=1.01 * RIG.camera_distance), displacement)
+    named = [each.assign_attrs(calibration_identifier=name) for each, name in ((shape, "May"), (after, "June"))]
+    with pytest.raises(CalibrationMismatchError, match="'May' .* and 'June'"):
+        couple(*named, displacement)
+    with pytest.raises(CalibrationMismatchError, match="given"):
+        couple(shape, after, displacement, calibration=replace(RIG, camera_distance=0.9 * RIG.camera_distance))
 
 
 def test_result_does_not_depend_on_the_number_of_threads(case: Case) -> None:

@@ -12,7 +12,7 @@ from fringedic.errors import InvalidWindowError, ShapeMismatchError
 from fringedic.rig import RigModel, pixel_positions
 from fringedic.sequence import Orientation
 from fringedic.surface.calibration_error import calibration_covariance
-from fringedic.surface.prepared import PreparedShape, gaussian
+from fringedic.surface.prepared import PreparedShape, gaussian, require_one_calibration
 
 _GAIN_STEPS = 64  # of a pixel, in which the noise of interpolated values is tabulated
 
@@ -83,6 +83,8 @@ def couple(
 
     Raises
     ------
+    CalibrationMismatchError
+        When the shapes were made with different calibrations, or with another one than that which is given.
     RaysMissingError
         When neither a calibration nor the attributes tell the camera's distance.
     ShapeMismatchError
@@ -104,6 +106,11 @@ def couple(
             f"reference shape of {before.z.shape} and deformed shape of {after.z.shape} points do not cover the same "
             "pixels"
         )
+    require_one_calibration(
+        "reference shape and deformed shape",
+        (before.calibration_identifier, after.calibration_identifier),
+        (before.camera_distance, after.camera_distance),
+    )
     d_x, d_y, sigma_x, sigma_y = (
         np.ascontiguousarray(displacement[name], np.float32)
         for name in ("displacement_x", "displacement_y", "sigma_x", "sigma_y")

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from numba import njit, prange
 
-from fringedic.errors import InvalidWindowError, RaysMissingError, ShapeMismatchError
+from fringedic.errors import CalibrationMismatchError, InvalidWindowError, RaysMissingError, ShapeMismatchError
 from fringedic.rig import RigModel, pixel_positions
 
 JUMP = 6.0  # standard deviations of a third difference beyond which a surface is torn
@@ -40,11 +40,15 @@ class PreparedShape:
         The surface runs on from this pixel to the next one of its row, of its column.
     camera_distance
         h0, height of the camera's pin-hole [m].
+    calibration_identifier
+        Of the calibration that the shape was made with, empty where it is not told.
     z_filter
         Standard deviation of the Gaussian [px].
 
     Raises
     ------
+    CalibrationMismatchError
+        When the shape was made with another calibration than the given one.
     RaysMissingError
         When neither a calibration nor the attributes tell the camera's distance.
     ShapeMismatchError
@@ -57,6 +61,7 @@ class PreparedShape:
         kernel = gaussian(z_filter)
         self.z_filter = z_filter
         self.camera_distance = _camera_distance(shape, calibration)
+        self.calibration_identifier = str(shape.attrs.get("calibration_identifier", ""))
         self.rows, self.columns = pixel_positions(shape, shape["z"].shape)
         z = np.ascontiguousarray(shape["z"], np.float32)
         x, y, sigma = (np.ascontiguousarray(shape[name], np.float32) for name in ("x", "y", "noise_z"))
@@ -83,6 +88,12 @@ class PreparedShape:
 
 def _camera_distance(shape: xr.Dataset, calibration: RigModel | None) -> float:
     if calibration is not None:
+        identifiers = (str(shape.attrs.get("calibration_identifier", "")), calibration.identifier)
+        distances = (
+            float(shape.attrs.get("camera_distance", calibration.camera_distance)),
+            calibration.camera_distance,
+        )
+        require_one_calibration("a shape and what is given with it", identifiers, distances)
         return calibration.camera_distance
     try:
         return float(shape.attrs["camera_distance"])
@@ -90,6 +101,17 @@ def _camera_distance(shape: xr.Dataset, calibration: RigModel | None) -> float:
         raise RaysMissingError(
             "the shape has no attribute camera_distance: give the calibration it was made with"
         ) from None
+
+
+def require_one_calibration(whose: str, identifiers: tuple[str, str], distances: tuple[float, float]) -> None:
+    """Raise CalibrationMismatchError when two calibrations differ, as far as they are told."""
+    if (all(identifiers) and identifiers[0] != identifiers[1]) or distances[0] != distances[1]:
+        told = " and ".join(
+            f"'{name}' (camera at {distance:.6g} m)" for name, distance in zip(identifiers, distances, strict=True)
+        )
+        raise CalibrationMismatchError(
+            f"{whose} are of different calibrations, {told}: reconstruct both phases with the same one"
+        )
 
 
 def gaussian(width: float) -> np.ndarray:
