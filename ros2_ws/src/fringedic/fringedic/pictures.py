@@ -18,6 +18,7 @@ import xarray as xr
 
 from fringedic.errors import DatasetError
 from fringedic.results import truth_errors
+from fringedic.results.metadata import metadata_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -89,7 +90,7 @@ def save_pictures(
     """
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
-    files = []
+    files, origin = [], metadata_text(dataset)
     for step in dataset.step.values:
         number = int(step)
         measured = dataset.sel(step=step)
@@ -98,11 +99,11 @@ def save_pictures(
             continue
         panels = SHAPE_AND_DISPLACEMENT if spatial else IN_PLANE
         title = _title(measured, number)
-        files.append(_save(maps_figure(measured, panels, title=title), target / f"step_{number:03d}.png"))
+        files.append(_save(maps_figure(measured, panels, title=title), target / f"step_{number:03d}.png", origin))
         if truth is not None and spatial:
             errors = truth_errors(dataset, truth, number).assign_attrs(dataset.attrs)
             figure = maps_figure(errors, ERRORS, title=f"{title}: measured minus true")
-            files.append(_save(figure, target / f"step_{number:03d}_errors.png"))
+            files.append(_save(figure, target / f"step_{number:03d}_errors.png", origin))
     return files
 
 
@@ -265,6 +266,6 @@ def _title(measured: xr.Dataset, step: int) -> str:
     return ", ".join(words)
 
 
-def _save(figure: Figure, file: Path) -> Path:
-    figure.savefig(file)
+def _save(figure: Figure, file: Path, origin: str) -> Path:
+    figure.savefig(file, metadata={"Description": origin})
     return file

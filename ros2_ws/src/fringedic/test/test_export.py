@@ -11,6 +11,7 @@ import pyvista
 import scipy.io
 import tifffile
 import xarray as xr
+from PIL import Image
 
 from fringedic.chain import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.errors import ExportError
@@ -218,6 +219,10 @@ def test_tiff_maps_are_32_bit_in_the_unit_of_their_name(dataset, exported):
 
 def test_pictures_are_written(exported):
     assert {path.name for path in exported["png"].path.iterdir()} >= {"step_002.png", "step_003.png"}
+    with Image.open(exported["png"].path / "step_002.png") as picture:
+        check_metadata(json.loads(picture.info["Description"]))
+    with Image.open(exported["gif"].path / "w.gif") as picture:
+        check_metadata(json.loads(picture.info["comment"]))
 
 
 def test_r3xa_says_what_is_known_and_nothing_else(exported):

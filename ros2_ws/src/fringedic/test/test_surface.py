@@ -253,7 +253,7 @@ def test_shapes_of_another_calibration_are_refused(case: Case) -> None:
     with pytest.raises(CalibrationMismatchError, match=r"reference shape and deformed shape.*camera at"):
         couple(shape, after.assign_attrs(camera_distance=1.01 * RIG.camera_distance), displacement)
     named = [each.assign_attrs(calibration_identifier=name) for each, name in ((shape, "May"), (after, "June"))]
-    with pytest.raises(CalibrationMismatchError, match="'May' .* and 'June'"):
+    with pytest.raises(CalibrationMismatchError, match=r"'May' .* and 'June'"):
         couple(*named, displacement)
     with pytest.raises(CalibrationMismatchError, match="given"):
         couple(shape, after, displacement, calibration=replace(RIG, camera_distance=0.9 * RIG.camera_distance))

@@ -13,9 +13,9 @@ import xarray as xr
 
 from fringedic.errors import DatasetError, ExportError
 from fringedic.export import r3xa, surfaces, tables
-from fringedic.export.metadata import experiment_name
 from fringedic.pictures import ANIMATED, save_pictures
 from fringedic.report.animation import save_animation
+from fringedic.results.metadata import experiment_name
 
 
 class _Format(NamedTuple):

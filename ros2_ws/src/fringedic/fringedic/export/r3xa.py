@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from fringedic.export.metadata import experiment_name, metadata, seconds
+from fringedic.results.metadata import experiment_name, metadata, seconds
 
 VERSION = "2024.7.1"
 

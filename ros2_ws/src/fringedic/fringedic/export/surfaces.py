@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
@@ -11,7 +11,7 @@ import pyvista
 import xarray as xr
 
 from fringedic.errors import ExportError
-from fringedic.export.metadata import experiment_name, map_names, metadata_text, seconds, step_numbers
+from fringedic.results.metadata import experiment_name, map_names, metadata_text, seconds, step_numbers
 from fringedic.results.quantities import people_unit
 
 MILLI = 1e-3
@@ -51,6 +51,28 @@ def measured_surface(step: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     return valid, np.stack([corner[whole] for corner in corners], axis=-1)
 
 
+def _surfaces(dataset: xr.Dataset, skipped: list[str]) -> Iterator[tuple[xr.Dataset, np.ndarray, np.ndarray]]:
+    """Iterate over steps with a surface, their `measured_surface`; the others are named in `skipped`."""
+    for number in dataset["step"].values:
+        step = dataset.sel(step=number)
+        try:
+            surface = measured_surface(step)
+        except ExportError as error:
+            skipped.append(str(error))
+            continue
+        yield step, *surface
+    if len(skipped) == dataset.sizes["step"]:
+        raise ExportError("no step has a surface to export")
+
+
+def _maps(step: xr.Dataset, names: Iterable[str], valid: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the measured values of maps, named with their unit."""
+    units = {name: people_unit(name, step[name].attrs.get("units", "")) for name in names}
+    return {
+        f"{name}_{unit.identifier}": _float32(step[name].values[valid], unit.factor) for name, unit in units.items()
+    }
+
+
 def write_vtk(dataset: xr.Dataset, folder: Path) -> list[str]:
     """Write one ``.vtp`` per step and a ``.pvd`` that gives them their times.
 
@@ -67,15 +89,13 @@ def write_vtk(dataset: xr.Dataset, folder: Path) -> list[str]:
         No step has a surface.
     """
     folder.mkdir(parents=True)
-    entries, skipped = [], []
+    entries: list[str] = []
+    skipped: list[str] = []
     text = metadata_text(dataset)
-    for index, time in enumerate(seconds(dataset)):
-        step = dataset.isel(step=index)
-        try:
-            valid, quads = measured_surface(step)
-        except ExportError as error:
-            skipped.append(str(error))
-            continue
+    times = dict(zip(dataset["step"].values.tolist(), seconds(dataset), strict=True))
+    names = [name for name in map_names(dataset) if name not in _NEEDED and not name.startswith("shape_")]
+    for step, valid, quads in _surfaces(dataset, skipped):
+        time = times[int(step.step)]
         points = np.stack([step[name].values[valid] for name in "xyz"], axis=-1) / MILLI
         faces = np.hstack([np.full((len(quads), 1), 4, quads.dtype), quads])
         mesh = pyvista.PolyData(points.astype(np.float32), faces=faces.ravel() if len(quads) else None)
@@ -83,10 +103,8 @@ def write_vtk(dataset: xr.Dataset, folder: Path) -> list[str]:
             if all(component in step for component in components):
                 vectors = np.stack([step[component].values[valid] for component in components], axis=-1) / MILLI
                 mesh.point_data[name] = vectors.astype(np.float32)
-        for name in map_names(dataset):
-            unit = people_unit(name, step[name].attrs.get("units", ""))
-            if name not in _NEEDED and not name.startswith("shape_"):
-                mesh.point_data[f"{name}_{unit.identifier}"] = _float32(step[name].values[valid], unit.factor)
+        for name, values in _maps(step, names, valid).items():
+            mesh.point_data[name] = values
         mesh.field_data["metadata"] = [text]
         mesh.field_data["TimeValue"] = np.array([time])
         for name, value in step_numbers(step).items():
@@ -94,8 +112,6 @@ def write_vtk(dataset: xr.Dataset, folder: Path) -> list[str]:
         name = f"step_{int(step.step):03d}.vtp"
         mesh.save(folder / name)
         entries.append(f'    <DataSet timestep="{time:.9g}" part="0" file={quoteattr(name)}/>')
-    if not entries:
-        raise ExportError("no step has a surface that VTK could show")
     lines = [
         '<?xml version="1.0"?>',
         '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">',
@@ -122,27 +138,17 @@ def write_ply(dataset: xr.Dataset, folder: Path) -> list[str]:
         No step has a surface.
     """
     folder.mkdir(parents=True)
-    skipped = []
+    skipped: list[str] = []
     text = metadata_text(dataset)
     names = [name for name in map_names(dataset) if not name.startswith("shape_") and name not in "xyz"]
-    for number in dataset["step"].values:
-        step = dataset.sel(step=number)
-        try:
-            valid, quads = measured_surface(step)
-        except ExportError as error:
-            skipped.append(str(error))
-            continue
+    for step, valid, quads in _surfaces(dataset, skipped):
         columns = {
             axis: _float32(step[axis].values[valid] + step[moved].values[valid], MILLI)
             for axis, moved in zip("xyz", "uvw", strict=True)
         }
-        for name in names:
-            unit = people_unit(name, step[name].attrs.get("units", ""))
-            columns[f"{name}_{unit.identifier}"] = _float32(step[name].values[valid], unit.factor)
+        columns |= _maps(step, names, valid)
         comments = ["units mm", *(f"{name} {value}" for name, value in step_numbers(step).items()), f"metadata {text}"]
-        _save_ply(folder / f"step_{int(number):03d}.ply", columns, quads, comments)
-    if len(skipped) == dataset.sizes["step"]:
-        raise ExportError("no step has a surface that PLY could hold")
+        _save_ply(folder / f"step_{int(step.step):03d}.ply", columns, quads, comments)
     return skipped
 
 

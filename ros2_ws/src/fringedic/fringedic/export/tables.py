@@ -13,8 +13,8 @@ import tifffile
 import xarray as xr
 
 from fringedic.errors import ExportError
-from fringedic.export.metadata import MAP_DIMENSIONS, map_names, metadata, metadata_text, seconds, step_numbers
-from fringedic.results.quantities import STEP_NUMBERS, people_unit
+from fringedic.results.metadata import map_names, metadata, metadata_text, seconds, step_numbers
+from fringedic.results.quantities import MAP_DIMENSIONS, STEP_NUMBERS, people_unit
 
 MATLAB_LIMIT = 2**31 - 1  # bytes of one variable in a MATLAB 5 file
 _LIGHT = ("modulation", "texture")  # known of every pixel, measured or not

@@ -15,6 +15,7 @@ from PIL import Image
 
 from fringedic.errors import DatasetError
 from fringedic.pictures import Panel, map_figure, redraw_map
+from fringedic.results.metadata import metadata_text
 
 FRAMES = 60  # of longer experiments every n-th step is shown
 FRAME_MS, LAST_FRAME_MS = 250, 1500
@@ -61,7 +62,15 @@ def animation(dataset: xr.Dataset, panel: Panel) -> bytes:
         frames.append(picture.quantize(palette=palette, dither=Image.Dither.NONE))
     stream = io.BytesIO()
     durations = [FRAME_MS] * (len(frames) - 1) + [LAST_FRAME_MS]
-    frames[0].save(stream, format="GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0)
+    frames[0].save(
+        stream,
+        format="GIF",
+        save_all=True,
+        append_images=frames[1:],
+        duration=durations,
+        loop=0,
+        comment=metadata_text(dataset).encode("ascii"),
+    )
     return stream.getvalue()
 
 

@@ -9,7 +9,8 @@ import xarray as xr
 
 from fringedic.errors import DatasetError, MissingTopicError
 from fringedic.results.netcdf import open_netcdf
-from fringedic.results.stores import MAP_DIMENSIONS, SUFFIXES, dataset_path
+from fringedic.results.quantities import MAP_DIMENSIONS
+from fringedic.results.stores import SUFFIXES, dataset_path
 
 _OF_A_RUN = ("results.nc", "results.zarr")
 

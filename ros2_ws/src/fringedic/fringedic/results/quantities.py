@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+MAP_DIMENSIONS = ("step", "row", "column")
+
 
 class Quantity(NamedTuple):
     """Unit and meaning of one map."""

@@ -10,7 +10,7 @@ import shutil
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import h5netcdf
 import h5py  # type: ignore[import-untyped]
@@ -18,24 +18,26 @@ import numpy as np
 import zarr
 
 from fringedic.errors import DatasetError
+from fringedic.results.quantities import MAP_DIMENSIONS
 
 SUFFIXES = (".nc", ".zarr")
-MAP_DIMENSIONS = ("step", "row", "column")
 TEXT = "text"
+
+
+class Variable(NamedTuple):
+    """What a store has to know of a variable; `dtype` is NumPy's or ``text``."""
+
+    name: str
+    dimensions: tuple[str, ...]
+    dtype: str
+    attributes: Mapping[str, str]
 
 
 class Store(Protocol):
     """A dataset in the making."""
 
-    def add_variable(
-        self,
-        name: str,
-        dimensions: tuple[str, ...],
-        dtype: str,
-        attributes: Mapping[str, str],
-        sizes: Mapping[str, int],
-    ) -> None:
-        """Make a variable; `dtype` is NumPy's or ``text``, `sizes` that of each dimension now (step may grow)."""
+    def add_variable(self, variable: Variable, sizes: Mapping[str, int]) -> None:
+        """Make a variable; `sizes` is that of each dimension now (step may grow)."""
 
     def grow(self, steps: int) -> None:
         """Make room for as many steps."""
@@ -105,24 +107,17 @@ class NetcdfStore:
         self._file: Any = h5netcdf.File(_temporary(target), "w")
         self._file.dimensions = {"step": None}
 
-    def add_variable(
-        self,
-        name: str,
-        dimensions: tuple[str, ...],
-        dtype: str,
-        attributes: Mapping[str, str],
-        sizes: Mapping[str, int],
-    ) -> None:
-        for dimension in dimensions:
+    def add_variable(self, variable: Variable, sizes: Mapping[str, int]) -> None:
+        for dimension in variable.dimensions:
             if dimension not in self._file.dimensions:
                 self._file.dimensions[dimension] = sizes[dimension]
         options: dict[str, Any] = {}
-        if dimensions == MAP_DIMENSIONS:
+        if variable.dimensions == MAP_DIMENSIONS:
             options = {"chunks": (1, sizes["row"], sizes["column"]), "fillvalue": np.float32(np.nan)}
-        kind = h5py.string_dtype() if dtype == TEXT else dtype
-        variable = self._file.create_variable(name, dimensions, kind, **options)
-        for key, value in attributes.items():
-            variable.attrs[key] = value
+        kind = h5py.string_dtype() if variable.dtype == TEXT else variable.dtype
+        made = self._file.create_variable(variable.name, variable.dimensions, kind, **options)
+        for key, value in variable.attributes.items():
+            made.attrs[key] = value
 
     def grow(self, steps: int) -> None:
         self._file.resize_dimension("step", steps)
@@ -152,20 +147,14 @@ class ZarrStore:
         self._group = zarr.open_group(_temporary(target), mode="w", zarr_format=2)
         self._growing: list[Any] = []
 
-    def add_variable(
-        self,
-        name: str,
-        dimensions: tuple[str, ...],
-        dtype: str,
-        attributes: Mapping[str, str],
-        sizes: Mapping[str, int],
-    ) -> None:
+    def add_variable(self, variable: Variable, sizes: Mapping[str, int]) -> None:
+        _, dimensions, dtype, attributes = variable
         shape = tuple(sizes[dimension] for dimension in dimensions)
         # one map per chunk; what has one value per step shares a chunk
         chunks = (1, *shape[1:]) if dimensions == MAP_DIMENSIONS else tuple(max(size, 1024) for size in shape)
         fill = np.nan if dtype in ("f4", "f8") else None  # what equals it is read as missing: no number or text may be
         array = self._group.create_array(
-            name, shape=shape, dtype=str if dtype == TEXT else dtype, chunks=chunks, fill_value=fill
+            variable.name, shape=shape, dtype=str if dtype == TEXT else dtype, chunks=chunks, fill_value=fill
         )
         array.attrs.update({"_ARRAY_DIMENSIONS": list(dimensions), **attributes})
         if dimensions[0] == "step":

@@ -12,9 +12,9 @@ import numpy as np
 
 from fringedic.errors import DatasetError
 from fringedic.provenance import git_commit, software
-from fringedic.results.quantities import MAPS, SCALARS, STEP_NUMBERS
+from fringedic.results.quantities import MAP_DIMENSIONS, MAPS, SCALARS, STEP_NUMBERS
 from fringedic.results.rows import Row, Settings
-from fringedic.results.stores import MAP_DIMENSIONS, TEXT, Store, create_store
+from fringedic.results.stores import TEXT, Store, Variable, create_store
 
 
 class DatasetWriter:
@@ -110,7 +110,8 @@ class DatasetWriter:
         sizes: Mapping[str, int] | None = None,
     ) -> None:
         attributes = {"long_name": long_name} | ({"units": units} if units else {})
-        self._store.add_variable(name, dimensions, dtype, attributes, {"step": self._count, **(sizes or {})})
+        variable = Variable(name, dimensions, dtype, attributes)
+        self._store.add_variable(variable, {"step": self._count, **(sizes or {})})
 
     def _describe(self, step: int, settings: Settings) -> None:
         """Note parameters and calibration in the attributes, with the step from which on they hold."""

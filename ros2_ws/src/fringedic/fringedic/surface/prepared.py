@@ -89,12 +89,10 @@ class PreparedShape:
 def _camera_distance(shape: xr.Dataset, calibration: RigModel | None) -> float:
     if calibration is not None:
         identifiers = (str(shape.attrs.get("calibration_identifier", "")), calibration.identifier)
-        distances = (
-            float(shape.attrs.get("camera_distance", calibration.camera_distance)),
-            calibration.camera_distance,
-        )
+        h0 = calibration.camera_distance
+        distances = (float(shape.attrs.get("camera_distance", h0)), h0)
         require_one_calibration("a shape and what is given with it", identifiers, distances)
-        return calibration.camera_distance
+        return h0
     try:
         return float(shape.attrs["camera_distance"])
     except KeyError:

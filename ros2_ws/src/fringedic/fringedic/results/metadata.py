@@ -1,4 +1,4 @@
-"""What every exported file tells about its origin."""
+"""What every exported file and picture tells about its origin."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import numpy as np
 import xarray as xr
 
 from fringedic.provenance import git_commit, software
-from fringedic.results.quantities import STEP_NUMBERS
+from fringedic.results.quantities import MAP_DIMENSIONS, STEP_NUMBERS
 
 _JSON_ATTRIBUTES = ("calibration", "parameters", "rig", "facts")
-MAP_DIMENSIONS = ("step", "row", "column")
 
 
 def metadata(dataset: xr.Dataset) -> dict[str, Any]:
