@@ -9,38 +9,30 @@ from __future__ import annotations
 import argparse
 import shutil
 import statistics
-import subprocess
 import tempfile
-import time
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
 from ament_index_python.packages import get_package_share_directory
-from lifecycle_msgs.msg import Transition
 from mcap.reader import make_reader
 from rich.console import Console
 from rich.table import Table
-from system import SIZE, WANTED_HZ, Probe, figures, machine, usage
+from system import RATE_HZ, SIZE, WANTED_HZ, figures, free_run, machine, noise_images
 
+from camera_node.testing import FakeCamera
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.graph import Graph, NodeEntry, rig_graph
 from fringedic_bringup.processes import RunningGraph, private_domain
 from fringedic_bringup.run import load_rig
 
-RATE_HZ = 31.0
 LOAD_HZ = 1000.0
 LOAD_TOPICS = ("load_frame/state", "load_frame/wrench", "load_frame/joint_states")
 STEP_FRAMES = 20
 STEP_HZ = 30.0
 STEP_S = 1.0
 STEPS = 6
-FAKE_CAMERA = ["arv-fake-gv-camera-0.8", "-i", "127.0.0.1"]
-CAMERA_START_S = 5.0
+FAKE_CAMERA = "arv-fake-gv-camera-0.8"
 
 
 def counts(bag: Path) -> dict[str, tuple[int, int]]:
@@ -53,18 +45,6 @@ def counts(bag: Path) -> dict[str, tuple[int, int]]:
     return {topic: (len(each), max(each) - min(each) + 1 - len(each)) for topic, each in seen.items()}
 
 
-@contextmanager
-def fake_camera() -> Iterator[None]:
-    """A GigE Vision camera of the Aravis library on this computer's loopback interface."""
-    process = subprocess.Popen(FAKE_CAMERA, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        time.sleep(CAMERA_START_S)
-        yield
-    finally:
-        process.terminate()
-        process.wait()
-
-
 def stream(seconds: float, folder: Path, camera: dict[str, Any], title: str) -> Table:
     """Images and load samples to the recorder."""
     nodes = (
@@ -72,37 +52,18 @@ def stream(seconds: float, folder: Path, camera: dict[str, Any], title: str) -> 
         NodeEntry("load_frame", "load_frame_node", "load_frame", {"rate_hz": LOAD_HZ}),
         NodeEntry("camera", "camera_node", "camera", camera | {"frame_rate_hz": RATE_HZ, "autostart": False}),
     )
-    graph = Graph("bench", nodes)
-    with (
-        private_domain() as domain,
-        RunningGraph(graph, folder / "logs", domain=domain) as running,
-        RigClient("bench", domain=domain, watch=running.check) as client,
-        closing(Probe(domain, running.check)) as probe,
-    ):
-        probe.camera(Transition.TRANSITION_CONFIGURE)
-        client.wait_until_ready(graph.names)
-        probe.pause(2.0)
-        idle, begin = usage(running), time.monotonic()
-        probe.camera(Transition.TRANSITION_ACTIVATE)
-        probe.pause(seconds)
-        probe.camera(Transition.TRANSITION_DEACTIVATE)
-        duration, busy = time.monotonic() - begin, usage(running)
-        probe.pause(2.0)
-        exposures = list(probe.exposures)
+    run = free_run(nodes, seconds, folder)
     recorded = counts(folder / "bag")
-    first, last = (each.header.stamp.sec + 1e-9 * each.header.stamp.nanosec for each in (exposures[0], exposures[-1]))
-    begun = exposures[-1].index + 1
+    begun = run.begun
     table = figures(title)
-    table.add_row("frames per second", f"{(begun - 1) / (last - first):.2f}", f">= {WANTED_HZ:g}")
-    table.add_row("frames, left out by the camera", f"{begun}, {exposures[-1].dropped}", "0 left out")
+    table.add_row("frames per second", f"{run.rate:.2f}", f">= {WANTED_HZ:g}")
+    table.add_row("frames, left out by the camera", f"{begun}, {run.exposures[-1].dropped}", "0 left out")
     for topic in ("camera/image_raw", "camera/exposure"):
         table.add_row(f"{topic}: recorded, missing", f"{recorded[topic][0]}, {begun - recorded[topic][0]}", "0 missing")
     for topic in LOAD_TOPICS:
         found, missing = recorded[topic]
         table.add_row(f"{topic}: recorded, missing", f"{found}, {missing}", "0 missing")
-    for name, (time_used, peak) in busy.items():
-        share = (time_used - idle[name][0]) / duration
-        table.add_row(f"{name}: share of one core, peak memory", f"{share:.0%}, {peak:.0f} MB", "")
+    run.add_shares(table)
     return table
 
 
@@ -147,21 +108,20 @@ def main() -> None:
     console.print(f"before: {machine()}", highlight=False)
     with tempfile.TemporaryDirectory(prefix="fringedic-bench-") as name:
         folder = Path(name)
-        images = folder / "images"
-        images.mkdir()
-        random = np.random.default_rng(1)
-        for number in range(8):
-            cv2.imwrite(str(images / f"{number}.pgm"), random.integers(0, 256, SIZE, np.uint8))
+        images = noise_images(folder / "images")
         files = {"source": "files", "files": str(images), "repeat": True}
         size = f"{SIZE[1]}x{SIZE[0]}"
         title = f"Images of {size} from files and load samples at {LOAD_HZ:g} Hz for {seconds:g} s, recorded"
         console.print(stream(seconds, folder / "files", files, title))
+        virtual = {"source": "virtual", "virtual_rig": "{preset: plate}"}
+        title = f"Images of {size} of the virtual camera and load samples at {LOAD_HZ:g} Hz, recorded"
+        console.print(stream(seconds, folder / "virtual", virtual, title))
         aravis = {"source": "aravis", "region_px": [0, 0, SIZE[1], SIZE[0]]}
         title = f"Images of {size} of the Aravis fake camera and load samples at {LOAD_HZ:g} Hz, recorded"
-        if shutil.which(FAKE_CAMERA[0]) is None:
-            console.print(f"not measured: {title}; one step. Install {FAKE_CAMERA[0]} (Debian: aravis-tools)")
+        if shutil.which(FAKE_CAMERA) is None:
+            console.print(f"not measured: {title}; one step. Install {FAKE_CAMERA} (Debian: aravis-tools)")
             return
-        with fake_camera():
+        with FakeCamera():
             console.print(stream(seconds, folder / "aravis", aravis, title))
             console.print(one_step(folder / "step", aravis))
     console.print(f"after: {machine()}", highlight=False)

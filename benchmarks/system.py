@@ -14,7 +14,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -124,20 +124,53 @@ class Probe:
             self.drops[status.hardware_id] = int(values["drops"])
 
 
-def stream(seconds: float, folder: Path) -> Table:
-    """Free-running camera to phase node and recorder."""
-    images = folder / "images"
-    images.mkdir(parents=True)
-    random = np.random.default_rng(1)
-    for number in range(8):
-        cv2.imwrite(str(images / f"{number}.pgm"), random.integers(0, 256, SIZE, np.uint8))
-    camera = {"source": "files", "files": str(images), "repeat": True, "frame_rate_hz": RATE_HZ, "autostart": False}
-    bag = folder / "bag"
-    nodes = (
-        NodeEntry("recorder", "experiment_node", "recorder", {"bag_path": str(bag)}),
-        NodeEntry("phase", "phase_node", "phase"),
-        NodeEntry("camera", "camera_node", "camera", camera),
-    )
+@dataclass(frozen=True)
+class Stream:
+    """A free run of the camera.
+
+    Attributes
+    ----------
+    probe
+        What it has heard to the end.
+    exposures
+        Records that the probe heard.
+    duration
+        [s].
+    written
+        Bytes of the recording.
+    shares
+        Share of one core, and largest resident memory [MB], of each node.
+    """
+
+    probe: Probe
+    exposures: list[Exposure]
+    duration: float
+    written: int
+    shares: dict[str, tuple[float, float]]
+
+    @property
+    def begun(self) -> int:
+        """Exposures that were begun, by the index of the last."""
+        return self.exposures[-1].index + 1
+
+    @property
+    def rate(self) -> float:
+        """Frames per second by their stamps."""
+        first, last = (
+            each.header.stamp.sec + 1e-9 * each.header.stamp.nanosec for each in (self.exposures[0], self.exposures[-1])
+        )
+        return (self.begun - 1) / (last - first)
+
+    def add_shares(self, table: Table) -> None:
+        """Add a row for each node."""
+        for name, (share, peak) in self.shares.items():
+            table.add_row(f"{name}: share of one core, peak memory", f"{share:.0%}, {peak:.0f} MB", "")
+
+
+def free_run(
+    nodes: tuple[NodeEntry, ...], seconds: float, folder: Path, then: Callable[[Probe], None] = lambda probe: None
+) -> Stream:
+    """Start nodes, one of them an inactive camera, let it run, do something with the nodes and end them."""
     graph = Graph("bench", nodes)
     with (
         private_domain() as domain,
@@ -152,29 +185,48 @@ def stream(seconds: float, folder: Path) -> Table:
         probe.camera(Transition.TRANSITION_ACTIVATE)
         probe.pause(seconds)
         probe.camera(Transition.TRANSITION_DEACTIVATE)
-        duration = time.monotonic() - begin
-        busy = usage(running)
+        duration, busy = time.monotonic() - begin, usage(running)
         probe.pause(2.0)
-        written = probe.recorder.bytes - written
-        exposures = list(probe.exposures)
-        probe.closing_step()
+        shares = {name: ((used - idle[name][0]) / duration, peak) for name, (used, peak) in busy.items()}
+        run = Stream(probe, list(probe.exposures), duration, probe.recorder.bytes - written, shares)
+        then(probe)
+    return run
+
+
+def noise_images(folder: Path) -> Path:
+    """Write some images of noise, which hardly compress."""
+    folder.mkdir(parents=True)
+    random = np.random.default_rng(1)
+    for number in range(8):
+        cv2.imwrite(str(folder / f"{number}.pgm"), random.integers(0, 256, SIZE, np.uint8))
+    return folder
+
+
+def stream(seconds: float, folder: Path) -> Table:
+    """Free-running camera to phase node and recorder."""
+    images = noise_images(folder / "images")
+    camera = {"source": "files", "files": str(images), "repeat": True, "frame_rate_hz": RATE_HZ, "autostart": False}
+    bag = folder / "bag"
+    nodes = (
+        NodeEntry("recorder", "experiment_node", "recorder", {"bag_path": str(bag)}),
+        NodeEntry("phase", "phase_node", "phase"),
+        NodeEntry("camera", "camera_node", "camera", camera),
+    )
+    run = free_run(nodes, seconds, folder, Probe.closing_step)
     reader = BagReader(bag)
     topics = reader.find("camera/image_raw", "camera/exposure").values()
     recorded = [reader.counts[topic] - CLOSING_FRAMES for topic in topics]
-    begun = exposures[-1].index + 1
-    first, last = (each.header.stamp.sec + 1e-9 * each.header.stamp.nanosec for each in (exposures[0], exposures[-1]))
+    begun = run.begun
     table = figures(f"Frames of {SIZE[1]}x{SIZE[0]} mono8 for {seconds:g} s, camera to phase node and recorder")
     table.add_row("frames", f"{begun}", "")
-    table.add_row("frames per second", f"{(begun - 1) / (last - first):.2f}", f">= {WANTED_HZ:g}")
-    table.add_row("left out by the camera", f"{exposures[-1].dropped}", "0")
-    table.add_row("records missing at the probe", f"{begun - len(exposures)}", "0")
-    table.add_row("lost by the phase node", f"{probe.drops['phase']}", "0")
+    table.add_row("frames per second", f"{run.rate:.2f}", f">= {WANTED_HZ:g}")
+    table.add_row("left out by the camera", f"{run.exposures[-1].dropped}", "0")
+    table.add_row("records missing at the probe", f"{begun - len(run.exposures)}", "0")
+    table.add_row("lost by the phase node", f"{run.probe.drops['phase']}", "0")
     table.add_row("images, records not in the recording", f"{begun - recorded[0]}, {begun - recorded[1]}", "0, 0")
-    table.add_row("images missing by the recorder's count", f"{probe.recorder.missing_images}", "0")
-    table.add_row("recording [MB/s]", f"{1e-6 * written / duration:.1f}", "")
-    for name, (time_used, peak) in busy.items():
-        share = (time_used - idle[name][0]) / duration
-        table.add_row(f"{name}: share of one core, peak memory", f"{share:.0%}, {peak:.0f} MB", "")
+    table.add_row("images missing by the recorder's count", f"{run.probe.recorder.missing_images}", "0")
+    table.add_row("recording [MB/s]", f"{1e-6 * run.written / run.duration:.1f}", "")
+    run.add_shares(table)
     return table
 
 

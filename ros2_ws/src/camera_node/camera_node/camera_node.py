@@ -26,7 +26,7 @@ from fringedic_ros.images import image_array, image_message
 from fringedic_ros.lifecycle import HardwareNode
 from fringedic_ros.main import run
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATEST, OVERRIDABLE
-from fringedic_ros.records import exposure_message
+from fringedic_ros.records import clock_message, exposure_message
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.waiting import Condition, sleep, until, wait_for
 from fringedic_ros.work import Worker
@@ -365,15 +365,7 @@ class CameraNode(HardwareNode[CameraParameters]):
             self.diagnostics.tell(name, str(count))
         clock = self._driver.clock
         if clock is not None:
-            message = ClockDrift(
-                clock="camera",
-                offset=clock.offset,
-                drift=clock.drift,
-                drift_sigma=clock.drift_sigma,
-                samples=clock.samples,
-            )
-            message.header.stamp = to_msg(clock.stamp_ns)
-            self._clocks.publish(message)
+            self._clocks.publish(clock_message("camera", clock))
 
     def _info_of(self, image: Image) -> CameraInfo:
         """Return what is known of the camera; nothing of one that was calibrated with another size of images."""

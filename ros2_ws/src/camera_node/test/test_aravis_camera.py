@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
 
 from camera_node.drivers import AravisDriver, AravisSettings, Frame, Scene, Trigger
 from camera_node.testing import FakeCamera, Studio
@@ -229,15 +228,6 @@ def test_automatic_exposure_that_cannot_be_switched_off(camera: FakeCamera, tmp_
     )
     with pytest.raises(CameraError, match="automatic exposure: "), driver():
         pass
-
-
-@pytest.fixture
-def studio() -> Iterator[Studio]:
-    rclpy.init()
-    studio = Studio()
-    yield studio
-    studio.destroy_node()
-    rclpy.shutdown()
 
 
 PARAMETERS = {"source": "aravis", "camera": FakeCamera.address, "region_px": "[0, 0, 640, 480]", "timeout_s": 5.0}

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import rclpy
 
 from camera_node.testing import Studio
 from fringedic.sequence import frame_record
@@ -110,15 +109,6 @@ def driver(process: CameraDriver) -> Iterator[CameraDriver]:
     """The driver, silent before and after each test."""
     yield process
     process.behave(None)
-
-
-@pytest.fixture
-def studio() -> Iterator[Studio]:
-    rclpy.init()
-    studio = Studio()
-    yield studio
-    studio.destroy_node()
-    rclpy.shutdown()
 
 
 def begin_ns(image: np.ndarray) -> int:

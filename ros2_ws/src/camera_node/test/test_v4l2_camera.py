@@ -7,12 +7,10 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-import rclpy
 
 from camera_node.drivers import V4l2Driver, V4l2Settings
 from camera_node.testing import Studio
@@ -92,15 +90,6 @@ def test_formats_and_settings(library: Path) -> None:
     assert "has none of the formats GREY, YUYV of Mono8; compressed images" in compressed
     assert f"automatic exposure of {DEVICE} cannot be switched off: " in sticky
     assert f"{DEVICE} has no images of 1280x720 px, the nearest are 64x48" in size
-
-
-@pytest.fixture
-def studio() -> Iterator[Studio]:
-    rclpy.init()
-    studio = Studio()
-    yield studio
-    studio.destroy_node()
-    rclpy.shutdown()
 
 
 def test_node_takes_what_began_late_enough_and_survives_unplugging(

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-import rclpy
 
 from camera_node.drivers import Scene, VideoDriver
 from camera_node.testing import Studio
@@ -78,15 +76,6 @@ def test_no_such_video(tmp_path: Path, name: str, words: str) -> None:
     (tmp_path / "junk.avi").write_text("no video")
     with pytest.raises(CameraError, match=words):
         VideoDriver(str(tmp_path / name), repeat=False)
-
-
-@pytest.fixture
-def studio() -> Iterator[Studio]:
-    rclpy.init()
-    studio = Studio()
-    yield studio
-    studio.destroy_node()
-    rclpy.shutdown()
 
 
 def test_node_takes_frame_after_frame_until_the_end(studio: Studio, tmp_path: Path) -> None:

@@ -444,60 +444,71 @@ def _fit(model: _Model, part: Array, noise: float) -> _Fit:
     likelihood = _Likelihood(model, part, noise)
     shortest = _RESOLUTION * model.exposure_time / 4
 
-    tried = np.meshgrid(
-        np.linspace(likelihood.edges[0], likelihood.edges[-1], 60), model.exposure_time * 3.0 ** np.arange(-3, 3)
-    )
-    delays, jitters = (each.ravel() for each in tried)
-
-    def best_delay(cells: Array) -> tuple[float, Array]:
-        def surprise(values: Array) -> float:
-            return float(np.squeeze(likelihood.surprise(cells, values[0], shortest + math.exp(min(values[1], 5.0)))))
-
-        best = int(likelihood.surprise(cells, delays, jitters).argmin())
-        begin = np.array([delays[best], math.log(jitters[best])])
-        simplex = np.vstack([begin, begin + np.diag([jitters[best], -1.0])])
-        options: Any = {"initial_simplex": simplex, "xatol": 1e-6, "fatol": 1e-4, "maxiter": 150}
-        found = minimize(surprise, begin, method="Nelder-Mead", options=options)
-        return float(found.fun), found.x
-
     def with_decays(rise: float, fall: float) -> tuple[float, Array]:
-        return best_delay(np.vstack([likelihood.of_cells(0, rise), likelihood.of_cells(1, fall)]))
+        cells = np.vstack([likelihood.of_cells(0, rise), likelihood.of_cells(1, fall)])
+        return _best_delay(likelihood, cells, model.exposure_time)
 
-    decays = [0.0, *(model.exposure_time * 4.0 ** np.arange(-1, 3))]
-    # each time constant has to explain more than chance would
-    decay = min(decays, key=lambda each: with_decays(each, each)[0] + (_WORTH if each > 0.0 else 0.0))
-    rise = fall = decay
-    of_decay = 0.0  # part of the delay's sigma
-    if decay > 0.0:
-
-        def scaled(rises: float, falls: float) -> tuple[float, Array]:
-            return with_decays(rise * math.exp(rises), fall * math.exp(falls))
-
-        def best(surprise: Callable[[float], float]) -> float:
-            options: Any = {"xatol": 0.02, "maxiter": 12}
-            found = minimize_scalar(surprise, bounds=(-1.5, 1.5), method="bounded", options=options)
-            return math.exp(found.x)
-
-        factor = best(lambda each: scaled(each, each)[0])
-        rise, fall = factor * rise, factor * fall
-        factor = best(lambda each: scaled(each, 0.0)[0])
-        rise *= factor
-        factor = best(lambda each: scaled(0.0, each)[0])
-        fall *= factor
-        (less, early), (least, _), (more, late) = (scaled(each, each) for each in (-0.1, 0.0, 0.1))
-        curvature = (less + more - 2.0 * least) / 0.1**2
-        of_decay = abs(late[0] - early[0]) / 0.2 / math.sqrt(curvature) if curvature > 0.0 else math.nan
+    rise, fall, of_decay = _decays(with_decays, model.exposure_time)
     least, found = with_decays(rise, fall)
-    delay, logarithm = float(found[0]), float(found[1])
-    jitter = shortest + math.exp(logarithm)
+    delay = float(found[0])
+    jitter = shortest + math.exp(float(found[1]))
     cells = np.vstack([likelihood.of_cells(0, rise), likelihood.of_cells(1, fall)])
     step, worse = shortest, 0.0
     while worse < 0.5 and step < 100 * model.exposure_time:
         step *= 2.0
         worse = float(likelihood.surprise(cells, delay + np.array([step, -step]), jitter).mean()) - least
     sigma = step / math.sqrt(2.0 * worse) if worse > 0.0 else math.nan
-    sigma = math.hypot(sigma, of_decay)
-    return _Fit(delay, sigma, jitter if jitter > 8 * shortest else 0.0, rise, fall)
+    return _Fit(delay, math.hypot(sigma, of_decay), jitter if jitter > 8 * shortest else 0.0, rise, fall)
+
+
+def _best_delay(likelihood: _Likelihood, cells: Array, exposure_time: float) -> tuple[float, Array]:
+    """Least surprise with these cells, and the delay and the logarithm of the jitter above the shortest there."""
+    shortest = _RESOLUTION * exposure_time / 4
+    tried = np.meshgrid(
+        np.linspace(likelihood.edges[0], likelihood.edges[-1], 60), exposure_time * 3.0 ** np.arange(-3, 3)
+    )
+    delays, jitters = (each.ravel() for each in tried)
+
+    def surprise(values: Array) -> float:
+        return float(np.squeeze(likelihood.surprise(cells, values[0], shortest + math.exp(min(values[1], 5.0)))))
+
+    best = int(likelihood.surprise(cells, delays, jitters).argmin())
+    begin = np.array([delays[best], math.log(jitters[best])])
+    simplex = np.vstack([begin, begin + np.diag([jitters[best], -1.0])])
+    options: Any = {"initial_simplex": simplex, "xatol": 1e-6, "fatol": 1e-4, "maxiter": 150}
+    found = minimize(surprise, begin, method="Nelder-Mead", options=options)
+    return float(found.fun), found.x
+
+
+def _decays(
+    with_decays: Callable[[float, float], tuple[float, Array]], exposure_time: float
+) -> tuple[float, float, float]:
+    """Most likely time constants of rise and fall, and what not knowing them adds to the sigma of the delay."""
+    tried = [0.0, *(exposure_time * 4.0 ** np.arange(-1, 3))]
+    # each time constant has to explain more than chance would
+    decay = min(tried, key=lambda each: with_decays(each, each)[0] + (_WORTH if each > 0.0 else 0.0))
+    if decay <= 0.0:
+        return 0.0, 0.0, 0.0
+    rise = fall = decay
+
+    def scaled(rises: float, falls: float) -> tuple[float, Array]:
+        return with_decays(rise * math.exp(rises), fall * math.exp(falls))
+
+    def best(surprise: Callable[[float], float]) -> float:
+        options: Any = {"xatol": 0.02, "maxiter": 12}
+        found = minimize_scalar(surprise, bounds=(-1.5, 1.5), method="bounded", options=options)
+        return math.exp(found.x)
+
+    factor = best(lambda each: scaled(each, each)[0])
+    rise, fall = factor * rise, factor * fall
+    factor = best(lambda each: scaled(each, 0.0)[0])
+    rise *= factor
+    factor = best(lambda each: scaled(0.0, each)[0])
+    fall *= factor
+    (less, early), (least, _), (more, late) = (scaled(each, each) for each in (-0.1, 0.0, 0.1))
+    curvature = (less + more - 2.0 * least) / 0.1**2
+    of_decay = abs(late[0] - early[0]) / 0.2 / math.sqrt(curvature) if curvature > 0.0 else math.nan
+    return rise, fall, of_decay
 
 
 # pulses of the light

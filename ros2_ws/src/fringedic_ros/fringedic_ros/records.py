@@ -1,10 +1,11 @@
-"""Exposure and calibration messages <-> the library's records."""
+"""Messages of exposures, clocks and calibrations from the library's records."""
 
 from __future__ import annotations
 
+from fringedic.clocks import ClockEstimate
 from fringedic.rig import RigModel
 from fringedic.sequence import FrameRecord
-from fringedic_msgs.msg import Exposure, RigCalibration
+from fringedic_msgs.msg import ClockDrift, Exposure, RigCalibration
 from fringedic_ros.stamps import to_msg
 
 
@@ -25,6 +26,15 @@ def exposure_message(record: FrameRecord, *, frame_id: str) -> Exposure:
     )
     message.header.stamp = to_msg(record.stamp)
     message.header.frame_id = frame_id
+    return message
+
+
+def clock_message(clock: str, known: ClockEstimate) -> ClockDrift:
+    """Message of how a device's clock runs against this computer's."""
+    message = ClockDrift(
+        clock=clock, offset=known.offset, drift=known.drift, drift_sigma=known.drift_sigma, samples=known.samples
+    )
+    message.header.stamp = to_msg(known.stamp_ns)
     return message
 
 

@@ -26,6 +26,7 @@ from fringedic_msgs.msg import ClockDrift, LoadState
 from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
 from fringedic_ros.main import run
 from fringedic_ros.qos import LATCHED, SAMPLES
+from fringedic_ros.records import clock_message
 from fringedic_ros.stamps import to_msg
 from fringedic_ros.virtual import VirtualRigText, virtual_configuration
 from fringedic_ros.waiting import Condition
@@ -199,15 +200,7 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
         if known is None or now - self._told_of_clock < _CLOCK_PERIOD_S:
             return
         self._told_of_clock = now
-        message = ClockDrift(
-            clock="load_frame",
-            offset=known.offset,
-            drift=known.drift,
-            drift_sigma=known.drift_sigma,
-            samples=known.samples,
-        )
-        message.header.stamp = to_msg(known.stamp_ns)
-        self._clocks.publish(message)
+        self._clocks.publish(clock_message("load_frame", known))
 
     # moving and holding
 

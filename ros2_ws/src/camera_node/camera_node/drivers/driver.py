@@ -127,6 +127,15 @@ class Driver(Protocol):
         ...
 
 
+class LocalDriver:
+    """What files, videos and the digital twin have in common: no way on which frames get lost, and no other clock."""
+
+    needs_scene = False
+    dropped = 0
+    counts: Mapping[str, int] = {}
+    clock: ClockEstimate | None = None
+
+
 @runtime_checkable
 class StreamingDriver(Driver, Protocol):
     """A camera that can expose by its own clock."""

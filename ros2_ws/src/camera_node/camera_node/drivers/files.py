@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from camera_node.drivers.driver import Frame, Scene
+from camera_node.drivers.driver import Frame, LocalDriver, Scene
 from camera_node.drivers.grey import luminance
-from fringedic.clocks import ClockEstimate
 from fringedic.errors import CameraError
 
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
 _KEPT_IMAGES = 16  # of a source that repeats, so that a short series costs no reading
 
 
-class FilesDriver:
+class FilesDriver(LocalDriver):
     """Camera that reads image files in the order of their names.
 
     Parameters
@@ -34,11 +33,6 @@ class FilesDriver:
     CameraError
         There is no such image.
     """
-
-    needs_scene = False
-    dropped = 0
-    counts: Mapping[str, int] = {}
-    clock: ClockEstimate | None = None
 
     def __init__(self, files: str, *, repeat: bool) -> None:
         place = Path(files)

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from pathlib import Path
 
 import cv2
 
-from camera_node.drivers.driver import Frame, Scene
+from camera_node.drivers.driver import Frame, LocalDriver, Scene
 from camera_node.drivers.grey import luminance
-from fringedic.clocks import ClockEstimate
 from fringedic.errors import CameraError
 
 # codes of OpenCV for pixels of one grey level, 8 and 16 bits, which it gives as they are when asked to
@@ -18,7 +16,7 @@ _GREY = {"Y800", "Y1\x00\x10"}
 _SAME_RATE = 0.01
 
 
-class VideoDriver:
+class VideoDriver(LocalDriver):
     """Camera that reads the frames of a video file in their order.
 
     On request a frame is stamped with the time at which it is read. A free run plays the file at its own times.
@@ -36,11 +34,6 @@ class VideoDriver:
     CameraError
         There is no such video.
     """
-
-    needs_scene = False
-    dropped = 0
-    counts: Mapping[str, int] = {}
-    clock: ClockEstimate | None = None
 
     def __init__(self, file: str, *, repeat: bool) -> None:
         self._file = file

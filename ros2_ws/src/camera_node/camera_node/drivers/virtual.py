@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +10,14 @@ import h5netcdf
 import numpy as np
 import xarray as xr
 
-from camera_node.drivers.driver import Frame, PlacedPlane, Scene
-from fringedic.clocks import ClockEstimate
+from camera_node.drivers.driver import Frame, LocalDriver, PlacedPlane, Scene
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration, pattern_weights
 
 
-class VirtualDriver:
+class VirtualDriver(LocalDriver):
     """Camera of the digital twin. Frames are numbered from 0 on; the number and the rig's seed decide the noise."""
 
     needs_scene = True
-    dropped = 0
-    counts: Mapping[str, int] = {}
-    clock: ClockEstimate | None = None
 
     def __init__(self, configuration: VirtualRigConfiguration) -> None:
         self.rig = VirtualRig(configuration)
