@@ -166,7 +166,7 @@ def write_results(
     bag = folder / "bag"
     recorded = BagReader(bag)
     if not recorded.find_optional("camera/exposure"):
-        return RunReport(experiment, folder, steps, [])
+        return RunReport(experiment, folder, steps, [], unmeasured="no frame was exposed")
     target = folder / "results.nc"
     losses = frame_losses(bag)
     for report in steps:

@@ -138,9 +138,9 @@ def extensometer_charts(dataset: xr.Dataset, gauges: dict[str, xr.Dataset], sect
     figures = [over_steps]
     force = dataset["force"].values
     if np.isfinite(force).any():
-        title, label, load = "Force over strain of the extensometers", "force [N]", force
+        title, label, load = "Force over their strain", "force [N]", force
         if section is not None:
-            title, label, load = "Stress over strain of the extensometers", "stress [MPa]", force / section / MEGA
+            title, label, load = "Stress over their strain", "stress [MPa]", force / section / MEGA
         curves = go.Figure()
         for name, strain in strains.items():
             curves.add_trace(go.Scatter(x=strain.tolist(), y=load.tolist(), mode="lines+markers", name=name))

@@ -25,7 +25,7 @@ _CORRELATION = {
     "dense": {
         "matching criterion": "sum of squared grey-level differences, weighted by the window; gain and offset fitted",
         "shape function": "the displacement itself, smoothed, warps the image (no polynomial per subset)",
-        "interpolant": "quintic B-spline of the deformed image",
+        "interpolant": "six pixels of the deformed image: quintic B-spline, its 2nd and 4th derivative, prefiltered",
     },
     "zoi": {
         "matching criterion": "amplitude-weighted phase differences of the zones' spectra",

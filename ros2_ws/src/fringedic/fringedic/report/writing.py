@@ -319,4 +319,6 @@ def _chart(figure: Any) -> str:
 
 
 def _figure(value: float) -> str:
-    return f"{value:.4g}" if np.isfinite(value) else "-"
+    if not np.isfinite(value):
+        return "-"
+    return f"{value:.0f}" if abs(value) >= 1e4 else f"{value:.4g}"
