@@ -115,6 +115,7 @@ class VirtualRig:
             None if is_plane else make_texture(configuration.texture, self._surface.outline, configuration.seed)
         )
         self._views: OrderedDict[float, View] = OrderedDict()
+        self._latest_light: tuple[View, NDArray[np.uint8], NDArray[np.float32]] | None = None
 
     @classmethod
     def from_preset(cls, name: str, *, size: str = "full", ideal: bool = False, seed: int = 0) -> Self:
@@ -248,6 +249,16 @@ class VirtualRig:
         return image
 
     def _light(self, view: View, projector_image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Light of the projector at every pixel; the latest is kept, for a free run shows the same image for long."""
+        if self._latest_light is not None:
+            latest_view, latest_image, light = self._latest_light
+            if latest_view is view and np.array_equal(latest_image, projector_image):
+                return light
+        light = self._light_of(view, projector_image)
+        self._latest_light = view, projector_image.copy(), light
+        return light
+
+    def _light_of(self, view: View, projector_image: NDArray[np.uint8]) -> NDArray[np.float32]:
         projector = self.configuration.projector
         defocus = projector.defocus_px
         response = (np.linspace(0.0, 1.0, 256) ** projector.gamma).astype(np.float32)
