@@ -150,6 +150,19 @@ def test_exact_phases_give_exact_heights(name: str) -> None:
     assert calibration.held_out < 0.05e-6
 
 
+def test_a_place_without_sensitivity_beside_the_image_is_no_axis() -> None:
+    """At x = -40 mm, 8 mm beside the image, the phase of this rig is the same for every z, as on the axis."""
+    projector = {"x_mm": 90.7, "z_mm": 696.6, "focal_length_px": 5680.0, "yaw_degree": -0.2, "roll_degree": 0.01}
+    stage = {"axis_x_mm": -0.3, "axis_z_mm": 0.6, "axis_yaw_degree": 0.26}
+    camera = {"distance_mm": 214.8, "tilt_x_degree": -0.14, "tilt_y_degree": 0.03}
+    bench = Bench({"projector": projector, "stage": stage, "camera": camera})
+    calibration = bench.calibrate(bench.planes(), held_out=HELD_OUT)
+    error = bench.sphere_error(calibration)
+    print(f"largest error of z {1e6 * error:.4f} µm (target 1)")
+    assert error < 0.1e-6, f"{1e6 * error:.3f} µm"
+    assert calibration.go, calibration.verdict
+
+
 def test_horizontal_fringes() -> None:
     bench = Bench({"projector": {"yaw_degree": -0.1, "pitch_degree": 0.2, "roll_degree": 0.7}}, Orientation.HORIZONTAL)
     calibration = bench.calibrate(bench.planes(), held_out=HELD_OUT)

@@ -113,10 +113,14 @@ def _from_angles(
     rational: Sequence[tuple[float, float, float]], slope: np.ndarray, across: np.ndarray
 ) -> PaperParameters:
     a0, a1, b = np.array(rational).T[:, :, None]
-    # all planes have the same phase on their common line, the axis
+    # All planes have the same phase on their common line, the axis, and where the phase does not depend on z. A rig that
+    # is of use has the latter outside its view, the axis nearer to the middle.
     candidates = np.linspace(1.5 * across.min(), 1.5 * across.max(), 6001)
     phases = (a0 + a1 * candidates) / (1 + b * candidates)
-    best = int(np.argmin(phases.var(axis=0)))
+    variance = phases.var(axis=0)
+    least = 1 + np.flatnonzero((variance[1:-1] < variance[:-2]) & (variance[1:-1] <= variance[2:]))
+    middle = 0.5 * (across.min() + across.max())
+    best = int(least[np.argmin(np.abs(candidates[least] - middle))] if len(least) else np.argmin(variance))
     axis, offset = float(candidates[best]), float(phases[:, best].mean())
     growth = ((a1 - offset * b) / (1 + b * axis))[:, 0]
     bend = (b / (1 + b * axis))[:, 0]
