@@ -208,6 +208,8 @@ def test_files_with_faults_and_what_comes_after(studio: Bench, tmp_path: Path) -
         assert "the frame did not come within 1.01 s" in hanging.error_message
         third = studio.capture(3)
         np.testing.assert_array_equal(image_array(studio.frame(third.stamp)[0]), pictures[3])
+        heard = [studio.count_subscribers(name) for name in ("load_frame/state", "projector/image", "experiment/step")]
+        assert heard == [0, 0, 1], "a camera that sees the scene itself is not told what is in it"
         image = studio.frame(studio.capture(4).stamp)[0]
         assert (image.encoding, image.width, image.height, image_array(image)[0, 0]) == ("mono16", 4, 3, 60000)
         assert "all 5 images" in studio.capture(5).error_message
