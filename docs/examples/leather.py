@@ -60,6 +60,8 @@ def draw_frames(cloud: xr.Dataset, local: xr.Dataset) -> None:
             shown = axes[row, column].imshow(values, cmap="viridis", extent=(0, 1280, 960, 0))
             axes[row, column].set_title(f"{name} [mm], {'local' if column else 'global'} frame", fontsize=9)
             axes[row, column].tick_params(labelsize=7)
+            axes[row, column].set_xlabel("column [px]", fontsize=7)
+            axes[row, column].set_ylabel("row [px]", fontsize=7)
             figure.colorbar(shown, ax=axes[row, column], shrink=0.8)
     figure.savefig(FOLDER / "leather_frames.png", dpi=85)
 

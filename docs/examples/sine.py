@@ -75,6 +75,10 @@ def main() -> None:
     curve.axhline(0.003, color="grey", linestyle="--", label="paper, both directions")
     curve.set(xlabel="period of the sine [px]", ylabel="RMS error [px]", title="window 32 px, 8 bits, no noise")
     curve.grid(True, which="both", alpha=0.3)
+    ticks = [45, 65, 130, 260]
+    curve.set_xticks(ticks, labels=[str(tick) for tick in ticks])
+    curve.set_xticks([], minor=True)
+    curve.yaxis.set_minor_formatter("{x:.4f}")
     curve.legend()
     figure.savefig(Path(__file__).with_suffix(".png"), dpi=90)
 

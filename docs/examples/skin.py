@@ -86,6 +86,8 @@ def main() -> None:
             axes[row, column].contour(*grid, values, levels=levels, colors="white", linewidths=0.6)
             axes[row, column].set_title(f"device at {angle:g}°: {name}", fontsize=9)
             axes[row, column].tick_params(labelsize=7)
+            axes[row, column].set_xlabel("column [px]", fontsize=7)
+            axes[row, column].set_ylabel("row [px]", fontsize=7)
             figure.colorbar(shown, ax=axes[row, column], shrink=0.8)
     figure.savefig(Path(__file__).with_suffix(".png"), dpi=85)
 
