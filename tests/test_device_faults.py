@@ -107,7 +107,7 @@ def test_display_at_another_resolution(bench: Bench) -> None:
 
 
 def test_machine_that_is_silent(bench: Bench) -> None:
-    """Nobody can tell whether it holds; it is asked to when it listens again."""
+    """It is asked to hold, but until it answers again nobody can tell whether it does."""
     rig = bench.rig
     try:
         rig.fails("the load frame does not tell what it does", at_frame=4, then=lambda: bench.machine.tell("SILENT"))

@@ -113,8 +113,9 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
         try:
             self._screen.check()
         except ScreenError as error:
+            if self._lost is None:  # a display that stays as it is needs no second word
+                self.get_logger().error(str(error))
             self._lost = error
-            self.get_logger().error(str(error))
             self.diagnostics.failure(str(error))
 
     def _refuse(self, response: ShowPattern.Response, code: int, error: Exception) -> None:
