@@ -113,8 +113,8 @@ def _from_angles(
     rational: Sequence[tuple[float, float, float]], slope: np.ndarray, across: np.ndarray
 ) -> PaperParameters:
     a0, a1, b = np.array(rational).T[:, :, None]
-    # All planes have the same phase on their common line, the axis, and where the phase does not depend on z. A rig that
-    # is of use has the latter outside its view, the axis nearer to the middle.
+    # All planes have the same phase on their common line, the axis, and where the phase does not depend on z. A rig
+    # that is of use has the latter outside its view, the axis nearer to the middle.
     candidates = np.linspace(1.5 * across.min(), 1.5 * across.max(), 6001)
     phases = (a0 + a1 * candidates) / (1 + b * candidates)
     variance = phases.var(axis=0)
