@@ -123,6 +123,9 @@ class RigClient:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self._executor.shutdown()
+        # a node's end does not end its action clients, which would keep the shared memory of others until collected
+        for client in (client for clients in self._actions.values() for client in clients):
+            client.destroy()
         self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 

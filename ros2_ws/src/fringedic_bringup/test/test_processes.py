@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import mmap
 import os
 import re
@@ -16,6 +17,7 @@ import pytest
 
 from fringedic.errors import NodeDiedError, NodeNotInstalledError
 from fringedic.programme import Programme
+from fringedic_bringup.client import RigClient
 from fringedic_bringup.driving import drive
 from fringedic_bringup.graph import Graph, NodeEntry, rig_graph
 from fringedic_bringup.processes import (
@@ -85,13 +87,21 @@ def test_a_graph_leaves_no_process_and_no_shared_memory(tmp_path: Path) -> None:
         assert not report.error and programme.experiment == "tiny"
     assert largest >= int(node_environment()["FRINGEDIC_SEGMENT_BYTES"])  # as asked for, not the middleware's default
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+    assert owned & {path.name for path in SHARED_MEMORY.iterdir()} == set()
 
-    def left() -> set[str]:
-        return owned & {path.name for path in SHARED_MEMORY.iterdir()}
 
-    if left():  # other participants that start now look whether its owner lives, and lock it while they do
-        remove_stale_segments()
-    assert left() == set()
+def test_a_client_that_has_ended_keeps_no_shared_memory() -> None:
+    def mapped() -> set[str]:
+        return set(re.findall(r"fastrtps_[0-9a-f]{16}", Path("/proc/self/maps").read_text()))
+
+    gc.disable()  # what is let go by chance is not let go
+    try:
+        with private_domain() as domain, RigClient(domain=domain):
+            used = mapped()
+        assert used
+        assert not used & mapped()
+    finally:
+        gc.enable()
 
 
 def test_shared_memory_in_use_is_left_alone_and_the_rest_removed() -> None:
