@@ -1,4 +1,4 @@
-"""A ROS domain of their own for the tests of the running system, and one recorded experiment."""
+"""ROS domains of their own for the tests of the running system, and one recorded experiment."""
 
 from __future__ import annotations
 
@@ -8,19 +8,18 @@ from pathlib import Path
 import pytest
 from running_system import CONFIG, Told, processes_of
 
-from fringedic_bringup.processes import private_domain, remove_stale_segments
+from fringedic_bringup.processes import node_environment, private_domain, remove_stale_segments
 from fringedic_bringup.report import RunReport
 from fringedic_bringup.run import load_rig, run_experiment
 
 
-@pytest.fixture(scope="session", autouse=True)
+@pytest.fixture(scope="module", autouse=True)
 def domain() -> Iterator[str]:
-    """Give this test run a ROS domain of its own; nothing may be left in it."""
+    """Give each module a ROS domain of its own, in which no killed node of another is listed and nothing may be left."""
     remove_stale_segments()
     with private_domain() as number, pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(number))
-        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        patch.setenv("ROS_PYTHON_CHECK_FIELDS", "1")
+        for name, value in {**node_environment(number), "ROS_PYTHON_CHECK_FIELDS": "1"}.items():
+            patch.setenv(name, value)
         yield str(number)
         assert not processes_of(str(number))
 
@@ -36,4 +35,5 @@ def experiment(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> RunRepor
     """Return a recorded experiment: three steps of the tiny virtual plate in tension, run by the real nodes."""
     folder = tmp_path_factory.mktemp("experiment")
     rig, programme = load_rig(tiny, None, None)
-    return run_experiment(rig, tiny, programme, folder / "run", Told())
+    with private_domain() as number:
+        return run_experiment(rig, tiny, programme, folder / "run", Told(), domain=number)

@@ -14,12 +14,13 @@ LIBRARY = Path(__file__).parent / "fringedic"  # imports no ROS
 
 @pytest.fixture(scope="module", autouse=True)
 def domain(request: pytest.FixtureRequest) -> Iterator[int | None]:
-    """Set aside a ROS domain, which contexts and processes of this module's tests take from the environment."""
+    """Set aside a ROS domain, and let contexts and processes of this module's tests run as nodes do."""
     if request.path.is_relative_to(LIBRARY):
         yield None
         return
-    from fringedic_bringup.processes import private_domain
+    from fringedic_bringup.processes import node_environment, private_domain
 
     with private_domain() as number, pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROS_DOMAIN_ID", str(number))
+        for name, value in node_environment(number).items():
+            patch.setenv(name, value)
         yield number
