@@ -15,7 +15,7 @@ from fringedic_bringup.run import load_rig, run_experiment
 
 @pytest.fixture(scope="module", autouse=True)
 def domain() -> Iterator[str]:
-    """Give each module a ROS domain of its own, where no killed node of another is listed; nothing may be left in it."""
+    """Give each module a ROS domain of its own: no killed node of another is listed there, and nothing may be left."""
     remove_stale_segments()
     with private_domain() as number, pytest.MonkeyPatch.context() as patch:
         for name, value in {**node_environment(number), "ROS_PYTHON_CHECK_FIELDS": "1"}.items():
