@@ -8,6 +8,7 @@ import xarray as xr
 
 import fringedic.errors as errors
 from fringedic.correlation import Reference, measure_displacement
+from fringedic.virtual_rig import VirtualRig
 
 
 def grid(field: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
@@ -57,6 +58,24 @@ def test_initial_displacement_replaces_the_global_start(speckle):
     assert field.displacement_x.median() == pytest.approx(40.2, abs=2e-3)
     pair = (start.displacement_x.to_numpy(), start.displacement_y.to_numpy())
     xr.testing.assert_identical(field, measure_displacement(f, g, initial=pair))
+
+
+def test_a_prediction_may_be_off_by_what_moved_since() -> None:
+    """Furrows 10 px apart, moved by up to 10 px: none may be taken for its neighbour."""
+    twin = VirtualRig.from_preset("skin")
+    white = np.full(twin.projector_shape, 255, np.uint8)
+    f, g = (twin.expose(white, position, number) for number, position in enumerate((0.0, 0.1e-3)))
+    still = np.zeros((twin.shape[0] // 4, twin.shape[1] // 4), np.float32)
+    field = measure_displacement(f, g, spacing=4, initial=(still, still))
+    truth = twin.truth(0.1e-3).isel(row=slice(None, None, 4), column=slice(None, None, 4))
+    moved = float(np.nanmax(np.hypot(truth.displacement_x, truth.displacement_y)))
+    error = np.hypot(
+        field.displacement_x - truth.displacement_x.values, field.displacement_y - truth.displacement_y.values
+    )
+    print(f"{moved:.1f} px moved, error {float(error.std()):.4f} px RMS, {float(error.max()):.3f} px at most")
+    assert moved > 8
+    assert float(error.max()) < 0.25, f"{float(error.max()):.3f} px, {int((error > 0.25).sum())} points beyond .25 px"
+    assert float(field.valid.mean()) > 0.9
 
 
 @pytest.mark.parametrize("method", ["dense", "zoi"])

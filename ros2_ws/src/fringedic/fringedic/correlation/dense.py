@@ -290,8 +290,9 @@ def displacement_nodes(
     which it is not cut off.
     """
     if initial is not None:
-        # A prediction is trusted to a few pixels: two halvings find the rest.
-        top = min(len(levels) - 1, 2)
+        # A prediction is off by what moved since: a dozen pixels are less than one after four halvings. With two, some
+        # furrows were taken for their neighbours.
+        top = min(len(levels) - 1, 4)
         window = window_at(width, top)
         nodes = np.empty((4, *initial.shape[1:]), f4)
         nodes[:2], nodes[2], nodes[3] = initial, brightness[0], brightness[1]
