@@ -2,45 +2,53 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
-import time
+import threading
 import traceback
 from collections.abc import Callable
 
 import rclpy
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
 
 from fringedic.errors import FringedicError
 
-SIGNAL_S = 0.5
+
+class _EndAskedFor(Exception):
+    """SIGINT or SIGTERM came."""
 
 
 def run(make_node: Callable[[], Node]) -> int:
     """Spin one node until SIGINT or SIGTERM; return the exit code of the process.
 
+    The signal waits until the node stands and the callback in hand has returned: an exception or a context that is
+    shut down amid either leaves a node half made or half destroyed, whose process may not end at all. Signals after
+    the first change nothing, so that a second Ctrl-C cannot tear a recording that is being closed.
+
     A node that cannot start (a named error) ends with its message and code 1; anything unexpected ends with its
     traceback and code 1, so that whoever started the process knows.
     """
+    signals = _collect_signals()
     node: Node | None = None
-    initialised = False
     try:
-        rclpy.init(args=sys.argv)
-        initialised = True
+        rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         node = make_node()
         executor = SingleThreadedExecutor()
         executor.add_node(node)
+        _end_at(signals, node)
         executor.spin()
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except _EndAskedFor:
         pass
     except FringedicError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
         return 1
     except Exception:
-        if not initialised or _goes_on():
-            traceback.print_exc()
-            return 1
-        # a signal ended the context: while the node was made, or between two steps of the executor
+        traceback.print_exc()
+        return 1
     finally:
         if node is not None:
             node.destroy_node()
@@ -48,12 +56,27 @@ def run(make_node: Callable[[], Node]) -> int:
     return 0
 
 
-def _goes_on() -> bool:
-    """Whether no signal has ended the context; it may break what is in hand just before the context hears of it."""
-    end = time.monotonic() + SIGNAL_S
-    try:
-        while rclpy.ok() and time.monotonic() < end:
-            time.sleep(0.01)
-    except KeyboardInterrupt:  # Python hears of the same signal
-        return False
-    return rclpy.ok()
+def _collect_signals() -> int:
+    """Return the file descriptor that each signal is written to, instead of an exception wherever Python is."""
+    reading, writing = os.pipe()
+    os.set_blocking(writing, False)
+    signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: None)
+    return reading
+
+
+def _end_at(signals: int, node: Node) -> None:
+    """Have the executor of a node end with `_EndAskedFor`, between two callbacks, once a signal has come."""
+
+    def end() -> None:
+        raise _EndAskedFor
+
+    # a group of its own: the node's may be taken by a callback that waits
+    guard = node.create_guard_condition(end, callback_group=ReentrantCallbackGroup())
+
+    def listen() -> None:
+        os.read(signals, 1)
+        guard.trigger()
+
+    threading.Thread(target=listen, name="signals", daemon=True).start()

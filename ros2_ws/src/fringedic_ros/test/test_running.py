@@ -204,7 +204,9 @@ def test_diagnostics_once_a_second(spinning: Spinning) -> None:
 
 NODE_PROGRAM = """
 import sys
+import time
 from rclpy.node import Node
+from std_msgs.msg import Empty
 from fringedic.errors import StartError
 from fringedic_ros.main import run
 
@@ -215,11 +217,24 @@ class Failing(Node):
     def fail(self):
         raise ZeroDivisionError("a bug")
 
+class Slow(Node):
+    def __init__(self):
+        super().__init__("slow")
+        for number in range(20):
+            time.sleep(0.1)
+            self.create_publisher(Empty, f"topic_{number}", 1)
+        print("made", flush=True)
+    def destroy_node(self):
+        print("closing", flush=True)
+        time.sleep(0.5)
+        super().destroy_node()
+        print("closed", flush=True)
+
 def refuse():
     raise StartError("there is no camera")
 
 print("ready", flush=True)
-sys.exit(run({"good": lambda: Node("good"), "failing": Failing, "refused": refuse}[sys.argv[1]]))
+sys.exit(run({"good": lambda: Node("good"), "failing": Failing, "slow": Slow, "refused": refuse}[sys.argv[1]]))
 """
 
 
@@ -249,3 +264,19 @@ def test_process_ends_as_it_should(which: str, sent: signal.Signals | None, code
     assert words in log
     assert which != "refused" or "Traceback" not in log
     assert which != "good" or log == ""
+
+
+def test_signals_tear_nothing() -> None:
+    """One that comes while the node is being made, and one while it is being destroyed."""
+    with subprocess.Popen(
+        [sys.executable, "-c", NODE_PROGRAM, "slow"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        time.sleep(1.0)
+        process.send_signal(signal.SIGINT)
+        assert process.stdout.readline() == "made\n"
+        assert process.stdout.readline() == "closing\n"
+        process.send_signal(signal.SIGINT)
+        rest, log = process.communicate(timeout=20)
+    assert (process.returncode, rest, log) == (0, "closed\n", "")
