@@ -109,4 +109,4 @@ def recorded(bag: Path, step: int) -> int:
     """Exposures of a step that can be read by now."""
     reader = BagReader(bag)
     topics = reader.find_optional("camera/exposure").values()
-    return sum(message.step == step for _, message, _ in reader.messages(topics)) if topics else 0
+    return sum(message.step == step for _, message, _ in reader.messages(topics))

@@ -1,4 +1,4 @@
-"""Somebody who asks a camera node for frames."""
+"""The other side of a camera or live view node."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Iterator
 import pytest
 import rclpy
 
-from camera_node.testing import Studio
+from fringedic_ros.testing import Peer
 
 
 @pytest.fixture
-def studio() -> Iterator[Studio]:
-    """Return a node that hears what the camera publishes."""
+def studio(request: pytest.FixtureRequest) -> Iterator[Peer]:
+    """Return the node that the module calls `Studio`: it asks, and hears what is published."""
     rclpy.init()
-    studio = Studio()
+    studio = request.module.Studio()
     yield studio
     studio.destroy_node()
     rclpy.shutdown()

@@ -8,19 +8,17 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-import rclpy
 import xarray as xr
 from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image
 
-from camera_node.testing import Studio
+from camera_node import testing
 from fringedic.camera import DistortionMap
 from fringedic.patterns import render_pattern
 from fringedic.rig import RigModel
@@ -41,7 +39,7 @@ Request = CaptureFrame.Request
 FRINGES = {"kind": int(PatternKind.FRINGES), "pitch": 25.0, "shift": 2, "shifts": 4}
 
 
-class Bench(Studio):
+class Studio(testing.Studio):
     """Plays experiment, projector and load frame for one camera."""
 
     def __init__(self) -> None:
@@ -66,20 +64,11 @@ class Bench(Studio):
         return to_msg(shown)
 
 
-@pytest.fixture
-def studio() -> Iterator[Bench]:
-    rclpy.init()
-    studio = Bench()
-    yield studio
-    studio.destroy_node()
-    rclpy.shutdown()
-
-
 def save(folder: Path, name: str, image: np.ndarray) -> None:
     assert cv2.imwrite(str(folder / name), image)
 
 
-def test_camera_info_tells_of_the_lens_once_calibrated(studio: Bench, tmp_path: Path) -> None:
+def test_camera_info_tells_of_the_lens_once_calibrated(studio: Studio, tmp_path: Path) -> None:
     # U = c r^2 (x, y) from the image's centre, 1 px at its corner: a cubic barrel in Chebyshev polynomials
     half_width, half_height = 79.5, 59.5
     c = 1 / np.hypot(half_width, half_height) ** 3
@@ -114,7 +103,7 @@ def test_camera_info_tells_of_the_lens_once_calibrated(studio: Bench, tmp_path: 
     assert ideal.ravel() == pytest.approx(np.ravel(expected), abs=0.005)
 
 
-def test_virtual_frames_are_those_of_the_twin(studio: Bench, tmp_path: Path) -> None:
+def test_virtual_frames_are_those_of_the_twin(studio: Studio, tmp_path: Path) -> None:
     """Same pattern, position and frame number give the same image; the truth of each step is written."""
     rig = VirtualRig.from_preset("plate", size="tiny")
     rows, columns = rig.projector_shape
@@ -168,7 +157,7 @@ def test_virtual_frames_are_those_of_the_twin(studio: Bench, tmp_path: Path) -> 
         assert np.isnan(truth.u.isel(step=2)).all() and not truth.valid.isel(step=2).any()
 
 
-def test_pattern_that_never_comes_and_then_the_next(studio: Bench, tmp_path: Path) -> None:
+def test_pattern_that_never_comes_and_then_the_next(studio: Studio, tmp_path: Path) -> None:
     studio.add_projector()
     white = np.full((75, 100), 250, np.uint8)
     with NodeProcess(MODULE, tmp_path, {"virtual_rig": '"{preset: plate, size: tiny}"', "timeout_s": 0.5}):
@@ -186,7 +175,7 @@ def test_pattern_that_never_comes_and_then_the_next(studio: Bench, tmp_path: Pat
         assert studio.capture(4).error_code == Request.NONE
 
 
-def test_files_with_faults_and_what_comes_after(studio: Bench, tmp_path: Path) -> None:
+def test_files_with_faults_and_what_comes_after(studio: Studio, tmp_path: Path) -> None:
     """Unreadable, hanging, of another size and 16 bits: each is told, and the next capture works."""
     folder = tmp_path / "images"
     folder.mkdir()
@@ -216,7 +205,7 @@ def test_files_with_faults_and_what_comes_after(studio: Bench, tmp_path: Path) -
         assert len(studio.images) == 3
 
 
-def test_waits_for_subscribers(studio: Bench, tmp_path: Path) -> None:
+def test_waits_for_subscribers(studio: Studio, tmp_path: Path) -> None:
     save(tmp_path, "0.png", np.zeros((4, 4), np.uint8))
     with NodeProcess(MODULE, tmp_path, {"source": "files", "files": str(tmp_path), "timeout_s": 0.5}):
         response = studio.capture(image_subscribers=2)
@@ -233,7 +222,7 @@ def test_waits_for_subscribers(studio: Bench, tmp_path: Path) -> None:
         other.destroy_node()
 
 
-def test_viewers_of_images_alone_hold_nothing_up(studio: Bench, tmp_path: Path) -> None:
+def test_viewers_of_images_alone_hold_nothing_up(studio: Studio, tmp_path: Path) -> None:
     save(tmp_path, "0.png", np.zeros((4, 4), np.uint8))
     with NodeProcess(MODULE, tmp_path, {"source": "files", "files": str(tmp_path), "timeout_s": 2.0}):
         viewers = [Peer(f"viewer_{number}") for number in range(2)]
@@ -246,7 +235,7 @@ def test_viewers_of_images_alone_hold_nothing_up(studio: Bench, tmp_path: Path) 
             viewer.destroy_node()
 
 
-def test_free_run_counts_every_frame(studio: Bench, tmp_path: Path) -> None:
+def test_free_run_counts_every_frame(studio: Studio, tmp_path: Path) -> None:
     for name in range(3):
         save(tmp_path, f"{name}.tif", np.full((40, 60), name, np.uint8))
     parameters = {"source": "files", "files": str(tmp_path), "repeat": "true", "frame_rate_hz": 50}
@@ -274,7 +263,7 @@ def test_free_run_counts_every_frame(studio: Bench, tmp_path: Path) -> None:
         assert studio.exposures[0].index > records[-1].index, "the count goes on"
 
 
-def test_stopped_process_goes_on(studio: Bench, tmp_path: Path) -> None:
+def test_stopped_process_goes_on(studio: Studio, tmp_path: Path) -> None:
     """A camera process that is stopped answers when it continues; nothing is published twice."""
     for name in range(2):
         save(tmp_path, f"{name}.png", np.full((4, 4), name, np.uint8))
@@ -325,7 +314,7 @@ def test_bad_parameters_end_the_start_in_words() -> None:
         assert "Traceback" not in log
 
 
-def test_clock_that_is_set_back(studio: Bench, tmp_path: Path) -> None:
+def test_clock_that_is_set_back(studio: Studio, tmp_path: Path) -> None:
     """The frame after it fails by name, the ones after that are in order again."""
     clock = studio.create_publisher(Clock, "/clock", 10)
     parameters = {"virtual_rig": '"{preset: plate, size: tiny}"', "use_sim_time": "true"}

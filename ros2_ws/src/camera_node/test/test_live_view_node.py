@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-import rclpy
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 from scipy.ndimage import gaussian_filter
@@ -77,15 +75,6 @@ class Studio(Peer):
     def reset(self) -> None:
         future = self._reset.call_async(Trigger.Request())
         self.wait(future.done, "the reset")
-
-
-@pytest.fixture
-def studio() -> Iterator[Studio]:
-    rclpy.init()
-    studio = Studio()
-    yield studio
-    studio.destroy_node()
-    rclpy.shutdown()
 
 
 def test_figures_and_picture_of_every_frame(studio: Studio, tmp_path: Path) -> None:

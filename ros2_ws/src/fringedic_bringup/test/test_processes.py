@@ -123,9 +123,8 @@ def test_shared_memory_in_use_is_left_alone_and_the_rest_removed() -> None:
 def test_nodes_listen_to_this_computer_alone(tmp_path: Path) -> None:
     graph = Graph("rig", (NodeEntry("coupling", "coupling_node", "coupling"),))
     with private_domain() as domain, RunningGraph(graph, tmp_path, domain=domain) as running:
-        ports = range(
-            7400 + 250 * domain, 7400 + 250 * (domain + 1)
-        )  # of this domain, by the DDS interoperability standard
+        # the ports of this domain by the DDS interoperability standard
+        ports = range(7400 + 250 * domain, 7400 + 250 * (domain + 1))
         end = time.monotonic() + 90
         while not (addresses := udp_addresses(running.pid("coupling"), ports)):
             running.check()
