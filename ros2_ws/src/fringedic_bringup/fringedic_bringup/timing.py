@@ -20,6 +20,7 @@ from fringedic_bringup.report import Progress
 
 COARSE_CHANGES = 4
 BRIGHT_AT_REST, DARK_AT_REST = 3, 1  # frames after each change
+MOST_TRIES = 3  # for each change
 JITTER = 0.006  # of a pattern's delay, that is looked for [s]
 FEWEST_PIXELS = 100
 SATURATED = 0.01  # part of the lit pixels that may be
@@ -70,7 +71,7 @@ def measure_rig_timing(
     longest
         Time that the projector may take for a pattern [s].
     changes
-        From dark to bright or back.
+        From dark to bright or back, that are photographed in time; a busy computer is late for some.
     domain
         ROS_DOMAIN_ID; None takes the one of the environment.
 
@@ -96,9 +97,12 @@ def measure_rig_timing(
         progress.stage("looking for the projector's light")
         session.find_light()
         session.look_for_change()
-        for number in range(1, changes + 1):
-            progress.step(1, 1, "dark and bright in turn", number, changes)
-            session.watch_change()
+        caught = 0
+        for _ in range(MOST_TRIES * changes):
+            progress.step(1, 1, "dark and bright in turn", caught + 1, changes)
+            caught += session.watch_change()
+            if caught == changes:
+                break
         client.show(SETUP, "dark")
     samples = session.samples()
     timing = measure_timing(samples)
@@ -159,16 +163,18 @@ class _Session:
                 f"the camera does not see a pattern within {1e3 * self._longest:.0f} ms; give a longer --longest-ms"
             )
 
-    def watch_change(self) -> None:
-        """Photograph one change, and then what is at rest."""
+    def watch_change(self) -> bool:
+        """Photograph one change, and then what is at rest; return whether the change was not over by then."""
         self._show(not self._bright)
         low, high = self._change
         self._wait_until(self._random.uniform(low, high) - self._exposure_time / 2)
         self._expose()
+        in_time = self._rows[-1][0] <= high
         rest = min(high + 2 * (high - low), self._longest)
         for _ in range(BRIGHT_AT_REST if self._bright else DARK_AT_REST):
             self._wait_until(max(rest, self._since()) + self._random.uniform(0.0, 0.01))
             self._expose()
+        return in_time
 
     def samples(self) -> TimingSamples:
         """Return all frames of the changes."""

@@ -28,7 +28,7 @@ def test_delay_and_refresh_of_a_late_projector(tmp_path: Path) -> None:
     assert ended.returncode == 0, ended.stdout + ended.stderr
     found = yaml.safe_load((tmp_path / "timing" / "timing.yaml").read_text())
     error = found["delay_ms"] - 37.0
-    # a computer that is busy keeps time worse than half a millisecond; the measurement says how well
+    assert abs(error) < 0.5, f"delay is off by {error:.3f} ms: {found}"
     assert abs(error) < 4 * found["delay_sigma_ms"], f"delay is off by {error:.3f} ms: {found}"
     assert abs(found["refresh_hz"] - 60.0) < 0.01, found
     assert abs(found["beat_percent"] - 66.7) < 5.0, found
