@@ -17,6 +17,10 @@ from rclpy.signals import SignalHandlerOptions
 
 from fringedic.errors import FringedicError
 
+# Fast DDS may keep a process that has closed everything (decision 0033); this long, then SIGALRM ends it.
+LONGEST_FAREWELL_S = 5
+CLEAN_ENDS = (0, -signal.SIGALRM)  # exit codes of a process whose node has closed everything
+
 
 class _EndAskedFor(Exception):
     """SIGINT or SIGTERM came."""
@@ -51,7 +55,9 @@ def run(make_node: Callable[[], Node]) -> int:
         return 1
     finally:
         if node is not None:
-            node.destroy_node()
+            with node.handle:  # keeps the participant until the node has closed all that is ours
+                node.destroy_node()
+                signal.alarm(LONGEST_FAREWELL_S)
         rclpy.try_shutdown()
     return 0
 

@@ -27,6 +27,7 @@ from fringedic.sequence import FrameRecord, PatternKind, Projection
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, StepStatus
 from fringedic_ros.images import image_message
+from fringedic_ros.main import CLEAN_ENDS
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED_BY_MANY
 from fringedic_ros.records import exposure_message
 from fringedic_ros.stamps import to_msg, to_nanoseconds
@@ -82,7 +83,7 @@ class NodeProcess:
         if error is not None:
             print(f"--- {self._log.name}\n{self.log}")
         else:
-            assert alive and code == 0, f"the process ended with {code}:\n{self.log}"
+            assert alive and code in CLEAN_ENDS, f"the process ended with {code}:\n{self.log}"
 
 
 def fringe_step(rig: VirtualRig, position: float, experiment: str, step: int) -> list[Frame]:

@@ -203,8 +203,10 @@ def test_diagnostics_once_a_second(spinning: Spinning) -> None:
 
 
 NODE_PROGRAM = """
+import ctypes
 import sys
 import time
+import rclpy
 from rclpy.node import Node
 from std_msgs.msg import Empty
 from fringedic.errors import StartError
@@ -230,11 +232,17 @@ class Slow(Node):
         super().destroy_node()
         print("closed", flush=True)
 
+class Kept(Node):
+    def __init__(self):
+        super().__init__("kept")
+        rclpy.try_shutdown = lambda: ctypes.PyDLL(None).sleep(60)
+
 def refuse():
     raise StartError("there is no camera")
 
 print("ready", flush=True)
-sys.exit(run({"good": lambda: Node("good"), "failing": Failing, "slow": Slow, "refused": refuse}[sys.argv[1]]))
+nodes = {"good": lambda: Node("good"), "failing": Failing, "kept": Kept, "slow": Slow, "refused": refuse}
+sys.exit(run(nodes[sys.argv[1]]))
 """
 
 
@@ -243,6 +251,7 @@ sys.exit(run({"good": lambda: Node("good"), "failing": Failing, "slow": Slow, "r
     [
         ("good", signal.SIGINT, 0, ""),
         ("good", signal.SIGTERM, 0, ""),
+        ("kept", signal.SIGINT, -signal.SIGALRM, ""),
         ("failing", None, 1, "ZeroDivisionError: a bug"),
         ("refused", None, 1, "StartError: there is no camera"),
     ],
