@@ -19,6 +19,7 @@ from fringedic.errors import FringedicError
 
 # Fast DDS may keep a process that has closed everything (decision 0033); this long, then SIGALRM ends it.
 LONGEST_FAREWELL_S = 5
+ENDING = (signal.SIGINT, signal.SIGTERM)
 CLEAN_ENDS = (0, -signal.SIGALRM)  # exit codes of a process whose node has closed everything
 
 
@@ -67,7 +68,7 @@ def _collect_signals() -> int:
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in ENDING:
         signal.signal(number, lambda *_: None)
     return reading
 
@@ -82,7 +83,8 @@ def _end_at(signals: int, node: Node) -> None:
     guard = node.create_guard_condition(end, callback_group=ReentrantCallbackGroup())
 
     def listen() -> None:
-        os.read(signals, 1)
+        while os.read(signals, 1)[0] not in ENDING:
+            pass  # another signal that somebody handles in Python
         guard.trigger()
 
     threading.Thread(target=listen, name="signals", daemon=True).start()

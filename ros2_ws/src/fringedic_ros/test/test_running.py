@@ -204,6 +204,7 @@ def test_diagnostics_once_a_second(spinning: Spinning) -> None:
 
 NODE_PROGRAM = """
 import ctypes
+import signal
 import sys
 import time
 import rclpy
@@ -211,6 +212,13 @@ from rclpy.node import Node
 from std_msgs.msg import Empty
 from fringedic.errors import StartError
 from fringedic_ros.main import run
+
+class Minding(Node):
+    def __init__(self):
+        super().__init__("minding")
+        signal.signal(signal.SIGUSR1, lambda *_: print("minded", flush=True))
+        self.create_timer(0.01, lambda: None)  # Python's handlers run when the executor returns to Python
+        print("standing", flush=True)
 
 class Failing(Node):
     def __init__(self):
@@ -241,7 +249,8 @@ def refuse():
     raise StartError("there is no camera")
 
 print("ready", flush=True)
-nodes = {"good": lambda: Node("good"), "failing": Failing, "kept": Kept, "slow": Slow, "refused": refuse}
+classes = {"failing": Failing, "kept": Kept, "minding": Minding, "slow": Slow}
+nodes = {"good": lambda: Node("good"), "refused": refuse, **classes}
 sys.exit(run(nodes[sys.argv[1]]))
 """
 
@@ -284,8 +293,24 @@ def test_signals_tear_nothing() -> None:
         assert process.stdout.readline() == "ready\n"
         time.sleep(1.0)
         process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGINT)
         assert process.stdout.readline() == "made\n"
         assert process.stdout.readline() == "closing\n"
         process.send_signal(signal.SIGINT)
         rest, log = process.communicate(timeout=20)
     assert (process.returncode, rest, log) == (0, "closed\n", "")
+
+
+def test_other_signals_do_not_end_a_node() -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", NODE_PROGRAM, "minding"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        assert process.stdout.readline() == "standing\n"
+        for _ in range(2):
+            process.send_signal(signal.SIGUSR1)
+            assert process.stdout.readline() == "minded\n"
+        process.send_signal(signal.SIGTERM)
+        rest, log = process.communicate(timeout=20)
+    assert (process.returncode, rest, log) == (0, "", "")
