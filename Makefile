@@ -1,15 +1,17 @@
 # make demo   three virtual experiments through the real nodes, with a table of errors against the truth
-# make test   style, types, unit tests and tests of the running system
-# make test-hardware  the tests that need system packages for real devices, none left out
-# make bench  measured figures beside their targets
-# make setup  only what the others need: environment, ROS 2, workspace (each of them calls it)
-# make clean  removes everything that was built or measured
+# make check  style, types, import contracts, unit tests of the library with their coverage
+# make test   make check, then tests of the nodes, the running system, the pages and the notebooks
+# make test-hardware  the tests that need system packages for real devices
+# make docs   the documentation site in docs/_build/html; warnings are errors
+# make bench  measured figures with their targets
+# make setup  environment, ROS 2 and workspace, which the other targets need and call
+# make clean  removes everything that was built
 
 SHELL := /bin/bash
 ENVIRONMENT := . setup/environment.sh
 OUTPUT ?= demo
 
-.PHONY: help setup demo test test-hardware bench clean
+.PHONY: help setup demo check test test-hardware docs bench clean
 
 help:
 	@sed -n 's/^# make/make/p' Makefile
@@ -20,15 +22,22 @@ setup:
 demo: setup
 	@$(ENVIRONMENT) && fringedic demo --output $(OUTPUT)
 
+check: setup
+	@$(ENVIRONMENT) && setup/check.sh library
+
 test: setup
 	@$(ENVIRONMENT) && setup/check.sh
 
 test-hardware: setup
 	@setup/hardware.sh && $(ENVIRONMENT) && python -m pytest -m hardware
 
+docs: setup
+	@$(ENVIRONMENT) && python -m sphinx --fail-on-warning --keep-going --quiet docs docs/_build/html
+	@echo "docs: open docs/_build/html/index.html"
+
 bench: setup
 	@$(ENVIRONMENT) && python benchmarks/run.py
 
 clean:
-	rm -rf .venv .setup.lock setup.log ros2_ws/build ros2_ws/install ros2_ws/log
+	rm -rf .venv .setup.lock setup.log docs/_build ros2_ws/build ros2_ws/install ros2_ws/log
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

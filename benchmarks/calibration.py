@@ -1,8 +1,8 @@
-"""Calibration of the rig against the digital twin: heights, convergence without starting values, honest sigmas, time.
+"""Calibration of the rig on the virtual rig: heights, convergence without starting values, uncertainties, time.
 
 Prints the table of targets and writes ``docs/validation/calibration.md`` with its pictures. `--quick` takes smaller
-images and fewer rigs, renders no frames and leaves the page alone; `--times` measures the times alone and puts them
-into the page. Takes some ten minutes on two quiet cores. Seeds are not those of the tests.
+images and fewer rigs, renders no frames and does not write the page; `--times` measures only the times and updates them
+in the page. Takes about ten minutes on two cores without other load. The seeds differ from those of the tests.
 """
 
 from __future__ import annotations
@@ -21,11 +21,12 @@ from matplotlib.figure import Figure
 from fringedic.calibration import RigCalibration, calibrate_rig
 from fringedic.camera import DistortionMap
 from fringedic.camera.grid import GridMeasurement, measure_distortion
-from fringedic.camera.plane_view import PlaneView
-from fringedic.camera.turned_grid import TurnedGrid, locate_pin_hole, measure_turned_grid
-from fringedic.patterns import fringe_sequence
+from fringedic.camera.plane_homography import PlaneHomography
+from fringedic.camera.tilted_grid import TiltedGrid, locate_pin_hole, measure_tilted_grid
+from fringedic.patterns.sequences import fringe_sequence
 from fringedic.phase import absolute_phase
-from fringedic.rig_uncertainty import parameter_values
+from fringedic.report.calibration_sentences import model_choice_sentence, verdict_sentence
+from fringedic.rig.geometry import parameter_values
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "validation" / "calibration.md"
@@ -84,7 +85,7 @@ def plane(angle: float) -> dict[str, Any]:
     return {"kind": "reference_plane", "angle_degree": math.degrees(angle)}
 
 
-def exact_view(twin: VirtualRig) -> PlaneView:
+def exact_view(twin: VirtualRig) -> PlaneHomography:
     """Return how the camera sees the plane at angle 0, from where four pixels meet it."""
     truth = twin.with_specimen(plane(0.0)).truth(0.0)
     rows, columns = twin.shape
@@ -100,7 +101,7 @@ def exact_view(twin: VirtualRig) -> PlaneView:
     homography = shift @ homography
     turn = -math.atan2(homography[1, 0], homography[0, 0])
     c, s = math.cos(turn), math.sin(turn)
-    return PlaneView(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ homography, centre[0], centre[1])
+    return PlaneHomography(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ homography, centre[0], centre[1])
 
 
 def calibrate(twin: VirtualRig, phases: list[np.ndarray], sigma: list[np.ndarray], **known: Any) -> RigCalibration:
@@ -122,7 +123,7 @@ def rendered(twin: VirtualRig, specimen: dict[str, Any], first: int) -> xr.Datas
     sequence = fringe_sequence(800, 600, [800, 160, 40, 10], [4, 4, 4, 8])
     seen = twin.with_specimen(specimen)
     frames = np.array([seen.expose(image, 0.0, first + index) for index, image in enumerate(sequence)])
-    return absolute_phase(frames, list(sequence.projections))
+    return absolute_phase(frames, list(sequence.patterns))
 
 
 def grid_picture(twin: VirtualRig, angle: float) -> np.ndarray:
@@ -133,7 +134,7 @@ def grid_picture(twin: VirtualRig, angle: float) -> np.ndarray:
     return np.mean([seen.expose(white, 0.0, first + i) for i in range(8)], axis=0)
 
 
-def exact_grids(twin: VirtualRig, generator: np.random.Generator) -> PlaneView:
+def exact_grids(twin: VirtualRig, generator: np.random.Generator) -> PlaneHomography:
     """Return how the camera sees the plane, with its pin-hole by grids on the turned plane: exact points with noise."""
     view, (rows, columns) = exact_view(twin), twin.shape
     row, column = (each.ravel() for each in np.meshgrid(*(np.arange(5, n, 10) for n in (rows, columns)), indexing="ij"))
@@ -144,7 +145,7 @@ def exact_grids(twin: VirtualRig, generator: np.random.Generator) -> PlaneView:
         seen = twin.with_specimen(plane(angle)).view(0.0)
         points = np.stack([seen.X[row, column], seen.Y[row, column]], axis=1)
         points += sigma * generator.standard_normal(points.shape)
-        turned.append(TurnedGrid(angle, pixels, points, np.full(len(points), sigma), 0.0))
+        turned.append(TiltedGrid(angle, pixels, points, np.full(len(points), sigma), 0.0))
     nothing = np.zeros(len(pixels))
     flat = GridMeasurement(
         distortion=DistortionMap(columns, rows, np.zeros((1, 1)), np.zeros((1, 1))),
@@ -184,7 +185,7 @@ def from_frames(changes: dict[str, dict[str, float]], width: int) -> tuple[list[
         twin = twin_of(changes, width, dict(zip(names, sensor, strict=True)))
         flat = measure_distortion(grid_picture(twin, 0.0), pitch=1e-3 * twin.configuration.stage.grid_pitch_mm)
         measured = locate_pin_hole(
-            flat, [measure_turned_grid(grid_picture(twin, angle), flat, angle) for angle in GRID_ANGLES]
+            flat, [measure_tilted_grid(grid_picture(twin, angle), flat, angle) for angle in GRID_ANGLES]
         )
         stacks = [rendered(twin, plane(angle), 100 * (i + 1)) for i, angle in enumerate(ANGLES)]
         found = calibrate(
@@ -227,7 +228,7 @@ def heights(
             f"{rms(with_noise):.2f}",
             f"{rms(frame_error):.2f}",
         )
-        verdict = calibration.verdict.split(".")[0]
+        verdict = str(calibration.verdict)
         table.append([name, f"{rms(paper):.1f} ({PAPER[name]:g})", *measured, calibration.chosen, verdict])
         print(" | ".join(table[-1]), flush=True)
     return table, maps, calibration
@@ -345,22 +346,22 @@ def picture(maps: dict[str, tuple[np.ndarray, np.ndarray]], scores: np.ndarray, 
 def main() -> None:
     """Measure, print, and write the page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="small images, ten rigs, and the page stays as it is")
-    parser.add_argument("--times", action="store_true", help="the times alone, put into the page")
+    parser.add_argument("--quick", action="store_true", help="small images, ten rigs; the page is not written")
+    parser.add_argument("--times", action="store_true", help="measure only the times and update them in the page")
     options = parser.parse_args()
     width = 320 if options.quick else 1280
     if options.times:
         renew_times(time_rows(*seconds(width)))
         return
     count = 10 if options.quick else 100
-    print("rig | paper's model (reference) | exact phases | rendered | noisy phases | frames of 8 bits | chosen")
+    print("rig | six-parameter model (reference) | exact phases | rendered | noisy phases | frames of 8 bits | chosen")
     table, maps, calibration = heights(width, frames=not options.quick)
     converged, scores, of_points, errors = convergence(count, 160)
     score = math.sqrt(float(np.mean(scores**2)))
     times = time_rows(*seconds(width))
     lines = [
         f"random rigs that converged without starting values: {converged} of {count} (target all)",
-        f"z-scores of their parameters: {score:.3f} (.9 to 1.1); of x, y, z by the calibration: "
+        f"z-scores of their parameters: {score:.3f} (0.9 to 1.1); of x, y, z by the calibration: "
         + ", ".join(f"{value:.3f}" for value in of_points.values()),
         *times.values(),
     ]
@@ -373,7 +374,7 @@ def main() -> None:
 
 
 def time_rows(whole: float, straight: str, distorted: str) -> dict[str, str]:
-    """Return rows of the page by what they begin with."""
+    """Return rows of the page by their first cell."""
     return {
         CALIBRATION_ROW: f"| {CALIBRATION_ROW} | {whole:.1f} s | seconds |",
         SHAPE_ROW: f"| {SHAPE_ROW} | median of 20: {straight}, with projector distortion {distorted} | 25 ms |",
@@ -381,7 +382,7 @@ def time_rows(whole: float, straight: str, distorted: str) -> dict[str, str]:
 
 
 def renew_times(rows: dict[str, str]) -> None:
-    """Print the times and put them into the page."""
+    """Print the times and update them in the page."""
     text = PAGE.read_text("utf-8")
     for name, row in rows.items():
         print(row)
@@ -404,40 +405,54 @@ def page(
     points = ", ".join(f"{name} {value:.2f}" for name, value in of_points.items())
     return f"""# Calibration of the rig: measured figures
 
-Written by `python benchmarks/calibration.py` (`--times` renews the times alone). The digital twin is seen at
-50 µm/pixel, h0 400 mm, hp 380 mm, d 180 mm, projector focal length 3400 px, fringes of 10 px, q = 8; "misaligned" is a
-target 1.5 mm off, a roll of 0.7 degree, a camera tilted by 0.2 degree about x and y and a rotation axis 1 mm off in x
-and in z; projector distortion is k1 = 0.1. Seven planes from -15 to 15 degree are fitted, that at 7.5 degree is kept
-out. The twin traces its own rays; it shares no code with the calibration. Errors of z on a sphere of radius 120 mm,
-µm RMS:
+This page shows the height error after a calibration, and how well the stated uncertainties agree with the errors.
+It is written by `python benchmarks/calibration.py` (`--times` updates only the times). The virtual rig traces its
+own rays and shares no code with the calibration.
 
-| rig | paper's model, exact phases (reference, with noise) | exact phases (≤ 1) | \
-rendered frames without camera noise (≤ 2) | phases with .0021 fringe (≤ 6.2) | \
-8-bit frames with read and shot noise | model chosen | verdict |
+## Height error
+
+*Error of z on a sphere of radius 120 mm [µm RMS]. Virtual rig: 50 µm/pixel, h0 400 mm, hp 380 mm, d 180 mm, focal
+length of the projector 3400 px, fringes of 10 px, q = 8. "Misaligned": target displaced by 1.5 mm, roll of 0.7
+degree, camera tilted by 0.2 degree about x and y, rotation axis displaced by 1 mm in x and in z. Projector
+distortion: k1 = 0.1. Seven planes from -15 to 15 degree are fitted; the plane at 7.5 degree is kept out:*
+
+| rig | six-parameter model, exact phases (reference, with noise) | exact phases (≤ 1) | \
+rendered frames without camera noise (≤ 2) | phases with 0.0021 fringe (≤ 6.2) | \
+8-bit frames with read and shot noise | selected model | verdict |
 |---|---:|---:|---:|---:|---:|---|---|
 {rows}
 
-Rendered frames: the projector shows 8 bits and is blurred by .45 px; the grid that gives scale, tilt and distortion is
-rendered as well, seen at 0, -12 and 12 degree and measured by `measure_distortion` and `locate_pin_hole`. Noise of
-8-bit frames: 1 grey level and a variance of .02 per grey level. The random rigs have grids at -12 and 12 degree whose
-blocks are known to .001 px, so that h0, the camera's tilt and the projector's principal column are parameters as well.
-The error of x, y or z by a calibration is nearly the same all over the sphere: a z-score is that of as many errors as
-there are rigs, and scatters by 1 / sqrt(2 rigs).
+Rendered frames: the projector has 8 bits and a blur of 0.45 px. The grid that gives scale, tilt and distortion is
+rendered as well, at 0, -12 and 12 degree, and measured by `measure_distortion` and `locate_pin_hole`. The noise of
+8-bit frames is 1 grey level and a variance of 0.02 per grey level.
 
-| figure | measured | wanted |
+## Convergence, uncertainty and time
+
+*Random rigs: distances x 0.5 to 2, misaligned, with noise, without starting values. Their grids at -12 and 12
+degree have blocks with an uncertainty of 0.001 px, so that h0, the tilt of the camera and the principal column of
+the projector are parameters as well:*
+
+| figure | measured | target |
 |---|---:|---:|
-| random noisy rigs (distances x 0.5 to 2, misaligned) that converge, no start given | {converged} of {count} | all |
-| z-scores of their parameters | {score:.3f} | .9 to 1.1 |
+| random rigs that converge | {converged} of {count} | all |
+| z-scores of their parameters | {score:.3f} | 0.9 to 1.1 |
 | z-scores of x, y, z on a sphere, error of the calibration alone | {points}, each ± {1 / math.sqrt(2 * count):.2f} | \
-.9 to 1.1 |
-| error of z that such a calibration leaves, 160 x 120 px, median / largest | {np.median(errors):.2f} / \
+0.9 to 1.1 |
+| remaining error of z, 160 x 120 px, median / largest | {np.median(errors):.2f} / \
 {errors.max():.2f} µm | - |
 {times[CALIBRATION_ROW]}
 {times[SHAPE_ROW]}
 
+The error of x, y or z by a calibration is nearly constant over the sphere. The number of independent errors of a
+z-score is therefore the number of rigs, and its scatter is 1 / sqrt(2 rigs).
+
 ![Errors of z of both models, z-scores](calibration.png)
 
-What the report of the last rig says of its 8-bit frames: {calibration.verdict} {calibration.why}
+## Text of the report
+
+The report of the last rig, from its 8-bit frames, contains:
+
+> {verdict_sentence(calibration)} {model_choice_sentence(calibration)}
 """
 
 

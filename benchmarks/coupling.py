@@ -11,7 +11,7 @@ import argparse
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -20,22 +20,16 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import binary_dilation, binary_erosion, maximum_filter, minimum_filter
 
-from fringedic.chain import (
-    CouplingParameters,
-    CouplingResult,
-    DicParameters,
-    DicResult,
-    DisplacementTracker,
-    PhaseParameters,
-    PhaseResult,
-    ShapeTracker,
-    displacement_dataset,
-    phase_step,
-)
-from fringedic.increments import accumulate
-from fringedic.patterns import fringe_sequence
-from fringedic.rig import RigModel
-from fringedic.sequence import FrameRecord, Stack
+from fringedic.correlation.increments import accumulate
+from fringedic.frames.collector import Stack
+from fringedic.frames.records import FrameRecord
+from fringedic.patterns.sequences import fringe_sequence
+from fringedic.rig.model import RigModel
+from fringedic.steps.displacement_tracker import DisplacementTracker
+from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
+from fringedic.steps.phase import phase_step
+from fringedic.steps.shape_tracker import ShapeTracker
+from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult
 from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
 from fringedic.virtual_rig import VirtualRig
 
@@ -61,15 +55,14 @@ class Rendered:
     rig: RigModel
     stacks: list[Stack]
     phases: list[PhaseResult]
-    displacement: list[np.ndarray]
-    sigma: list[np.ndarray]
+    displacements: list[DicResult]
     truth: xr.Dataset
 
     def shapes(self) -> list[xr.Dataset]:
         return [self.rig.reconstruct(each.phase, PITCH, each.sigma) for each in self.phases]
 
     def in_plane(self) -> xr.Dataset:
-        return displacement_dataset(self.displacement[1], self.sigma[1], SPACING, (0, 0), DicParameters().window)
+        return self.displacements[1].field
 
 
 def render(twin: VirtualRig) -> Rendered:
@@ -82,8 +75,8 @@ def render(twin: VirtualRig) -> Rendered:
     for step, crosshead in enumerate((0.0, position)):
         frames = np.array([twin.expose(image, crosshead, 100 * step + k) for k, image in enumerate(sequence)])
         records = [
-            FrameRecord("bench", step, k, len(frames), projection, k, 0.01, 0)
-            for k, projection in enumerate(sequence.projections)
+            FrameRecord("bench", step, k, len(frames), pattern, k, 0.01, 0)
+            for k, pattern in enumerate(sequence.patterns)
         ]
         stacks.append(Stack("bench", step, records, frames, step))
         phases.append(phase_step(stacks[-1], PhaseParameters()))
@@ -94,8 +87,7 @@ def render(twin: VirtualRig) -> Rendered:
         rig,
         stacks,
         phases,
-        [each.displacement for each in found],
-        [each.sigma for each in found],
+        found,
         twin.truth(position).isel(row=grid, column=grid),
     )
 
@@ -123,7 +115,7 @@ def twin_rows(rendered: Rendered, maps: dict[str, np.ndarray]) -> list[Row]:
             rows.append((f"{name}, {words}: RMS error [µm]", 1e6 * rms(error), target))
             sigma = cloud[f"sigma_{name}"].where(inner)
             rows.append((f"{name}, {words}: median sigma [µm]", 1e6 * float(sigma.median()), target))
-            rows.append((f"{name}, {words}: z-score (.9 to 1.1)", float(np.nanstd(error / sigma.values)), None))
+            rows.append((f"{name}, {words}: z-score (0.9 to 1.1)", float(np.nanstd(error / sigma.values)), None))
             if z_filter:
                 maps[f"error of {name} [µm]"] = 1e6 * error
     found, true = strains(rendered, cloud)
@@ -131,7 +123,7 @@ def twin_rows(rendered: Rendered, maps: dict[str, np.ndarray]) -> list[Row]:
         error = np.where(inner, found[name].values - true[name].values, np.nan)
         rows.append((f"{name} over {STRAIN_WINDOW} px, filtered: RMS error [µstrain]", 1e6 * rms(error), target))
         score = float(np.nanstd(error / found[f"sigma_{name}"].values))
-        rows.append((f"{name}: z-score (.9 to 1.1)", score, None))
+        rows.append((f"{name}: z-score (0.9 to 1.1)", score, None))
         maps[f"error of {name} [µstrain]"] = 1e6 * error
     in_plane_errors = [
         np.where(inner, in_plane[f"displacement_{axis}"].values - truth[f"displacement_{axis}"].values, np.nan)
@@ -139,7 +131,7 @@ def twin_rows(rendered: Rendered, maps: dict[str, np.ndarray]) -> list[Row]:
     ]
     for axis, error in zip("xy", in_plane_errors, strict=True):
         score = float(np.nanstd(error / in_plane[f"sigma_{axis}"].values))
-        rows.append((f"displacement_{axis} that it rests on: RMS error [px]", rms(error), None))
+        rows.append((f"displacement_{axis}: RMS error [px]", rms(error), None))
         rows.append((f"displacement_{axis}: z-score", score, None))
     return rows
 
@@ -203,7 +195,7 @@ def exact_rows(rendered: Rendered) -> list[Row]:
             error = np.where(inner, cloud[name].values - truth[name].values, np.nan)
             rows.append((f"{name}, {words}: RMS error [µm]", 1e6 * rms(error), target))
             score = float(np.nanstd(error / cloud[f"sigma_{name}"].values))
-            rows.append((f"{name}, {words}: z-score (.9 to 1.1)", score, None))
+            rows.append((f"{name}, {words}: z-score (0.9 to 1.1)", score, None))
     return rows
 
 
@@ -226,7 +218,7 @@ def increment_rows() -> list[Row]:
             from_row, from_column = row - d_y, column - d_x
         exact.append(motion(from_row, from_column) / steps)
     total = motion(row, column)
-    found: list[Row] = [("naive sums, no noise: RMS error [px]", rms(np.sum(exact, axis=0) - total), None)]
+    found: list[Row] = [("plain sums, no noise: RMS error [px]", rms(np.sum(exact, axis=0) - total), None)]
     for noise in (0.0, 0.01):
         rng = np.random.default_rng(SEED)
         parts = []
@@ -270,7 +262,7 @@ def time_rows(rendered: Rendered) -> list[Row]:
     rows: list[Row] = [
         ("phase of 20 frames", milliseconds(lambda: phase_step(stack, PhaseParameters())), None),
         ("reconstruction", milliseconds(lambda: rendered.rig.reconstruct(rendered.phases[1].phase, PITCH)), 25),
-        ("preparing a shape, filter of 2 px", milliseconds(lambda: PreparedShape(shape, z_filter=2.0)), None),
+        ("preparation of a shape, filter of 2 px", milliseconds(lambda: PreparedShape(shape, z_filter=2.0)), None),
     ]
     return rows + [row for spacing in (SPACING, 1) for row in spacing_rows(rendered, spacing)]
 
@@ -285,18 +277,16 @@ def spacing_rows(rendered: Rendered, spacing: int) -> list[Row]:
         return dic.step("bench", next(numbers), 0, rendered.phases[k].texture)
 
     def couple_step(k: int, found: DicResult) -> CouplingResult:
-        phase, window = rendered.phases[k], DicParameters().window
-        fields = (phase.phase, phase.sigma, found.displacement, found.sigma)
-        return coupling.step("bench", next(numbers), 0, *fields, pitch=PITCH, spacing=spacing, window=window)
+        return coupling.step(replace(rendered.phases[k], step=next(numbers)), found)
 
     couple_step(0, correlate(0))
     found = correlate(1)
-    in_plane = displacement_dataset(found.displacement, found.sigma, spacing, (0, 0), DicParameters().window)
+    in_plane = found.field
     prepared = [PreparedShape(each, z_filter=2.0) for each in rendered.shapes()]
     cloud = couple(*prepared, in_plane, z_filter=2.0)
     cracked = with_crack(cloud)
     return [
-        (f"every {spacing} px: displacement in the image", milliseconds(lambda: correlate(1)), None),
+        (f"every {spacing} px: in-plane displacement", milliseconds(lambda: correlate(1)), None),
         (f"every {spacing} px: coupling", milliseconds(lambda: couple(*prepared, in_plane, z_filter=2.0)), None),
         (f"every {spacing} px: local frame with sigmas", milliseconds(lambda: to_local_frame(cloud)), None),
         (
@@ -363,7 +353,7 @@ def error_figure(maps: dict[str, np.ndarray], path: Path) -> None:
 
 
 def shown(title: str, rows: list[Row]) -> str:
-    lines = [f"### {title}", "", "| figure | measured | target |", "|---|---:|---:|"]
+    lines = [f"## {title}", "", "| figure | measured | target |", "|---|---:|---:|"]
     for name, value, target in rows:
         lines.append(f"| {name.strip()} | {value:.3g} | {'' if target is None else f'≤ {target:g}'} |")
     return "\n".join(lines)
@@ -381,16 +371,16 @@ def between(text: str, begin: str, end: str, new: str) -> str:
 def main() -> None:
     """Measure and print the tables, and write the page when asked to."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--page", type=Path, help="Markdown page to write the figures into, between its marks")
-    parser.add_argument("--times", action="store_true", help="measure the times alone, and write them alone")
+    parser.add_argument("--page", type=Path, help="Markdown page whose figures are replaced, between its markers")
+    parser.add_argument("--times", action="store_true", help="measure and write only the times")
     options = parser.parse_args()
     rendered, maps = render(VirtualRig.from_preset("plate", seed=SEED)), dict[str, np.ndarray]()
     tables = {}
     if not options.times:
         tables = {
             "Rendered frames of a plate": twin_rows(rendered, maps),
-            "Other surfaces: where scores are not 1": score_rows(),
-            "Exact surfaces with white noise of .002 fringe and .0026 px": exact_rows(rendered),
+            "Other surfaces: z-scores that are not 1": score_rows(),
+            "Exact surfaces with white noise of 0.002 fringe and 0.0026 px": exact_rows(rendered),
             "Twenty increments to 10 %": increment_rows(),
         }
     load = os.getloadavg()[0]  # of other programs: these figures alone depend on it
@@ -400,7 +390,7 @@ def main() -> None:
     print(text)
     if options.page is not None:
         page = options.page.read_text(encoding="utf-8")
-        begin, new = (f"### {TIMES}", text) if options.times else (FIGURES, f"{FIGURES}\n{text}")
+        begin, new = (f"## {TIMES}", text) if options.times else (FIGURES, f"{FIGURES}\n{text}")
         options.page.write_text(between(page, begin, "<!-- end of figures -->", f"{new}\n\n"), encoding="utf-8")
     if options.page is not None and not options.times:
         error_figure(maps, options.page.with_name("coupling_errors.png"))

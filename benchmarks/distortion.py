@@ -1,9 +1,9 @@
-"""Distortion left by one image of a grid, beside OpenCV's calibration, and the page docs/validation/distortion.md.
+"""Remaining distortion after one image of a grid, beside OpenCV's calibration.
 
-The virtual rig's camera looks through two lenses, one that Brown's model describes and one that it does not. OpenCV
-gets 15 images of a chessboard through the same lenses with the same noise. ``--quick`` leaves most of it out, and the
-page as it is. ``--times`` measures the times alone and puts them into the page. Takes about five minutes on two quiet
-cores.
+The camera of the virtual rig has two lenses, one that Brown's model describes and one that it does not. OpenCV uses 15
+images of a chessboard through the same lenses with the same noise. Writes docs/validation/distortion.md; ``--quick``
+runs a short version and does not write the page, ``--times`` measures only the times and updates them in the page.
+Takes about five minutes on two cores without other load.
 """
 
 from __future__ import annotations
@@ -29,22 +29,22 @@ from scipy.special import erf
 from fringedic.camera import DistortionMap
 from fringedic.camera.grid import GridMeasurement, measure_distortion
 from fringedic.camera.homography import apply_homography, fit_homography
-from fringedic.camera.turned_grid import locate_pin_hole, measure_turned_grid
-from fringedic.errors import GridAliasedError
+from fringedic.camera.tilted_grid import locate_pin_hole, measure_tilted_grid
+from fringedic.errors import GridError
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "validation" / "distortion.md"
 LENSES: dict[str, dict[str, Any]] = {
     "Brown": {"k1": -0.3, "k2": 1.0, "p1": 2e-4, "p2": -3e-4},
-    "odd": {
+    "irregular": {
         "k1": -0.3,
         "bump_percent": (0.05, -0.03),
         "bump_centre_percent": (15.0, -8.0),
         "bump_radius_percent": 12.0,
     },
 }
-TARGETS = {"Brown": 0.0005, "odd": 0.005}
-REFERENCE = {"Brown": 0.0013, "odd": 0.175}  # what OpenCV left in an earlier study of such lenses
+TARGETS = {"Brown": 0.0005, "irregular": 0.005}
+REFERENCE = {"Brown": 0.0013, "irregular": 0.175}  # what OpenCV left in an earlier study of such lenses
 PITCH_MM = 0.4
 PITCHES_MM = (0.25, 0.3, 0.4, 0.5, 0.75, 1.0, 2.0)
 TURNED = (-12.0, 12.0)  # [degree]
@@ -227,7 +227,7 @@ def study(lens: str, frames: int, views: int, orders: tuple[int, ...]) -> LensRe
 
 
 def pitches() -> list[tuple[float, float, float]]:
-    """Return pitch [mm], what is left of Brown's lens and what the noise foretells [px]."""
+    """Return pitch [mm], remaining distortion of Brown's lens and its prediction from the noise [px]."""
     rows = []
     for pitch in PITCHES_MM:
         twin = twin_with("Brown", grid_pitch_mm=pitch)
@@ -237,7 +237,7 @@ def pitches() -> list[tuple[float, float, float]]:
 
 
 def small() -> list[str]:
-    """Return rows of the period, and of what is left of Brown's lens on a small image, for each turn of the grid."""
+    """Return rows of the period and the remaining distortion on a small image, for each angle of the grid."""
     columns, rows = SMALL
     pixel = 64.0 / columns  # [mm]
     camera = {"columns": columns, "rows": rows, "pixel_size_um": 1e3 * pixel}
@@ -250,17 +250,17 @@ def small() -> list[str]:
             image = np.mean([grid_image(twin, frame) for frame in range(8)], axis=0)
             try:
                 found = measure_distortion(image, pitch=1e-3 * period * pixel)
-            except GridAliasedError:
+            except GridError:
                 cells.append("refused")
                 continue
             left = Truth(twin).left_by(found.distortion)[0]
-            cells.append(f"{left:.5f} ({found.sigma:.5f}){', warned of' if found.warnings else ''}")
+            cells.append(f"{left:.5f} ({found.sigma:.5f}){', with a warning' if found.warnings else ''}")
         lines.append("| " + " | ".join(cells) + " |")
     return lines
 
 
 def turned() -> list[str]:
-    """Return rows of what one picture and three pictures of the grid tell about where the pin-hole stands."""
+    """Return rows of the position of the pin-hole from one and from three images of the grid."""
     rows = []
     for lens in LENSES:
         twin = twin_with(lens)
@@ -269,14 +269,14 @@ def turned() -> list[str]:
         for degrees in TURNED:
             plane = {"kind": "reference_plane", "surface": "grid", "angle_degree": degrees}
             picture = grid_image(twin.with_specimen(plane), 50 + round(degrees))
-            pictures.append(measure_turned_grid(picture, flat, math.radians(degrees)))
+            pictures.append(measure_tilted_grid(picture, flat, math.radians(degrees)))
         found = locate_pin_hole(flat, pictures)
         assert found.plane.pin_hole is not None
         distance = twin.optics()["camera_distance"]
         # the pin-hole is above the origin: its foot, seen from the point that the image's middle looks at
         truth, (row, column) = twin.truth(0.0), (n // 2 for n in twin.shape)
         middle = [float(values[row - 1 : row + 1, column - 1 : column + 1].mean()) for values in (truth.x, truth.y)]
-        for name, each in (("one picture", flat), ("three pictures", found)):
+        for name, each in (("one image", flat), ("three images", found)):
             camera = each.plane.camera(distance)
             tilt_x, tilt_y = camera["camera_tilt_x"], camera["camera_tilt_y"]
             off = (
@@ -295,7 +295,7 @@ def turned() -> list[str]:
 def table(results: dict[str, LensResult]) -> list[str]:
     """Return the rows of the comparison, in Markdown."""
     lines = [
-        "| distortion left after the best homography, RMS over all pixels [px] | Brown lens | odd lens |",
+        "| remaining distortion after the best homography, RMS over all pixels [px] | Brown lens | irregular lens |",
         "|---|---:|---:|",
     ]
 
@@ -315,7 +315,7 @@ def table(results: dict[str, LensResult]) -> list[str]:
             for name in results
         ],
     )
-    row("foretold from the scatter", [f"{result.measurement.sigma:.5f}" for result in each])
+    row("predicted from the scatter", [f"{result.measurement.sigma:.5f}" for result in each])
     for model in MODELS:
         count = each[0].opencv[model].views
         row(
@@ -323,7 +323,7 @@ def table(results: dict[str, LensResult]) -> list[str]:
             [f"{result.opencv[model].left:.5f}" for result in each],
         )
     row("OpenCV in an earlier study of such lenses", [f"{REFERENCE[name]:g}" for name in results])
-    row("order chosen by cross-validation", [str(result.measurement.order) for result in each])
+    row("order selected by cross-validation", [str(result.measurement.order) for result in each])
     row(TIME_ROW, [f"{result.seconds:.1f}" for result in each])
     return lines
 
@@ -335,8 +335,8 @@ def draw(results: dict[str, LensResult], path: Path) -> None:
         opencv = result.opencv["k1 k2 p1 p2 k3"]
         for axis, error, title in (
             (axis_row[0], result.raw_error, f"{name} lens, raw: {result.raw:.3f} px"),
-            (axis_row[1], opencv.error, f"left by OpenCV: {opencv.left:.4f} px"),
-            (axis_row[2], result.error, f"left by one grid image: {result.left[-1]:.5f} px"),
+            (axis_row[1], opencv.error, f"remaining, OpenCV: {opencv.left:.4f} px"),
+            (axis_row[2], result.error, f"remaining, one grid image: {result.left[-1]:.5f} px"),
         ):
             length = np.hypot(error[..., 0], error[..., 1])
             top = float(np.percentile(length, 99.5))
@@ -360,7 +360,7 @@ def draw(results: dict[str, LensResult], path: Path) -> None:
         axis.axvline(found.order, color="k", lw=0.8)
         axis.set_xlabel("order of the polynomials")
         axis.set_ylabel("error [px]")
-        axis.set_title(f"order {found.order} is chosen", fontsize=10)
+        axis.set_title(f"selected order {found.order}", fontsize=10)
         axis.legend(fontsize=8)
     figure.savefig(path, dpi=90)
     plt.close(figure)
@@ -374,32 +374,40 @@ def write_page(
 ) -> None:
     """Write the page and its picture."""
     draw(results, PAGE.with_suffix(".png"))
+    introduction = """
+    This page shows the distortion that remains after a measurement with one image of a grid, beside OpenCV's
+    calibration. It is written by `python benchmarks/distortion.py` (`--times` updates only the times)."""
     conditions = f"""
-    Measured by `python benchmarks/distortion.py` on the virtual rig: 1280x960 px, 8 bits, read noise 1 grey level,
-    shot noise .02 per grey level, lines of {PITCH_MM} mm pitch (8 px) turned by 2 degrees on a surface of
-    reflectance .7, projector 1.5 mm off, camera tilted by 0.2 degree. The Brown lens has k1 -.3, k2 1, p1 2e-4, p2
-    -3e-4; the odd one k1 -.3 and a bump of .64 px along the columns and -.38 px along the rows that falls off as a
-    Gaussian of 154 px. OpenCV gets {VIEWS} chessboards of {BOARD[0]} x {BOARD[1]} corners in poses up to 20 degrees
-    through the same lens, with the same noise, corners by `findChessboardCornersSB`, in the same run. `--times`
-    renews the times alone."""
+    *Virtual rig, 1280x960 px, 8 bits, read noise 1 grey level, shot noise 0.02 per grey level, lines of {PITCH_MM} mm
+    pitch (8 px) turned by 2 degrees on a surface of reflectance 0.7, projector displaced by 1.5 mm, camera tilted by
+    0.2 degree. Brown lens: k1 -0.3, k2 1, p1 2e-4, p2 -3e-4. Irregular lens: k1 -0.3 and a Gaussian bump of 154 px with
+    0.64 px in x and -0.38 px in y. OpenCV: {VIEWS} chessboards of {BOARD[0]} x {BOARD[1]} corners in poses up to 20
+    degrees through the same lens, with the same noise, corners by `findChessboardCornersSB`, in the same run:*"""
     below = """
-    Arrows and colours are scaled picture by picture. The cross-validation contains the scatter of the left-out
-    points themselves, the error against the truth does not: the two curves have their minimum at the same place,
-    not at the same height."""
-    foretold = """
-    "Foretold" is the standard deviation of all terms of the polynomials; a homography takes eight of them, so that
-    somewhat less is left. A coarse grid has fewer points, each as noisy, and windows as wide as four of its
-    periods."""
+    Arrows and colours have a different scale in each picture. The cross-validation contains the scatter of the left-out
+    points; the error against the ground truth does not. Both curves therefore have their minimum at the same order,
+    but not at the same value."""
+    predicted = """
+    The prediction is the standard deviation of all terms of the polynomials. A homography removes eight of them, so
+    that the remaining distortion is slightly smaller. A coarse grid has fewer points of equal noise, and windows as
+    wide as four of its periods."""
     few = f"""
-    Few lines: the same field on {SMALL[0]} x {SMALL[1]} px, Brown lens, mean of 8 frames, lines blurred by {SMALL_BLUR}
-    px. Harmonics that the pixels alias vary more slowly on a small image, so that polynomials follow them; noise
-    matters less. More turn makes them fast. A grid that is turned too little is refused or warned of, and the words say
-    by how much it has to be turned."""
+    *The same field on {SMALL[0]} x {SMALL[1]} px, Brown lens, mean of 8 frames, lines blurred by {SMALL_BLUR} px:*"""
+    aliases = """
+    Aliased harmonics vary more slowly on a small image, so that the polynomials follow them; noise is less important. A
+    larger angle of the grid increases their frequency. A grid with a too small angle is refused or causes a warning,
+    and the message states the required angle."""
     place = f"""
-    One picture of the grid does not tell a tilted camera from a lens off its axis; two more of it on the plane turned
-    by {" and ".join(f"{degrees:+g}" for degrees in TURNED)} degree do (one frame each). The axis is 1 mm off:"""
+    One image of the grid cannot separate a tilted camera from a decentred lens. Two more images on the plane, tilted by
+    {" and ".join(f"{degrees:+g}" for degrees in TURNED)} degree, can."""
+    place_conditions = """
+    *One frame for each image; the rotation axis is displaced by 1 mm:*"""
     lines = [
         "# Camera distortion: measured figures",
+        "",
+        *_paragraph(introduction),
+        "",
+        "## Remaining distortion",
         "",
         *_paragraph(conditions),
         "",
@@ -409,25 +417,35 @@ def write_page(
         "",
         *_paragraph(below),
         "",
-        "Pitch of the grid, Brown lens:",
+        "## Pitch of the grid",
         "",
-        "| pitch [mm] | pitch [px] | left [px] | foretold from the scatter [px] |",
+        "*Brown lens:*",
+        "",
+        "| pitch [mm] | pitch [px] | remaining [px] | predicted from the scatter [px] |",
         "|---:|---:|---:|---:|",
         *(f"| {pitch:g} | {pitch / 0.05:g} | {left:.5f} | {sigma:.5f} |" for pitch, left, sigma in by_pitch),
         "",
-        *_paragraph(foretold),
+        *_paragraph(predicted),
+        "",
+        "## Small images",
         "",
         *_paragraph(few),
         "",
         "| period [px] (lines along the shorter side) | "
-        + " | ".join(f"turned by {turn:g} degree: left (foretold) [px]" for turn in SMALL_TURNS)
+        + " | ".join(f"turned by {turn:g} degree: remaining (predicted) [px]" for turn in SMALL_TURNS)
         + " |",
         "|---:|" + "---:|" * len(SMALL_TURNS),
         *with_few_lines,
         "",
+        *_paragraph(aliases),
+        "",
+        "## Position of the camera",
+        "",
         *_paragraph(place),
         "",
-        "| lens | foot of the pin-hole off [µm] | of a motion along z in x, y [%] | distance off [µm] |",
+        *_paragraph(place_conditions),
+        "",
+        "| lens | error of the foot [µm] | part of a motion along z in x, y [%] | error of the distance [µm] |",
         "|---|---:|---:|---:|",
         *by_turning,
         "",
@@ -440,7 +458,7 @@ def _paragraph(text: str) -> list[str]:
 
 
 def renew_times() -> None:
-    """Measure the times alone and put them into the page."""
+    """Measure only the times and update them in the page."""
     cells = []
     for lens in LENSES:
         image, times = grid_image(twin_with(lens), 10), []
@@ -459,8 +477,8 @@ def renew_times() -> None:
 def main() -> None:
     """Measure, print the table, write the page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="one frame and few boards, and the page stays as it is")
-    parser.add_argument("--times", action="store_true", help="the times alone, put into the page")
+    parser.add_argument("--quick", action="store_true", help="one frame and few boards; the page is not written")
+    parser.add_argument("--times", action="store_true", help="measure only the times and update them in the page")
     options = parser.parse_args()
     if options.times:
         renew_times()

@@ -22,8 +22,8 @@ from std_msgs.msg import Bool, Float64
 from system import Probe, figures, machine, usage
 
 from fringedic_bringup.client import RigClient
-from fringedic_bringup.graph import Graph, NodeEntry
-from fringedic_bringup.processes import RunningGraph, private_domain
+from fringedic_bringup.launch.graph import Graph, NodeEntry
+from fringedic_bringup.launch.processes import RunningGraph, private_domain
 from fringedic_ros.qos import STATE
 
 RATE_HZ = 30.0
@@ -50,7 +50,7 @@ def write_images(folder: Path, size: tuple[int, int]) -> None:
 
 
 def measure(seconds: float, folder: Path, size: tuple[int, int], others: tuple[NodeEntry, ...], title: str) -> Table:
-    """Camera, extensometer and recorder, with `others` beside them."""
+    """Camera, extensometer and recorder, with `others` running."""
     images = folder / "images"
     images.mkdir(parents=True)
     write_images(images, size)
@@ -130,7 +130,7 @@ def main() -> None:
                 "whole",
                 (960, 1280),
                 processing,
-                "Virtual extensometer, 1280x960, recorded, beside phase, dic and coupling",
+                "Virtual extensometer, 1280x960, recorded, with phase, dic and coupling running",
             ),
         ):
             console.print(measure(seconds, Path(folder) / name, size, others, title))

@@ -1,8 +1,8 @@
 """Phase: noise, fringe orders, response, exposures, one image, lens blur and speed, beside targets and other programs.
 
 Linear algebra runs in one thread, as in the nodes.
-Frames come from the digital twin at 1280x960. Writes docs/validation/phase.md with its pictures. `python
-benchmarks/phase.py --no-rivals` leaves the package `fringes` out.
+Frames come from the virtual rig at 1280x960. Writes docs/validation/phase.md with its pictures. `python
+benchmarks/phase.py --no-rivals` omits the package `fringes`.
 """
 
 from __future__ import annotations
@@ -27,26 +27,21 @@ import numpy as np
 import xarray as xr
 from rivals.environment import rival_python, run_in
 
-from fringedic.patterns import (
-    PatternSequence,
-    fringe_sequence,
-    gray_code_sequence,
-    one_image_sequence,
-    render_pattern,
-)
+from fringedic.frames.noise import CameraNoise
+from fringedic.patterns.render import render_pattern
+from fringedic.patterns.sequences import PatternSequence, fringe_sequence, gray_code_sequence, one_image_sequence
 from fringedic.phase import (
-    CameraNoise,
     absolute_phase,
-    check_stack,
     correct_lens_blur,
     demodulate,
     measure_phase,
     one_image_phase,
     unwrap_spatial,
 )
-from fringedic.phase.waves import WAVE_SHIFTS, phase_waves
-from fringedic.response import measure_response, response_projections
-from fringedic.rig import RigModel
+from fringedic.phase.checks import check_stack
+from fringedic.phase.checks.harmonic_error import SERIES_SHIFTS, measure_harmonic_error
+from fringedic.rig.model import RigModel
+from fringedic.rig_setup.response import measure_response, response_patterns
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
 matplotlib.use("Agg")
@@ -110,31 +105,31 @@ def measure_noise(page: Page) -> None:
     plate = rig_of(preset="plate")
     for name, twin, shifts in (
         (
-            "target rig, exposed for its surface",
+            "target rig, exposure for its surface",
             rig_of(**TARGET_RIG, sensor={"white_level": EXPOSED, **TARGET_NOISE}),
             8,
         ),
         (
-            "target rig, exposed for white, albedo .7",
+            "target rig, exposure for white, albedo 0.7",
             rig_of(**TARGET_RIG, sensor={"white_level": ALBEDO * EXPOSED, **TARGET_NOISE}),
             8,
         ),
         ("plate with speckle", plate, 8),
-        ("plate with speckle, four frames more", plate, 12),
+        ("plate with speckle, four more frames", plate, 12),
     ):
         rows, columns = twin.projector_shape
         sequence = finest(columns, rows, (*SHIFTS[:-1], shifts))
-        result = absolute_phase(frames_of(twin, sequence), sequence.projections, noise=NOISE)
+        result = absolute_phase(frames_of(twin, sequence), sequence.patterns, noise=NOISE)
         error = result.phase.values / TURN - exact_turns(twin)
         score = np.nanstd(error * TURN / result.sigma.values)
         typical = float(np.nanmedian(np.abs(error))) / 0.6745
         modulation = float(result.modulation.median())
         page.add(
-            f"noise, {name}, q = {shifts}, modulation {modulation:.0f} GL: RMS / at a typical pixel [fringe]",
+            f"noise, {name}, q = {shifts}, modulation {modulation:.0f} GL: RMS / median pixel [fringe]",
             f"{rms(error):.5f} / {typical:.5f}",
-            "<= .0021",
+            "<= 0.0021",
         )
-        page.add(f"z-score of sigma, {name}", f"{score:.3f}", ".95 to 1.05")
+        page.add(f"z-score of sigma, {name}", f"{score:.3f}", "0.95 to 1.05")
 
 
 def measure_orders(page: Page, folder: Path) -> None:
@@ -151,7 +146,7 @@ def measure_orders(page: Page, folder: Path) -> None:
             "complementary Gray code, q = 4": gray_code_sequence(columns, rows, PITCH, 4),
         }
         for name, sequence in ways.items():
-            result = absolute_phase(frames_of(twin, sequence, seed), sequence.projections, noise=NOISE)
+            result = absolute_phase(frames_of(twin, sequence, seed), sequence.patterns, noise=NOISE)
             wrong = np.abs(result.phase.values / TURN - truth) > 0.5
             tally = counts.setdefault(f"{name}, {len(sequence)} frames", [0, 0])
             tally[0] += int(wrong.sum())
@@ -166,13 +161,13 @@ def measure_orders(page: Page, folder: Path) -> None:
             ordered = np.isfinite(turns)
             wrong = np.abs(turns) > 0.5
             valid = int(wrapped.valid.sum())
-            spatial = f"{wrong[ordered].sum() / valid:.0%} wrong, {1 - ordered.sum() / valid:.0%} without"
+            spatial = f"{wrong[ordered].sum() / valid:.0%} wrong, {1 - ordered.sum() / valid:.0%} without an order"
             pictures["spatial unwrapping of one pitch"] = np.where(np.isfinite(turns), wrong, np.nan)
     for name, (number, valid) in counts.items():
         page.add(
             f"wrong orders, stepped object with shadows, {name}", f"{number} of {valid / 1e6:.1f} million", "<= 1e-5"
         )
-    page.add("the same, spatial unwrapping of one pitch (scikit-image, largest region)", spatial, "31 %")
+    page.add("wrong orders, spatial unwrapping of one pitch (scikit-image, largest region)", spatial, "31 %")
     chosen = [name for name in pictures if "800/80" not in name]
     figure, axes = plt.subplots(1, len(chosen), figsize=(11, 3.1), constrained_layout=True)
     for axis, name in zip(axes, chosen, strict=True):
@@ -190,10 +185,10 @@ def measure_response_curve(page: Page, folder: Path) -> None:
         **bent, sensor={"response": 0.9, "read_noise_grey_level": 0, "shot_noise_grey_level": 0, "bits": 16}
     )
     rows, columns = twin.projector_shape
-    greys = response_projections()
+    greys = response_patterns()
     ramp = np.array([twin.expose(render_pattern(each, columns, rows), 0.0, k) for k, each in enumerate(greys)])
     curve = measure_response(ramp, greys)
-    page.add("response curve: gamma of projector x camera (2.2 x .9 = 1.98)", f"{curve.gamma:.3f}")
+    page.add("response curve: gamma of projector x camera (2.2 x 0.9 = 1.98)", f"{curve.gamma:.3f}")
     truth = exact_turns(silent)
     lines = {}
     for shifts in (3, 4, 8):
@@ -201,28 +196,27 @@ def measure_response_curve(page: Page, folder: Path) -> None:
         for known in (None, curve):
             sequence = fringe_sequence(columns, rows, [800, 160, 40, 10], [4, 4, 4, shifts], response=known)
             error = (
-                absolute_phase(frames_of(silent, sequence), sequence.projections, noise=20.0).phase.values / TURN
-                - truth
+                absolute_phase(frames_of(silent, sequence), sequence.patterns, noise=20.0).phase.values / TURN - truth
             )
             waves.append(rms(error - np.nanmean(error)))
             lines[shifts, known is not None] = error[480, 600:680]
-        reference = "before: .026" if shifts == 3 else ""
+        reference = "without: 0.026" if shifts == 3 else ""
         page.add(
-            f"waves, q = {shifts}, before / after the correction [fringe]",
+            f"harmonic error, q = {shifts}, without / with correction [fringe]",
             f"{waves[0]:.5f} / {waves[1]:.5f}",
             reference,
         )
-    for name, known in (("before", None), ("after", curve)):
-        series = fringe_sequence(columns, rows, [PITCH], WAVE_SHIFTS, response=known)
-        seen = phase_waves(frames_of(twin, series))
+    for name, known in (("without", None), ("with", curve)):
+        series = fringe_sequence(columns, rows, [PITCH], SERIES_SHIFTS, response=known)
+        seen = measure_harmonic_error(frames_of(twin, series))
         page.add(
-            f"the same as `fringedic response` sees them, noisy frames, {name} the correction: q = 3 / 4 / 8 [fringe]",
+            f"harmonic error by `fringedic response`, noisy frames, {name} correction: q = 3 / 4 / 8 [fringe]",
             " / ".join(f"{seen.rms(each):.5f}" for each in (3, 4, 8)),
         )
     figure, axes = plt.subplots(1, 3, figsize=(11, 2.8), sharey=True, constrained_layout=True)
     for axis, shifts in zip(axes, (3, 4, 8), strict=True):
         axis.plot(lines[shifts, False], label="gamma 2.2, camera bent by .9")
-        axis.plot(lines[shifts, True], label="patterns make up for it")
+        axis.plot(lines[shifts, True], label="pre-compensated patterns")
         axis.set_title(f"q = {shifts}", fontsize=9)
         axis.set_xlabel("column [px]")
     axes[0].set_ylabel("error [fringe]")
@@ -238,22 +232,22 @@ def measure_exposures(page: Page) -> None:
     sequence = fringe_sequence(columns, rows, [800, 80, 10], 4)
     stacks = [frames_of(twin, sequence, number, exposure_factor=each) for number, each in enumerate(times)]
     truth = exact_turns(twin)
-    projections = list(sequence.projections)
+    patterns = list(sequence.patterns)
 
     def measured(chosen: list[int]) -> xr.Dataset:
         frames = np.concatenate([stacks[number] for number in chosen])
-        exposed = [times[number] for number in chosen for _ in projections]
-        return measure_phase(frames, projections * len(chosen), exposure_times=exposed)[0]
+        exposed = [times[number] for number in chosen for _ in patterns]
+        return measure_phase(frames, patterns * len(chosen), exposure_times=exposed)[0]
 
     for chosen in ([0], [1], [2], [0, 1], [0, 1, 2]):
         result = measured(chosen)
         error = result.phase.values / TURN - truth
         score = np.nanstd(error * TURN / result.sigma.values)
         page.add(
-            f"surface with glare and dark parts, exposed x{' and x'.join(f'{times[each]:g}' for each in chosen)}: "
+            f"surface with glare and dark parts, exposure x{' and x'.join(f'{times[each]:g}' for each in chosen)}: "
             "valid, noise RMS [fringe], z-score",
             f"{float(result.valid.mean()):.1%}, {rms(error):.5f}, {score:.3f}",
-            ".95 to 1.05",
+            "0.95 to 1.05",
         )
     page.add("2 x 12 frames merged, checked and measured [ms]", milliseconds(lambda: measured([0, 1])))
 
@@ -261,9 +255,9 @@ def measure_exposures(page: Page) -> None:
 def measure_one_image(page: Page) -> None:
     """One-image phase on plain and speckled surfaces."""
     for name, floor, divided, target in (
-        ("plain surface", 0.999, False, "<= .005"),
-        ("speckle", 0.12, False, "<= .017"),
-        ("speckle, divided by a grey image", 0.12, True, "<= .005"),
+        ("plain surface", 0.999, False, "<= 0.005"),
+        ("speckle", 0.12, False, "<= 0.017"),
+        ("speckle, divided by a grey image", 0.12, True, "<= 0.005"),
     ):
         twin = rig_of(preset="sphere", texture={"floor": floor})
         rows, columns = twin.projector_shape
@@ -280,25 +274,25 @@ def measure_one_image(page: Page) -> None:
 
 def measure_blur(page: Page, folder: Path) -> None:
     """Bias that the lens's blur gives a speckled surface, and what the correction leaves."""
-    bars: dict[str, list[float]] = {"as seen": [], "corrected": []}
+    bars: dict[str, list[float]] = {"uncorrected": [], "corrected": []}
     names = []
     for floor in (0.4, 0.12):
         sensor = {"bits": 16, "lens_blur_px": 0.8, "read_noise_grey_level": 0.0, "shot_noise_grey_level": 0.0}
         twin = rig_of(preset="sphere", ideal=True, texture={"floor": floor}, sensor=sensor)
         rows, columns = twin.projector_shape
         sequence = finest(columns, rows)
-        result = absolute_phase(frames_of(twin, sequence), sequence.projections, noise=20.0)
+        result = absolute_phase(frames_of(twin, sequence), sequence.patterns, noise=20.0)
         rig, height = RigModel(**twin.optics()), twin.truth(0.0).z.values
         contrast = float(result.texture.std() / result.texture.mean())
         names.append(f"speckle contrast {contrast:.0%}")
         for name, phase in (
-            ("as seen", result.phase.values),
+            ("uncorrected", result.phase.values),
             ("corrected", correct_lens_blur(result.phase, result.modulation, 0.8)),
         ):
             bars[name].append(1e6 * rms((rig.reconstruct(phase, PITCH).z.values - height)[5:-5, 5:-5]))
         page.add(
-            f"z bias by a lens blur of 0.8 px, contrast {contrast:.0%}: as seen / corrected [um]",
-            f"{bars['as seen'][-1]:.2f} / {bars['corrected'][-1]:.2f}",
+            f"z bias by a lens blur of 0.8 px, contrast {contrast:.0%}: uncorrected / corrected [um]",
+            f"{bars['uncorrected'][-1]:.2f} / {bars['corrected'][-1]:.2f}",
             "7-9 / 2" if floor == 0.4 else "",
         )
     figure, axis = plt.subplots(figsize=(5, 2.8), constrained_layout=True)
@@ -341,23 +335,23 @@ def measure_speed(page: Page, folder: Path, rivals: bool) -> None:
     rows, columns = twin.projector_shape
     sequence = finest(columns, rows)
     frames = frames_of(twin, sequence)
-    projections = list(sequence.projections)
+    projections = list(sequence.patterns)
     page.add(
-        "8 frames: phase, modulation, mean, noise estimate [ms: best / median / all cores' work]",
+        "8 frames: phase, modulation, mean, noise estimate [ms: best / median / processor time of all cores]",
         milliseconds(lambda: demodulate(frames[-8:], 8)),
         "<= 40",
     )
     page.add(
-        "the same frames, OpenCV: scaleAdd, phase, magnitude, nothing else [ms]",
+        "the same frames, OpenCV: scaleAdd, phase, magnitude only [ms]",
         milliseconds(lambda: opencv_demodulation(frames[-8:])),
     )
     page.add("20 frames with unwrapping [ms]", milliseconds(lambda: absolute_phase(frames, projections)), "<= 120")
     page.add(
-        "20 frames with unwrapping and the look for faults, as the node does [ms]",
+        "20 frames with unwrapping and checks of the frames, as in the node [ms]",
         milliseconds(lambda: measure_phase(frames, projections)),
         "<= 120",
     )
-    page.add("the look for faults alone [ms]", milliseconds(lambda: check_stack(frames, projections)), "<= 20")
+    page.add("checks of the frames only [ms]", milliseconds(lambda: check_stack(frames, projections)), "<= 20")
     python = rival_python("fringes") if rivals else None
     if python is None:
         return
@@ -386,7 +380,7 @@ def measure_speed(page: Page, folder: Path, rivals: bool) -> None:
         error = error[both] - np.median(error[both])
         wrong = np.abs(error) > PITCH / 2
         page.add(
-            f"stepped object, {name}: noise at a typical pixel [projector px], wrong orders (valid for fringedic)",
+            f"stepped object, {name}: noise of the median pixel [projector px], wrong orders (valid for fringedic)",
             f"{np.median(np.abs(error)) / 0.6745:.4f}, {wrong.mean():.1e}",
         )
     turns = decoded["unwrapped"] / TURN - exact_turns(twin)
@@ -404,11 +398,18 @@ def write_page(page: Page) -> None:
     PAGE.write_text(
         f"""# Phase: measured figures
 
-Written by `python benchmarks/phase.py` on {date.today()}, {threads} threads, from frames of the digital twin at
-1280x960 with a projector of 800x600 px, pitch {PITCH:g} px. GL: grey level. Target rig: 50 µm/px, h0 400 mm, hp
-380 mm, d 180 mm, focal length 3400 px, 8 bits, read noise 1 GL before rounding, shot noise variance .02 per GL,
-plain surface of albedo .7. Exposed for its surface: white light gives 82 % of full scale on it; exposed for
-white: on a surface of albedo 1, so that this one gets 57 %. The speckled plate has its bright paint at 82 %.
+This page shows noise, fringe orders, response, exposures and speed of the phase measurement. It is written by
+`python benchmarks/phase.py`.
+
+## Figures
+
+*Measured on {date.today()}, {threads} threads, with frames of the virtual rig: 1280x960, projector of 800x600 px,
+pitch {PITCH:g} px, 8 bits, read noise 1 GL before rounding, shot noise variance 0.02 per GL (GL: grey level).
+Target rig: 50 µm/px, h0 400 mm, hp 380 mm, d 180 mm, focal length 3400 px, plain surface of albedo 0.7. Exposure
+for its surface: white light gives 82 % of full scale on it. Exposure for white: 82 % on a surface of albedo 1, 57 %
+on this one. Speckled plate: its bright paint at 82 %. Times: best and median of {RUNS} runs with other work on the
+machine (load {LOAD:.1f} on {os.cpu_count()} cores), and the processor time of all cores in the best run, which
+other work hardly changes:*
 
 | figure | measured | target |
 |---|---:|---:|
@@ -416,27 +417,28 @@ white: on a surface of albedo 1, so that this one gets 57 %. The speckled plate 
 
 ![Wrong fringe orders (red) on the stepped object; white is not measured](phase_orders.png)
 
-![Error along a row with a bent response, and when the patterns make up for it](phase_response.png)
+![Error along a row with a nonlinear response, without and with pre-compensated patterns](phase_response.png)
 
-![Bias by the lens's blur on speckle](phase_blur.png)
+![Bias by the blur of the lens on speckle](phase_blur.png)
 
-Times are best and median of {RUNS} runs on this machine on this day, where other work ran beside it (load {LOAD:.1f} on
-{os.cpu_count()} cores); behind them the time that all cores together worked in the best run, which other work hardly
-disturbs. `fringes` decodes frames of its own patterns (same
-number, pitches and shifts, same scene and noise), because its phases have another zero; its time includes its
-unwrapping, which uses all frequencies at once. OpenCV's spatial unwrapping is part of its contributed modules.
+`fringes` decodes frames of its own patterns (same number, pitches and shifts, same scene and noise), because its
+phases have another zero. Its time includes its unwrapping, which uses all frequencies at once. The spatial
+unwrapping of OpenCV is part of its contributed modules.
 
-Orders from a single pitch (spatial unwrapping, one image) are relative: right up to the same number of whole
-fringes. What a shadow cuts off from the largest region is left out (white in the picture); OpenCV gives it orders,
-and wrong ones.
-On speckle the typical pixel is darker than the bright paint that sets the exposure. More frames of the finest pitch
-help as 1 / sqrt(q); merging the phases of the coarser pitches with weights hardly does, because they tell the same
-height with so much less sensitivity: those of 40 px, q = 4, add 4 / 16 of a frame to 8; 2 % less noise was measured.
-A response is corrected by the patterns; what is left is the projector's 8 bits. Exposures are merged at each pixel, so
-that noise and sigma are those of the best exposures there.
-The one-image error grows towards the border of
-the image, where half of the window is missing; on smooth surfaces without texture the error is the curvature
-inside the window, which sigma does not contain.
+## Remarks
+
+- **Relative orders.** Orders from a single pitch (spatial unwrapping, one image) are relative: correct up to one
+  number of whole fringes. The part that a shadow separates from the largest region is not measured (white in the
+  picture). OpenCV assigns orders to it, and they are wrong.
+- **Speckle.** The median pixel is darker than the bright paint that determines the exposure. More frames of the
+  finest pitch reduce the noise as 1 / sqrt(q). A weighted merge of the coarser pitches has hardly any effect,
+  because their sensitivity to height is much smaller: a pitch of 40 px with q = 4 corresponds to 4 / 16 of a frame,
+  added to 8. The measured reduction is 2 %.
+- **Response.** Pre-compensated patterns correct the response. The remaining error is the 8-bit quantisation of the
+  projector.
+- **Exposures.** Exposures are merged at each pixel, so that noise and sigma are those of the best exposures there.
+- **One image.** The error increases towards the border of the image, where half of the window is missing. On smooth
+  surfaces without texture the error is the curvature inside the window, which sigma does not contain.
 """
     )
 
@@ -444,7 +446,7 @@ inside the window, which sigma does not contain.
 def main() -> None:
     """Measure everything and write the page."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--no-rivals", action="store_true", help="leave the package fringes out")
+    parser.add_argument("--no-rivals", action="store_true", help="omit the package fringes")
     arguments = parser.parse_args()
     page, pictures = Page(), PAGE.parent
     with tempfile.TemporaryDirectory() as folder:

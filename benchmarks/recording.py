@@ -22,9 +22,9 @@ from system import RATE_HZ, SIZE, WANTED_HZ, figures, free_run, machine, noise_i
 
 from camera_node.testing import FakeCamera
 from fringedic_bringup.client import RigClient
-from fringedic_bringup.graph import Graph, NodeEntry, rig_graph
-from fringedic_bringup.processes import RunningGraph, private_domain
-from fringedic_bringup.run import load_rig
+from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
+from fringedic_bringup.launch.processes import RunningGraph, private_domain
+from fringedic_bringup.procedures.run import load_rig
 
 LOAD_HZ = 1000.0
 LOAD_TOPICS = ("load_frame/state", "load_frame/wrench", "load_frame/joint_states")
@@ -57,7 +57,7 @@ def stream(seconds: float, folder: Path, camera: dict[str, Any], title: str) -> 
     begun = run.begun
     table = figures(title)
     table.add_row("frames per second", f"{run.rate:.2f}", f">= {WANTED_HZ:g}")
-    table.add_row("frames, left out by the camera", f"{begun}, {run.exposures[-1].dropped}", "0 left out")
+    table.add_row("frames, omitted by the camera", f"{begun}, {run.exposures[-1].dropped}", "0 omitted")
     for topic in ("camera/image_raw", "camera/exposure"):
         table.add_row(f"{topic}: recorded, missing", f"{recorded[topic][0]}, {begun - recorded[topic][0]}", "0 missing")
     for topic in LOAD_TOPICS:

@@ -18,10 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
-from fringedic.chain import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.results.quantities import MAPS
-from fringedic.results.rows import Row, Settings
+from fringedic.results.rows import Row
 from fringedic.results.writer import DatasetWriter
+from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
+from fringedic.steps.recorded_parameters import StepSettings
 
 ROWS, COLUMNS = 960, 1280
 TARGETS = {"open [s]": 1.0, "one map [s]": 0.2, "memory [MB]": 500.0}
@@ -53,7 +54,7 @@ def write(target: Path, gigabytes: float) -> float:
     generator = np.random.default_rng(1)
     maps = {name: generator.normal(size=(ROWS, COLUMNS)).astype(np.float32) for name in MAPS}
     steps = round(gigabytes * 1e9 / sum(values.nbytes for values in maps.values()))
-    settings = Settings(
+    settings = StepSettings(
         {"phase": PhaseParameters(), "dic": DicParameters(), "coupling": CouplingParameters()}, None, {}, None
     )
     with DatasetWriter(target, {"experiment": "large", "source": "none"}) as writer:

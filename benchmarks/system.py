@@ -33,14 +33,15 @@ from rich.console import Console
 from rich.table import Table
 from sensor_msgs.msg import Image
 
-from fringedic.patterns import render_pattern
-from fringedic.recording import BagReader
-from fringedic.sequence import FrameRecord, PatternKind, Projection
+from fringedic.frames.records import FrameRecord
+from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.patterns.render import render_pattern
+from fringedic.recording.reader import BagReader
 from fringedic.virtual_rig import VirtualRig
 from fringedic_bringup.client import RigClient
-from fringedic_bringup.graph import Graph, NodeEntry, rig_graph
-from fringedic_bringup.processes import RunningGraph, private_domain
-from fringedic_bringup.run import load_rig
+from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
+from fringedic_bringup.launch.processes import RunningGraph, private_domain
+from fringedic_bringup.procedures.run import load_rig
 from fringedic_msgs.msg import Exposure, NodeStatus, RecorderStatus
 from fringedic_ros.images import image_message
 from fringedic_ros.qos import DIAGNOSTICS, EVENTS, IMAGES, LATCHED
@@ -54,7 +55,7 @@ CLOSING_FRAMES = 4  # fringe frames that make the phase node report what it lost
 
 
 class Probe:
-    """Starts the camera's free run and hears its exposure records, which are small, and what the nodes say."""
+    """Starts the free run of the camera and receives its exposure records and the status of the nodes."""
 
     def __init__(self, domain: int, watch: Callable[[], None]) -> None:
         self.exposures: list[Exposure] = []
@@ -84,7 +85,7 @@ class Probe:
         rclpy.try_shutdown(context=self._context)
 
     def wait(self, done: Callable[[], Any], what: str, timeout_s: float = TIMEOUT_S) -> None:
-        """Serve the node until something is true."""
+        """Spin the node until a condition is true."""
         end = time.monotonic() + timeout_s
         while not done():
             self._executor.spin_once(timeout_sec=0.1)
@@ -93,7 +94,7 @@ class Probe:
                 raise TimeoutError(f"{what} after {timeout_s:g} s")
 
     def pause(self, seconds: float) -> None:
-        """Serve the node for a while."""
+        """Spin the node for some time."""
         end = time.monotonic() + seconds
         self.wait(lambda: time.monotonic() >= end, "the clock stands still", seconds + 10.0)
 
@@ -108,10 +109,10 @@ class Probe:
             raise RuntimeError(f"the camera refuses transition {transition}")
 
     def closing_step(self) -> None:
-        """Publish one small step of fringes: the phase node then says how many frames it lost before."""
+        """Publish one small step of fringes, after which the phase node reports its lost frames."""
         for index in range(CLOSING_FRAMES):
-            projection = Projection(PatternKind.FRINGES, pitch=8.0, shift=index + 1, shifts=CLOSING_FRAMES)
-            record = FrameRecord("closing", 1, index, CLOSING_FRAMES, projection, time.time_ns(), 0.01, 0)
+            pattern = ProjectedPattern(PatternKind.FRINGES, pitch=8.0, shift=index + 1, shifts=CLOSING_FRAMES)
+            record = FrameRecord("closing", 1, index, CLOSING_FRAMES, pattern, time.time_ns(), 0.01, 0)
             image = np.full((16, 16), 60 * index, np.uint8)
             self._images.publish(image_message(image, stamp_ns=record.stamp, frame_id="camera_optical_frame"))
             self._records.publish(exposure_message(record, frame_id="camera_optical_frame"))
@@ -168,7 +169,7 @@ class Stream:
 
 
 def free_run(
-    nodes: tuple[NodeEntry, ...], seconds: float, folder: Path, then: Callable[[Probe], None] = lambda probe: None
+    nodes: tuple[NodeEntry, ...], seconds: float, folder: Path, then: Callable[[Probe], None] = lambda _: None
 ) -> Stream:
     """Start nodes, one of them an inactive camera, let it run, do something with the nodes and end them."""
     graph = Graph("bench", nodes)
@@ -220,10 +221,10 @@ def stream(seconds: float, folder: Path) -> Table:
     table = figures(f"Frames of {SIZE[1]}x{SIZE[0]} mono8 for {seconds:g} s, camera to phase node and recorder")
     table.add_row("frames", f"{begun}", "")
     table.add_row("frames per second", f"{run.rate:.2f}", f">= {WANTED_HZ:g}")
-    table.add_row("left out by the camera", f"{run.exposures[-1].dropped}", "0")
+    table.add_row("omitted by the camera", f"{run.exposures[-1].dropped}", "0")
     table.add_row("records missing at the probe", f"{begun - len(run.exposures)}", "0")
     table.add_row("lost by the phase node", f"{run.probe.drops['phase']}", "0")
-    table.add_row("images, records not in the recording", f"{begun - recorded[0]}, {begun - recorded[1]}", "0, 0")
+    table.add_row("images, records missing in the recording", f"{begun - recorded[0]}, {begun - recorded[1]}", "0, 0")
     table.add_row("images missing by the recorder's count", f"{run.probe.recorder.missing_images}", "0")
     table.add_row("recording [MB/s]", f"{1e-6 * run.written / run.duration:.1f}", "")
     run.add_shares(table)
@@ -236,7 +237,7 @@ def plate_steps(folder: Path) -> Iterator[Table]:
     rig, programme = load_rig(path, None, None)
     twin = VirtualRig(rig.virtual_configuration())
     rows, columns = twin.projector_shape
-    patterns = [render_pattern(projection, columns, rows) for projection in rig.projections()]
+    patterns = [render_pattern(pattern, columns, rows) for pattern in rig.patterns()]
     images = folder / "images"
     images.mkdir(parents=True)
     positions = [step.position or 0.0 for step in programme.load_steps()]

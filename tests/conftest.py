@@ -1,4 +1,4 @@
-"""ROS domains of their own for the tests of the running system, and one recorded experiment."""
+"""ROS domains of their own for the tests of the running system, and one recorded experiment for all of them."""
 
 from __future__ import annotations
 
@@ -6,16 +6,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from running_system import CONFIG, Told, processes_of
+from running_system import CONFIG, RecordedExperiment, processes_of, record_experiment, shared_result
 
-from fringedic_bringup.processes import node_environment, private_domain, remove_stale_segments
-from fringedic_bringup.report import RunReport
-from fringedic_bringup.run import load_rig, run_experiment
+from fringedic_bringup.launch.processes import node_environment, private_domain, remove_stale_segments
+from fringedic_bringup.procedures.outcome import RunReport
 
 
 @pytest.fixture(scope="module", autouse=True)
 def domain() -> Iterator[str]:
-    """Give each module a ROS domain of its own: no killed node of another is listed there, and nothing may be left."""
+    """Give each module a ROS domain of its own, without nodes of other modules, and check that nothing is left."""
     remove_stale_segments()
     with private_domain() as number, pytest.MonkeyPatch.context() as patch:
         for name, value in {**node_environment(number), "ROS_PYTHON_CHECK_FIELDS": "1"}.items():
@@ -31,9 +30,12 @@ def tiny() -> Path:
 
 
 @pytest.fixture(scope="session")
-def experiment(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> RunReport:
-    """Return a recorded experiment: three steps of the tiny virtual plate in tension, run by the real nodes."""
-    folder = tmp_path_factory.mktemp("experiment")
-    rig, programme = load_rig(tiny, None, None)
-    with private_domain() as number:
-        return run_experiment(rig, tiny, programme, folder / "run", Told(), domain=number)
+def recorded(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> RecordedExperiment:
+    """Return `fringedic run tiny`: three steps of a plate in tension; one run for all workers of pytest-xdist."""
+    return shared_result(tmp_path_factory, "experiment", lambda folder: record_experiment(tiny, folder / "tiny"))
+
+
+@pytest.fixture(scope="session")
+def experiment(recorded: RecordedExperiment) -> RunReport:
+    """Return the report of the recorded experiment."""
+    return recorded.report

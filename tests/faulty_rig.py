@@ -1,4 +1,4 @@
-"""A running rig whose steps are made to fail, for the tests of faults."""
+"""A running rig with faults in its steps, for the tests of faults."""
 
 from __future__ import annotations
 
@@ -8,14 +8,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.action import ActionClient
 from rclpy.parameter import Parameter
 from running_system import WORKING
 
 from fringedic.errors import StepFailedError
-from fringedic.recording import BagReader
+from fringedic.recording.reader import BagReader
 from fringedic_bringup.client import RigClient
-from fringedic_bringup.processes import RunningGraph
+from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_msgs.action import MeasureStep, MoveCrosshead
 
 FRAMES = 12
@@ -23,35 +25,38 @@ MM = 1e-3
 
 
 class Rig:
-    """A rig in its processes, and its controller.
+    """The processes of a rig, and their controller.
 
     Parameters
     ----------
+    running, client
+        The processes and the controller.
+    folder
+        Folder of the run.
     measured
-        Whether its steps are measured, not only recorded.
+        Whether the steps are measured, not only recorded.
     """
 
     def __init__(self, running: RunningGraph, client: RigClient, folder: Path, *, measured: bool = True) -> None:
         self.running, self.client, self.folder, self._measured = running, client, folder, measured
 
     def works(self) -> MeasureStep.Result:
-        """Measure a step that has to work."""
+        """Measure a step that has to succeed."""
         result = self.client.measure()
         assert result.load_samples > 3
         assert result.valid_fraction > WORKING or not self._measured
         return result
 
     def works_again(self) -> bool:
-        """Whether a step can be measured by now."""
+        """Return whether a step can be measured."""
         try:
             self.works()
-        except StepFailedError as error:  # what was lost is on its way back
-            print(error)
+        except StepFailedError:  # the node or device is not available again yet
             return False
         return True
 
     def fails(self, words: str, *, at_frame: int = 0, then: Callable[[], object] = lambda: None) -> None:
-        """Measure a step that has to fail; do something when a frame has been taken."""
+        """Measure a step that has to fail; call a function when a frame has been taken."""
         done = False
 
         def look(feedback: MeasureStep.Feedback) -> None:
@@ -65,7 +70,7 @@ class Rig:
 
     @contextmanager
     def settings(self, **values: Any) -> Iterator[None]:
-        """Other parameters of the experiment node for a while."""
+        """Change parameters of the experiment node until the end of the block."""
         before = {"hold_required": True, "load_drift_n": 0.0}
         self.set("experiment", values)
         try:
@@ -75,38 +80,57 @@ class Rig:
 
     def set(self, node: str, values: dict[str, Any]) -> None:
         """Set parameters of a node."""
-        client = self.client._node.create_client(SetParametersAtomically, f"{node}/set_parameters_atomically")
-        self.client._wait(client.service_is_ready, 20.0, lambda: "parameter service")
-        changes = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        result = self.client._call(client, SetParametersAtomically.Request(parameters=changes)).result
+        result = set_parameters(self.client, node, values)
         assert result.successful, result.reason
-        self.client._node.destroy_client(client)
 
     @contextmanager
     def creeping(self) -> Iterator[None]:
-        """Let the machine creep, which nobody stops but a request to hold; that has to come."""
+        """Move the machine slowly; only a request to hold stops it, and there has to be one."""
         self.client.move(0.0, 5 * MM)
         goal = MoveCrosshead.Goal(position=0.9 * MM, speed=0.05 * MM, controller="creep")
-        handle = self.client._send(self.client._move, goal, "creeping", lambda _: None)
-        with self.settings(hold_required=False):
-            yield
-        ended = handle.get_result_async()
-        self.client._wait(ended.done, 30.0, lambda: "the end of the motion")
+        with action(self.client, MoveCrosshead, "move_crosshead") as move:
+            sent = move.send_goal_async(goal)
+            self.client.wait_for(sent.done, 20.0, lambda: "the start of the motion")
+            with self.settings(hold_required=False):
+                yield
+            ended = sent.result().get_result_async()
+            self.client.wait_for(ended.done, 30.0, lambda: "the end of the motion")
         result = ended.result().result
         assert result.error_code == MoveCrosshead.Result.CANCELLED
-        assert "load_frame/hold stopped it" in result.error_message
+        assert "load_frame/hold stopped the move" in result.error_message
 
     def holds(self) -> bool:
-        """Whether the machine tells that it stands."""
-        self.client.sleep(0.1)  # takes what came before
-        self.client._load = None
+        """Return whether the machine publishes that it does not move."""
+        self.client.sleep(0.1)  # receives the earlier samples
+        before = self.client.load
         self.client.sleep(0.1)
-        load = self.client._load
-        return load is not None and load.mode in (load.HOLD, load.IDLE)
+        load = self.client.load
+        return load is not None and load is not before and load.mode in (load.HOLD, load.IDLE)
+
+
+@contextmanager
+def action(client: RigClient, kind: Any, name: str) -> Iterator[ActionClient]:
+    """Provide a client of an action, as another controller has it."""
+    other = ActionClient(client.node, kind, name)
+    try:
+        client.wait_for(other.server_is_ready, 20.0, lambda: f"action {name}")
+        yield other
+    finally:
+        other.destroy()
+
+
+def set_parameters(client: RigClient, node: str, values: dict[str, Any]) -> SetParametersResult:
+    """Set parameters of a node and return its answer."""
+    service = client.node.create_client(SetParametersAtomically, f"{node}/set_parameters_atomically")
+    client.wait_for(service.service_is_ready, 20.0, lambda: "parameter service")
+    changes = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    result = client.call(service, SetParametersAtomically.Request(parameters=changes)).result
+    client.node.destroy_client(service)
+    return result
 
 
 def recorded(bag: Path, step: int) -> int:
-    """Exposures of a step that can be read by now."""
+    """Return the number of exposures of a step that can be read from a recording."""
     reader = BagReader(bag)
     topics = reader.find_optional("camera/exposure").values()
     return sum(message.step == step for _, message, _ in reader.messages(topics))

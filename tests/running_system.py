@@ -1,8 +1,10 @@
-"""What the tests of the running system share."""
+"""Parts of the tests of the running system that several modules use."""
 
 from __future__ import annotations
 
+import fcntl
 import os
+import pickle
 import signal
 import socket
 import subprocess
@@ -11,14 +13,23 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
+import pytest
 from pymodbus.client import ModbusTcpClient
+from typer.testing import CliRunner
 
+from fringedic_bringup.command.main import app
+from fringedic_bringup.launch.processes import node_environment, private_domain
+from fringedic_bringup.procedures import run
+from fringedic_bringup.procedures.outcome import RunReport
+
+Result = TypeVar("Result")
 ROOT = Path(__file__).parent.parent
 CONFIG = ROOT / "ros2_ws" / "src" / "fringedic_bringup" / "config"
-# Part of the tiny rig's image that a good step measures. The plate fills 94 % of the 160 px across, and a rim of up to
-# 5 px, where a window of 32 px sees too little of it, is NaN: (150 - 10) (120 - 10) / (160 * 120) = .80
+WITHOUT_ROS = ROOT / "tests" / "without_ros"
+# Measured part of the tiny rig's image in a good step. The plate fills 94 % of the 160 px across, and an edge of up to
+# 5 px, where a window of 32 px overlaps too little of it, is NaN: (150 - 10) (120 - 10) / (160 * 120) = .80
 WORKING = 0.80
 MACHINES = ROOT / "ros2_ws" / "src" / "load_frame_node" / "test"
 MACHINE: dict[str, Any] = {
@@ -35,8 +46,8 @@ MACHINE: dict[str, Any] = {
 
 
 @dataclass
-class Told:
-    """Keeps what a run tells."""
+class Progress:
+    """Keeps the progress of a run as lines."""
 
     lines: list[str] = field(default_factory=list)
 
@@ -50,15 +61,15 @@ class Told:
         self.lines.append(text)
 
 
-class Killer(Told):
-    """Kills a node when a step has taken its third frame.
+class Killer(Progress):
+    """Kills nodes, each after the third frame of a step.
 
     Parameters
     ----------
     folder
-        Of the run.
+        Folder of the run.
     victims
-        Which node in which step, counted from 1.
+        The node that is killed in each step, counted from 1.
     """
 
     def __init__(self, folder: Path, victims: dict[int, str]) -> None:
@@ -71,8 +82,53 @@ class Killer(Told):
             os.kill(node_pid(self._folder, self._victims.pop(number)), signal.SIGKILL)
 
 
+@dataclass(frozen=True)
+class RecordedExperiment:
+    """A run of the command: its report and its output."""
+
+    report: RunReport
+    output: str
+
+
+def record_experiment(rig: Path, folder: Path) -> RecordedExperiment:
+    """Run ``fringedic run RIG --output FOLDER`` in this process, in a ROS domain of its own."""
+    reports: list[RunReport] = []
+    run_experiment = run.run_experiment
+
+    def keep_report(*arguments: Any, **options: Any) -> RunReport:
+        reports.append(run_experiment(*arguments, **options))
+        return reports[-1]
+
+    with private_domain() as domain, pytest.MonkeyPatch.context() as patch:
+        for name, value in node_environment(domain).items():
+            patch.setenv(name, value)
+        patch.setattr(run, "run_experiment", keep_report)
+        done = CliRunner().invoke(app, ["run", str(rig), "--output", str(folder)])
+    assert done.exit_code == 0, f"{done.output}\n{done.exception!r}"
+    return RecordedExperiment(reports[0], done.output)
+
+
+def shared_result(tmp_path_factory: pytest.TempPathFactory, name: str, make: Callable[[Path], Result]) -> Result:
+    """Return the result of a function, which the first of several workers of pytest-xdist calls with a new folder."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / name
+    folder.mkdir(exist_ok=True)
+    file = folder / "result.pickle"
+    with (folder / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not file.exists():
+            file.write_bytes(pickle.dumps(make(folder)))
+        result: Result = pickle.loads(file.read_bytes())
+    return result
+
+
+def without_ros() -> str:
+    """Return a PYTHONPATH with which a process cannot import ROS."""
+    return os.pathsep.join(filter(None, [str(WITHOUT_ROS), os.environ.get("PYTHONPATH")]))
+
+
 def node_pid(folder: Path, name: str) -> int:
-    """Process of a node, known by its parameter file."""
+    """Return the process of a node, identified by its parameter file."""
     marker = str(folder / "logs" / f"{name}.yaml").encode()
     for process in Path("/proc").glob("[0-9]*"):
         try:
@@ -84,21 +140,21 @@ def node_pid(folder: Path, name: str) -> int:
 
 
 def processes_of(domain: str) -> list[str]:
-    """Command lines of all processes, other than this one, that live in a ROS domain."""
+    """Return the command lines of all processes in a ROS domain, except this one."""
     found = []
     for process in Path("/proc").glob("[0-9]*"):
         try:
             variables = (process / "environ").read_bytes().split(b"\0")
             words = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode()
         except OSError:
-            continue  # it has ended meanwhile, or belongs to somebody else
+            continue  # it has ended, or belongs to another user
         if f"ROS_DOMAIN_ID={domain}".encode() in variables and words and int(process.name) != os.getpid():
             found.append(words)
     return found
 
 
 def wait_until(done: Callable[[], object], what: str, timeout_s: float = 60.0) -> None:
-    """Wait for something to become true."""
+    """Wait until a condition is true."""
     end = time.monotonic() + timeout_s
     while not done():
         assert time.monotonic() < end, f"{what} did not happen within {timeout_s:g} s"
@@ -106,7 +162,7 @@ def wait_until(done: Callable[[], object], what: str, timeout_s: float = 60.0) -
 
 
 class MachineServer:
-    """A machine's process; it can be killed and started again at its port."""
+    """The process of a machine; it can be killed and started again at the same port."""
 
     script = ""
 
@@ -134,7 +190,7 @@ class MachineServer:
 
 
 class ModbusServer(MachineServer):
-    """Speaks Modbus TCP."""
+    """A machine with Modbus TCP."""
 
     script = "modbus_machine.py"
 
@@ -144,10 +200,10 @@ class ModbusServer(MachineServer):
 
 
 class ScpiServer(MachineServer):
-    """Speaks text commands on a socket."""
+    """A machine with text commands on a socket."""
 
     script = "scpi_machine.py"
 
-    def tell(self, command: str) -> None:
+    def send(self, command: str) -> None:
         with socket.create_connection(("127.0.0.1", self.port)) as technician:
             technician.sendall(f"{command}\n".encode())

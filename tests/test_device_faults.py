@@ -1,6 +1,6 @@
 """Faults of camera, display and machine in the running system, each over its real protocol.
 
-What the fake camera sees is no pattern, so that steps are recorded and not measured.
+The fake camera does not see the patterns; therefore steps are recorded and not measured.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from running_system import ScpiServer, wait_until
 
 from camera_node.testing import FakeCamera
 from fringe_projector_node.testing import VirtualDisplay, WindowManager
-from fringedic.rig_file import load_rig_file
+from fringedic.configuration.rig_file import load_rig_file
 from fringedic_bringup.client import RigClient
-from fringedic_bringup.graph import rig_graph
-from fringedic_bringup.processes import RunningGraph
+from fringedic_bringup.launch.graph import rig_graph
+from fringedic_bringup.launch.processes import RunningGraph
 
 pytestmark = [pytest.mark.hardware, pytest.mark.slow]
 
@@ -74,19 +74,19 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
             yield Bench(rig, camera, display, machine)
 
 
-def fails_and_goes_on(bench: Bench, words: str, fault: Callable[[], object], mend: Callable[[], object]) -> None:
-    """A fault in the middle of a stack: named, the machine stopped, the next step whole on the disk."""
+def fails_and_continues(bench: Bench, words: str, fault: Callable[[], object], repair: Callable[[], object]) -> None:
+    """Check that a fault during a stack is named, the machine stops, and the next step is recorded completely."""
     rig = bench.rig
     with rig.creeping():
         rig.fails(words, at_frame=4, then=fault)
-    mend()
+    repair()
     wait_until(rig.works_again, "the next step")
     step = rig.works().step
     wait_until(lambda: recorded(rig.folder / "bag", step) == FRAMES, "its frames to be on the disk")
 
 
 def test_camera_that_is_unplugged(bench: Bench) -> None:
-    fails_and_goes_on(bench, ".*frame [4-9].*camera", bench.camera.pull, bench.camera.plug_in)
+    fails_and_continues(bench, ".*frame [4-9].*camera", bench.camera.pull, bench.camera.plug_in)
 
 
 def test_window_that_is_closed(bench: Bench) -> None:
@@ -94,11 +94,11 @@ def test_window_that_is_closed(bench: Bench) -> None:
         with WindowManager() as manager:
             manager.close(manager.windows()[-1])
 
-    fails_and_goes_on(bench, ".*the projector's window was closed", close, lambda: None)
+    fails_and_continues(bench, ".*the projector's window was closed", close, lambda: None)
 
 
 def test_display_at_another_resolution(bench: Bench) -> None:
-    fails_and_goes_on(
+    fails_and_continues(
         bench,
         ".*the displays changed from 640x480 to 320x240 px",
         lambda: bench.display.change_resolution(320, 240),
@@ -107,11 +107,11 @@ def test_display_at_another_resolution(bench: Bench) -> None:
 
 
 def test_machine_that_is_silent(bench: Bench) -> None:
-    """It is asked to hold, but until it answers again nobody can tell whether it does."""
+    """The machine is requested to hold; whether it does is known when it answers again."""
     rig = bench.rig
     try:
-        rig.fails("the load frame does not tell what it does", at_frame=4, then=lambda: bench.machine.tell("SILENT"))
+        rig.fails("the load frame reports no state", at_frame=4, then=lambda: bench.machine.send("SILENT"))
     finally:
-        bench.machine.tell("SPEAK")
-    wait_until(rig.holds, "the machine to be understood again")
+        bench.machine.send("SPEAK")
+    wait_until(rig.holds, "answers of the machine")
     wait_until(rig.works_again, "the next step")

@@ -1,4 +1,4 @@
-"""A killed node does not end a test: the command starts it again, and all that was planned gets measured."""
+"""A killed node does not end a test: the command starts it again, and all planned steps are measured."""
 
 from __future__ import annotations
 
@@ -9,38 +9,39 @@ import pytest
 from running_system import CONFIG, WORKING, Killer
 
 import fringedic
-from fringedic.programme import Programme
-from fringedic.recording import BagReader
-from fringedic_bringup.run import load_rig, run_experiment
+from fringedic.configuration.programme import Programme
+from fringedic.recording.reader import BagReader
+from fringedic_bringup.procedures.run import load_rig, run_experiment
 
 PROGRAMME = {
     "experiment": "killed",
     "ramp": {"from_mm": 0.0, "to_mm": 0.6, "steps": 4, "speed_mm_per_s": 5.0},
 }
-VICTIMS = ("experiment", "recorder", "dic")  # those that keep something in memory
+VICTIMS = ("experiment", "recorder", "dic")  # nodes with a state in memory
 
 
 @pytest.mark.slow
 def test_the_test_goes_on_whichever_node_is_killed(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     rig, _ = load_rig(CONFIG / "tiny.yaml", None, None)
-    told = Killer(folder, dict(enumerate(VICTIMS, start=2)))
-    report = run_experiment(rig, CONFIG / "tiny.yaml", Programme.model_validate(PROGRAMME), folder, told)
-    print("\n".join(line for line in told.lines if "step" not in line or "killed" in line or "again" in line))
-    assert [step.error for step in report.steps] == [""] * 4, told.lines
+    progress = Killer(folder, dict(enumerate(VICTIMS, start=2)))
+    report = run_experiment(rig, CONFIG / "tiny.yaml", Programme.model_validate(PROGRAMME), folder, progress)
+    assert [step.error for step in report.steps] == [""] * 4, progress.lines
     positions = np.array([step.position for step in report.steps])
     assert positions == pytest.approx(np.linspace(0, 0.6e-3, 4), abs=1e-8)
     for name in VICTIMS:
-        assert any(f"{name} was ended by SIGKILL" in line and "started again" in line for line in told.lines), name
+        assert any(f"{name} was ended by SIGKILL" in line and "started again" in line for line in progress.lines), name
 
     numbers = [step.step for step in report.steps]
-    assert numbers == sorted(set(numbers)) and numbers[-1] > 4, "numbers are not used twice, cut off steps have one"
-    assert not BagReader(folder / "bag").lost and (folder / "bag-1").exists() and (folder / "bag-2").exists()
+    assert numbers == sorted(set(numbers)), "numbers are not used twice"
+    assert numbers[-1] > 4, "interrupted steps have a number"
+    assert not BagReader(folder / "bag").lost
+    assert (folder / "bag-1").exists()
+    assert (folder / "bag-2").exists()
     assert all(step.missing == step.dropped == 0 for step in report.steps)
     with fringedic.open_experiment(folder / "results.nc") as dataset:
         measured = dataset.sel(step=numbers)
-        assert set(measured.reference_step.values.tolist()) == {0}, "the first reference, which dic had lost"
+        assert set(measured.reference_step.values.tolist()) == {0}, "the first reference, although dic lost it"
         assert (np.isfinite(measured.w).mean(("row", "column")) > WORKING).all()
         errors = {name: [round(step.errors[name], 1) for step in report.steps] for name in "uvw"}
-        print(f"errors against the truth [µm]: {errors}")
-        assert max(errors["v"]) < 12
+        assert max(errors["v"]) < 12, errors

@@ -1,5 +1,7 @@
-"""Faults of machine, controllers, clock and disk in the running system: each is named, the machine is asked to hold,
-what was recorded is readable, and the next step works. The machine speaks Modbus TCP over a real socket.
+"""Faults of machine, controllers, clock and disk in the running system.
+
+Each is reported by name, the machine is requested to hold, the recording is readable, and the next step works. The
+machine has Modbus TCP over a real socket.
 """
 
 from __future__ import annotations
@@ -14,20 +16,20 @@ from pathlib import Path
 
 import pytest
 import yaml
-from faulty_rig import FRAMES, MM, Rig, recorded
+from faulty_rig import FRAMES, MM, Rig, action, recorded
 from running_system import CONFIG, MACHINE, WORKING, ModbusServer, wait_until
 
 from fringedic.errors import StepFailedError
-from fringedic.recording import BagReader
+from fringedic.recording.reader import BagReader
 from fringedic_bringup.client import RigClient
-from fringedic_bringup.graph import rig_graph
-from fringedic_bringup.processes import RunningGraph
-from fringedic_bringup.run import load_rig
+from fringedic_bringup.launch.graph import rig_graph
+from fringedic_bringup.launch.processes import RunningGraph
+from fringedic_bringup.procedures.run import load_rig
 from fringedic_msgs.action import MeasureStep
 
 JUMPING_CLOCK = Path(__file__).parent / "jumping_clock"
-# The camera of a virtual rig, which has to know where the specimen is, may notice first.
-UNTOLD = "(the load frame does not tell what it does|.*crosshead position nan mm)"
+# The camera of a virtual rig needs the position of the specimen, and may report the fault first.
+UNKNOWN = "(the load frame reports no state|.*crosshead position nan mm)"
 
 
 @pytest.fixture(scope="module")
@@ -65,28 +67,24 @@ def _running(folder: Path, server: ModbusServer) -> Iterator[Rig]:
 
 def test_cancelled_half_way(rig: Rig) -> None:
     with rig.creeping():
-        rig.fails("cancelled by the caller", at_frame=3, then=lambda: rig.client._running.cancel_goal_async())
+        rig.fails("cancelled by the client", at_frame=3, then=rig.client.request_cancel)
     rig.works()
 
 
 def test_second_controller(rig: Rig) -> None:
     refusals = []
-
-    def interfere() -> None:
-        goal = MeasureStep.Goal(controller="fatigue")
-        sent = rig.client._measure.send_goal_async(goal)
-        sent.add_done_callback(lambda _: refusals.append(sent.result().get_result_async()))
-
     done = False
+    with action(rig.client, MeasureStep, "measure_step") as measure:
 
-    def look(feedback: MeasureStep.Feedback) -> None:
-        nonlocal done
-        if feedback.frame and not done:
-            done = True
-            interfere()
+        def interfere(feedback: MeasureStep.Feedback) -> None:
+            nonlocal done
+            if feedback.frame and not done:
+                done = True
+                sent = measure.send_goal_async(MeasureStep.Goal(controller="fatigue"))
+                sent.add_done_callback(lambda _: refusals.append(sent.result().get_result_async()))
 
-    assert rig.client.measure(feedback=look).valid_fraction > WORKING
-    rig.client._wait(lambda: bool(refusals) and refusals[0].done(), 10.0, lambda: "the refusal")
+        assert rig.client.measure(feedback=interfere).valid_fraction > WORKING
+        rig.client.wait_for(lambda: bool(refusals) and refusals[0].done(), 10.0, lambda: "the refusal")
     result = refusals[0].result().result
     assert result.error_code == MeasureStep.Result.BUSY
     assert "is being measured for tension; fatigue has to wait" in result.error_message
@@ -100,10 +98,10 @@ def test_load_that_drifts_during_the_stack(rig: Rig) -> None:
 
 def test_machine_that_answers_nonsense(rig: Rig, machine: ModbusServer) -> None:
     try:
-        rig.fails(UNTOLD, at_frame=2, then=lambda: machine.switch(2, True))
+        rig.fails(UNKNOWN, at_frame=2, then=lambda: machine.switch(2, True))
     finally:
         machine.switch(2, False)
-    wait_until(rig.holds, "the machine to be understood again")
+    wait_until(rig.holds, "valid answers of the machine")
     rig.works()
 
 
@@ -116,10 +114,10 @@ def test_machine_that_reports_a_fault(rig: Rig, machine: ModbusServer) -> None:
 
 def test_server_that_is_gone_in_the_middle_of_a_stack(rig: Rig, machine: ModbusServer) -> None:
     try:
-        rig.fails(UNTOLD, at_frame=3, then=machine.kill)
+        rig.fails(UNKNOWN, at_frame=3, then=machine.kill)
     finally:
         machine.start()
-    wait_until(rig.holds, "the machine to be found again")
+    wait_until(rig.holds, "the machine")
     rig.client.move(0.2 * MM, 5 * MM)
     rig.works()
 
@@ -130,31 +128,35 @@ def test_clock_that_jumps_back(rig: Rig) -> None:
             os.kill(rig.running.pid(name), signal.SIGUSR1)
 
     rig.fails(".*the clock jumped back", at_frame=4, then=jump)
-    # who takes no frame in the rest of that step notices with the next one
+    # a node that takes no frame in the rest of this step notices the jump in the next one
     wait_until(rig.works_again, "a step after the jump")
 
 
+def measure_three(rig: Rig) -> None:
+    """Measure three steps: the recorder writes after the measurement, and its error fails a later step."""
+    for _ in range(3):
+        rig.works()
+
+
 def test_disk_that_is_full_while_recording(rig: Rig) -> None:
-    """Last in this module. The limit of a file's size stands for the end of a disk; the error is another number."""
+    """Last in this module. A limit of the file size replaces a full disk; only the number of the error differs."""
     good = rig.works().step
     bag = rig.folder / "bag"
     wait_until(lambda: recorded(bag, good) == FRAMES, "the step to be on the disk")
     size = (bag / "bag_0.mcap").stat().st_size
     resource.prlimit(rig.running.pid("recorder"), resource.RLIMIT_FSIZE, (size + 50_000, size + 50_000))
     with pytest.raises(StepFailedError, match="the disk is full"):
-        for _ in range(3):  # the recorder writes behind the measurement, and tells it of the next step
-            rig.works()
+        measure_three(rig)
     assert recorded(bag, good) == FRAMES
     rig.running.stop(["recorder"])
-    foretold = rig.folder / "foretold"
-    rig.running.restart("recorder", bag_path=str(foretold))
-    wait_until(rig.works_again, "a step with a recorder that has room")
+    in_time = rig.folder / "in_time"
+    rig.running.restart("recorder", bag_path=str(in_time))
+    wait_until(rig.works_again, "a step with a recorder that has space")
     free = shutil.disk_usage(rig.folder).free / 1e6
     rig.set("recorder", {"smallest_free_mb": min(free + 10_000.0, 1e6)})
     with pytest.raises(StepFailedError, match=r"the disk is full: \d+ MB are left"):
-        for _ in range(3):
-            rig.works()
-    assert not BagReader(foretold).lost, "it was closed in time, with its index"
+        measure_three(rig)
+    assert not BagReader(in_time).lost, "it was closed in time, with its index"
     rig.running.stop(["recorder"])
     rig.running.restart("recorder", bag_path=str(rig.folder / "bag-2"))
     wait_until(rig.works_again, "a step with the new recorder")

@@ -1,4 +1,4 @@
-"""The script that the page of the command prints, against the nodes of the tiny rig."""
+"""The script of the page on the command, with the nodes of the tiny rig."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from running_system import CONFIG, ROOT
 
-from fringedic.recording import BagReader
-from fringedic_bringup.graph import rig_graph
-from fringedic_bringup.processes import RunningGraph
-from fringedic_bringup.run import load_rig
+from fringedic.recording.reader import BagReader
+from fringedic_bringup.launch.graph import rig_graph
+from fringedic_bringup.launch.processes import RunningGraph
+from fringedic_bringup.procedures.run import load_rig
 
 
 @pytest.mark.slow
@@ -29,4 +29,5 @@ def test_the_printed_script_moves_and_measures(tmp_path: Path, capsys: pytest.Ca
     recorded = BagReader(tmp_path / "bag")
     (states,) = recorded.find("load_frame/state").values()
     last = [message for _, message, _ in recorded.messages([states])][-1]
-    assert 500 < last.force < 650 and last.position < 0.45e-3, "the move to a force ended before its position"
+    assert 500 < last.force < 650
+    assert last.position < 0.45e-3, "the move to a force ended before its position"

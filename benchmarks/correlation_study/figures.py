@@ -9,9 +9,9 @@ from scipy.ndimage import map_coordinates
 
 from correlation_study.estimators import Measured
 from correlation_study.scenes import AMPLITUDE, DIRECTIONS, PERIODS, SHIFTS, Task
+from fringedic.correlation.transfer import KEPT
 
 MARGIN = 56  # [px] left out at the border by every estimator alike
-TRANSFER = 0.9
 
 
 def static_noise(task: Task, measured: Measured) -> float:
@@ -39,11 +39,11 @@ def cut_off(gain: np.ndarray) -> float:
     worst = 0.0
     periods = np.array(PERIODS)
     for one in gain.transpose(0, 2, 1).reshape(-1, periods.size):
-        if not (one < TRANSFER).any():
+        if not (one < KEPT).any():
             worst = max(worst, periods[-1])
             continue
-        k = int(np.argmax(one < TRANSFER))
-        worst = max(worst, float(np.interp(TRANSFER, one[[k, k - 1]], periods[[k, k - 1]])))
+        k = int(np.argmax(one < KEPT))
+        worst = max(worst, float(np.interp(KEPT, one[[k, k - 1]], periods[[k, k - 1]])))
     return worst
 
 

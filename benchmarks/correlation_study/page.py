@@ -33,7 +33,7 @@ def target_rows(results: Results) -> list[Row]:
         Row("resolution, 0 / 31 GL [px]", (clean.resolution, noisy.resolution), (0.0005, 0.0080), note=at),
         Row("largest bias, 0 / 31 GL [px]", (clean.bias, noisy.bias), (0.0001, 0.0005), 5, errors),
         Row("noise x period with 10 % loss [px²]", (chosen.product,), (0.35,), 3, product),
-        Row("the same, stretch [px²]", (chosen.product,), (0.32,), 3),
+        Row("noise x period with 10 % loss, extended target [px²]", (chosen.product,), (0.32,), 3),
         Row("overshoot of the gain [%]", (100 * chosen.overshoot,), (5.0,), 2),
     ]  # fmt: skip
     if results.rivals:
@@ -41,7 +41,7 @@ def target_rows(results: Results) -> list[Row]:
             noise = results.rivals.interpolated[shape]
             rows.append(
                 Row(
-                    f"    pyvale {'affine' if shape == 'AFFINE' else 'quadratic'} at our cut-off [px²]",
+                    f"    pyvale {'affine' if shape == 'AFFINE' else 'quadratic'} at the same cut-off [px²]",
                     (noise * chosen.period,), (), 3, f"noise {noise:.5f}; nearest size {subset.size} px",
                 )
             )  # fmt: skip
@@ -61,14 +61,16 @@ def target_rows(results: Results) -> list[Row]:
             rows.append(Row("sample 14, column means L1 / L3 / L5 [px]", rmse, CHALLENGE_TARGETS, 4, f"window {w} px"))
         if results.rivals and results.rivals.sample_14:
             subset = best_sample_14(results.rivals.sample_14)
-            rows.append(Row(f"    {subset}, its best", tuple(results.rivals.sample_14[subset].rmse)))
+            rows.append(Row(f"    {subset}, best size", tuple(results.rivals.sample_14[subset].rmse)))
     else:
         rows.append(Row("sample 14, column means L1 / L3 / L5 [px]", (), CHALLENGE_TARGETS, note="images not found"))
     for large, target in zip(results.large, (0.005, 0.0033, 0.0036), strict=True):
         note = f"{100 * large.measured:.1f} % measured, largest error {large.largest:.3f}"
         rows.append(Row(f"{large.name}, 10 GL [px]", (large.rmse,), (target,), 4, note))
     departure = np.abs(results.scores.deviation - 1)
-    rows.append(Row("z-scores, largest departure of their deviation from 1", (float(departure.max()),), (0.1,), 3))
+    rows.append(
+        Row("z-scores, largest difference of their standard deviation from 1", (float(departure.max()),), (0.1,), 3)
+    )
     return rows
 
 
@@ -78,7 +80,7 @@ def time_rows(speeds: list[Speed]) -> list[Row]:
     for one in speeds:
         targets = one.pixels < 2
         rows += [
-            Row(f"{one.columns}x{one.rows}, every pixel, sigma and validity included [s]", (one.measure,),
+            Row(f"{one.columns}x{one.rows}, every pixel, with sigma and validity [s]", (one.measure,),
                 (0.08,) if targets else (), 3, f"fastest {one.fastest:.3f}, one thread {one.one_thread:.3f}"),
             Row("    peak memory of the process [MB]", (one.memory,), (500.0,) if targets else (), 0,
                 f"{one.before:.0f} before"),
@@ -112,7 +114,7 @@ def write_page(results: Results, path: Path) -> None:
 
 
 def write_times(speeds: list[Speed], window: int, path: Path) -> None:
-    """Write the last section of the page anew, which tells the times."""
+    """Replace the last section of the page, which contains the times."""
     text = path.read_text()
     times = _rendered("times.md.jinja", window=window, speeds=speeds, rows=time_rows(speeds))
     path.write_text(text[: text.index(times.splitlines()[0])] + times)
@@ -122,7 +124,7 @@ def window_of(path: Path) -> int:
     """Window that the page's times belong to [px]."""
     found = re.search(r"every pixel, window (\d+) px", path.read_text())
     if found is None:
-        raise SystemExit(f"{path} tells no window: measure everything once, without --times")
+        raise SystemExit(f"{path} contains no window: run the whole benchmark once, without --times")
     return int(found[1])
 
 

@@ -175,6 +175,18 @@ def measure_all(extent: Extent, *, with_rivals: bool = True) -> Results:
     )  # fmt: skip
 
 
+def _at_cut_off(filters: dict[Subset, Filter], period: float) -> tuple[dict[str, Subset], dict[str, float]]:
+    """Return the subset of each shape function with nearly this cut-off, and the noise interpolated at it."""
+    matched, interpolated = {}, {}
+    for shape in ("AFFINE", "QUAD"):
+        own = sorted((s for s in filters if s.shape == shape), key=lambda s: filters[s].period)
+        periods = np.log([filters[s].period for s in own])
+        noises = np.log([filters[s].noise for s in own])
+        matched[shape] = min(own, key=lambda s: abs(np.log(filters[s].period / period)))
+        interpolated[shape] = float(np.exp(np.interp(np.log(period), periods, noises)))
+    return matched, interpolated
+
+
 def _rivals(
     extent: Extent,
     period: float,
@@ -192,13 +204,7 @@ def _rivals(
     filters = {
         s: figures.filter_of(static, found[static.name, s], moving, found[moving.name, s]) for s in extent.subsets
     }
-    matched, interpolated = {}, {}
-    for shape in ("AFFINE", "QUAD"):
-        own = sorted((s for s in filters if s.shape == shape), key=lambda s: filters[s].period)
-        periods = np.log([filters[s].period for s in own])
-        noises = np.log([filters[s].noise for s in own])
-        matched[shape] = min(own, key=lambda s: abs(np.log(filters[s].period / period)))
-        interpolated[shape] = float(np.exp(np.interp(np.log(period), periods, noises)))
+    matched, interpolated = _at_cut_off(filters, period)
     rivals = Rivals(filters, matched, interpolated)
 
     some = {level: _fewer(task, 2) for level, task in rigid.items()}

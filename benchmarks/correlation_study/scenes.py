@@ -141,7 +141,7 @@ def challenge() -> Challenge | None:
     images = np.stack([tifffile.imread(folder / f"{name}.tif") for name in ("reference", *names)])
 
     def motion(column: int) -> Motion:
-        return lambda x, y: (np.interp(x, table[:, 0], table[:, column]), np.full_like(x, np.nan))
+        return lambda x, _y: (np.interp(x, table[:, 0], table[:, column]), np.full_like(x, np.nan))
 
     truth = [motion(column) for column in (1, 3, 5)]
     return Challenge(names, Task("sample 14", images, [(0, k + 1) for k in range(3)], truth))

@@ -24,7 +24,7 @@ FOLDER = Path(__file__).parent
 
 
 def true_cloud(step: Measured) -> xr.Dataset:
-    """The exact fields at the points that are measured."""
+    """Return the exact fields at the points that are measured."""
     known = np.isfinite(step.cloud.w.values)
     return xr.Dataset(
         {name: (("row", "column"), np.where(known, step.truth[name].values, np.nan)) for name in "xyzuvw"},
@@ -33,12 +33,12 @@ def true_cloud(step: Measured) -> xr.Dataset:
 
 
 def draw_shape(cloud: xr.Dataset) -> None:
-    """Initial shape with the displacement vectors, as in figure 9."""
+    """Draw the initial shape with the displacement vectors, as in figure 9."""
     few = cloud.isel(row=slice(None, None, 10), column=slice(None, None, 10))
     x, y, z = (1e3 * few[name].values for name in "xyz")
     u, v, w = (1e3 * few[name].values for name in "uvw")
     figure = plt.figure(figsize=(8, 6), layout="constrained")
-    axes = figure.add_subplot(projection="3d")
+    axes = figure.add_subplot(pattern="3d")
     axes.plot_surface(x, y, z, cmap="copper", linewidth=0, alpha=0.6)
     known = np.isfinite(w)
     thin = np.zeros_like(known)

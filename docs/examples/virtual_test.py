@@ -8,10 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from fringedic.chain import DicParameters, DisplacementTracker, PhaseParameters, displacement_dataset, phase_step
-from fringedic.patterns import fringe_sequence
-from fringedic.rig import RigModel
-from fringedic.sequence import FrameRecord, Stack
+from fringedic.frames.collector import Stack
+from fringedic.frames.records import FrameRecord
+from fringedic.patterns.sequences import fringe_sequence
+from fringedic.rig.model import RigModel
+from fringedic.steps.displacement_tracker import DisplacementTracker
+from fringedic.steps.parameters import DicParameters, PhaseParameters
+from fringedic.steps.phase import phase_step
 from fringedic.surface import PreparedShape, couple
 from fringedic.virtual_rig import VirtualRig
 
@@ -44,14 +47,11 @@ def run(twin: VirtualRig, positions: Sequence[float], *, spacing: int = 4, z_fil
     for step, position in enumerate(positions):
         frames = np.array([twin.expose(image, position, 100 * step + k) for k, image in enumerate(sequence)])
         records = [
-            FrameRecord("example", step, k, len(frames), projection, k, 0.01, 0)
-            for k, projection in enumerate(sequence.projections)
+            FrameRecord("example", step, k, len(frames), pattern, k, 0.01, 0)
+            for k, pattern in enumerate(sequence.patterns)
         ]
         phase = phase_step(Stack("example", step, records, frames, step), PhaseParameters())
-        found = tracker.step("example", step, step, phase.texture)
-        displacement = displacement_dataset(
-            found.displacement, found.sigma, spacing, found.origin, DicParameters().window
-        )
+        displacement = tracker.step("example", step, step, phase.texture).field
         shape = PreparedShape(rig.reconstruct(phase.phase, PITCH, phase.sigma), z_filter=z_filter)
         reference = reference or shape
         cloud = couple(reference, shape, displacement, z_filter=z_filter)

@@ -7,7 +7,7 @@ BACK_S = 60
 _true_nanoseconds, _true_seconds = time.time_ns, time.time
 
 
-def _jump(number: int, frame: object) -> None:
+def _jump(*_: object) -> None:
     from rclpy.clock import Clock
     from rclpy.time import Time
 

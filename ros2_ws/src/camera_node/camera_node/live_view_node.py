@@ -1,4 +1,4 @@
-"""Frames of the camera in, figures and a preview for people out: for setting up a rig."""
+"""Live figures and a preview of the camera's frames, for setting up a rig."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from fringedic.errors import FringedicError
-from fringedic.live import Figures, LiveView, preview
-from fringedic.sequence import projection_of
+from fringedic.figures.live_preview import preview
+from fringedic.patterns.pattern import pattern_of_message
+from fringedic.rig_setup.live_figures import Figures, LiveView
 from fringedic_msgs.msg import Exposure
 from fringedic_msgs.msg import LiveView as LiveViewMessage
 from fringedic_ros.diagnostics import NodeDiagnostics
@@ -29,16 +30,18 @@ class LiveViewParameters(BaseModel):
     """Parameters of the live view node."""
 
     region_px: list[int] = Field(
-        [], description="First column, first row, width and height that the figures are of [px]; empty: all."
+        [], description="Region of the figures: first column, first row, width, height [px]; empty: all."
     )
     full_scale_grey_level: float = Field(
         0.0,
         ge=0,
         le=65535,
-        description="Grey level of a saturated pixel; 0: 255 of 8 bits, otherwise the full scale of the fewest usual "
-        "bits that hold the brightest pixel so far.",
+        description="Grey level of a saturated pixel; 0: 255 with 8 bits, else the full scale of the smallest usual "
+        "number of bits for the brightest pixel so far.",
     )
-    maximum_rate_hz: float = Field(10.0, gt=0, le=1000, description="Frames looked at per second at most [Hz].")
+    maximum_rate_hz: float = Field(
+        10.0, gt=0, le=1000, description="Largest number of evaluated frames per second [Hz]."
+    )
 
     @model_validator(mode="after")
     def _region_has_four_numbers(self) -> Self:
@@ -50,7 +53,7 @@ class LiveViewParameters(BaseModel):
 class LiveViewNode(Node):
     """Topics `live_view/figures`, `live_view/image`; service `live_view/reset`.
 
-    When frames come faster than they can be looked at, the newest is.
+    When frames arrive faster than they are evaluated, only the newest is.
     """
 
     def __init__(self) -> None:
@@ -66,7 +69,7 @@ class LiveViewNode(Node):
         self.create_service(Trigger, "live_view/reset", self._reset)
 
     def destroy_node(self) -> None:
-        """End the background thread, too."""
+        """End the background thread and the node."""
         self._worker.stop()
         super().destroy_node()
 
@@ -84,30 +87,30 @@ class LiveViewNode(Node):
     def _reset(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self._view = self._new_view()
         response.success = True
-        response.message = "the best focus is the next frame's"
+        response.message = "the best focus starts with the next frame"
         return response
 
     def _take_pair(self, image: Image, exposure: Exposure) -> None:
         if self._newest is not None:
-            self.diagnostics.drop()  # replaced before it was looked at
+            self.diagnostics.drop()  # replaced before it was evaluated
         self._newest = image, exposure
         if not self._worker.pending:
-            self._worker.submit(self._look_at_newest)
+            self._worker.submit(self._evaluate_newest)
 
-    def _look_at_newest(self) -> None:
-        """Look until no frame waits; in the worker's thread."""
+    def _evaluate_newest(self) -> None:
+        """Evaluate frames until none waits; in the thread of the worker."""
         while (pair := self._newest) is not None:
             self._newest = None
             begin = time.monotonic()
-            self._look(*pair)
+            self._evaluate(*pair)
             time.sleep(max(0.0, 1 / self.parameters.value.maximum_rate_hz - (time.monotonic() - begin)))
 
-    def _look(self, message: Image, exposure: Exposure) -> None:
-        # of a free run nobody knows what was projected
-        projection = projection_of(exposure) if exposure.count else None
+    def _evaluate(self, message: Image, exposure: Exposure) -> None:
+        # the pattern of a free run is unknown
+        pattern = pattern_of_message(exposure) if exposure.count else None
         try:
             image = image_array(message)
-            figures = self._view.look(image, projection)
+            figures = self._view.look(image, pattern)
         except FringedicError as error:
             self._fail(error)
             return

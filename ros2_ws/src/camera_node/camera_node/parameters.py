@@ -1,4 +1,4 @@
-"""Parameters of the camera node, and the driver that they ask for."""
+"""Parameters of the camera node, and the driver that they select."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from fringedic_ros.lifecycle import HardwareParameters
 from fringedic_ros.virtual import VirtualRigText, virtual_configuration
 
 _NAMED = {"files": "a folder of images", "video": "a video file"}
-_OF_THE_TIMEOUT = 0.8  # for the driver, which has the better words
+_OF_THE_TIMEOUT = 0.8  # of the driver, whose error messages are more precise
 
 
 class CameraParameters(HardwareParameters):
@@ -33,55 +33,57 @@ class CameraParameters(HardwareParameters):
 
     source: Literal["virtual", "files", "video", "aravis", "v4l2", "topic"] = Field(
         "virtual",
-        description="Where frames come from; aravis: a GigE Vision or USB3 Vision camera; v4l2: a USB camera (UVC); "
-        "topic: the driver node of any other camera.",
+        description="Source of the frames; aravis: a GigE Vision or USB3 Vision camera; v4l2: a USB camera (UVC); "
+        "topic: the driver node of another camera.",
     )
     exposure_time_s: float = Field(0.01, gt=0, le=60, description="Exposure time [s].")
     settle_time_s: float = Field(
-        0.0, ge=0, le=60, description="From the pattern on the screen to the start of the exposure [s]."
+        0.0, ge=0, le=60, description="Pause between the pattern on the screen and the start of the exposure [s]."
     )
     timeout_s: float = Field(
-        10.0, gt=0, le=600, description="For subscribers, the scene and the frame, each; then the capture fails [s]."
+        10.0, gt=0, le=600, description="Longest wait for subscribers, for the scene and for the frame, each [s]."
     )
     frame_rate_hz: float = Field(
         0.0,
         ge=0,
         le=1000,
-        description="Free run: frames per second; 0: only on `camera/capture` [Hz].",
+        description="Free run: frames per second [Hz]; 0: frames only on request (`camera/capture`).",
     )
     virtual_rig: VirtualRigText = "{preset: plate}"
     truth_folder: str = Field(
-        "", description="Folder for the virtual rig's `truth.nc`, one entry per completed step; empty: none."
+        "", description="Folder for `truth.nc` of the virtual rig, one entry per completed step; empty: none."
     )
     files: str = Field(
         "",
-        description="Source `files`: a folder of images, or a pattern like `folder/*.tif`. Source `video`: its file.",
+        description="Source `files`: a folder of images or a pattern such as `folder/*.tif`. Source `video`: the file.",
     )
-    repeat: bool = Field(False, description="Sources `files` and `video`: begin again after the last image.")
-    topic: str = Field("", description="Source `topic`: the images of the camera's driver, such as `/cam/image_raw`.")
+    repeat: bool = Field(False, description="Sources `files` and `video`: start again after the last image.")
+    topic: str = Field("", description="Source `topic`: image topic of the camera driver, such as `/cam/image_raw`.")
     stamp_of: StampOf = Field(
         StampOf.END,
-        description="Sources `topic` and `v4l2`: the moment of the exposure that the driver's stamps are of; end is "
-        "safe when it is not known.",
+        description="Sources `topic` and `v4l2`: moment of the exposure to which the stamps belong; use end when it is "
+        "unknown.",
     )
     camera: str = Field(
         "",
-        description="Source `aravis`: identifier or network address of the camera; empty: the only one there is. "
-        "Source `v4l2`: path of the device.",
+        description="Source `aravis`: identifier or network address of the camera; empty: the only one. Source `v4l2`: "
+        "path of the device.",
     )
     pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono16"] = Field(
-        "Mono8", description="Sources `aravis` and `v4l2`: depth of the pixels."
+        "Mono8", description="Sources `aravis` and `v4l2`: bit depth of the pixels."
     )
     region_px: list[int] = Field(
         [],
-        description="Source `aravis`: first column, first row, width and height [px]; empty: the whole sensor. Source "
-        "`v4l2`: 0, 0, width and height of a format that the camera has.",
+        description="Source `aravis`: first column, first row, width, height [px]; empty: the whole sensor. Source "
+        "`v4l2`: 0, 0, width, height of a format of the camera.",
     )
-    gain_db: float = Field(0.0, ge=-100, le=100, description="Source `aravis`: gain, when the camera has one [dB].")
-    trigger: Trigger = Field(Trigger.SOFTWARE, description="Source `aravis`: what begins an exposure.")
+    gain_db: float = Field(
+        0.0, ge=-100, le=100, description="Source `aravis`: gain, for cameras with adjustable gain [dB]."
+    )
+    trigger: Trigger = Field(Trigger.SOFTWARE, description="Source `aravis`: event that starts an exposure.")
     trigger_line: str = Field("Line1", description="Source `aravis`: input of the external triggers.")
     packet_size_byte: int = Field(
-        0, ge=0, le=65535, description="Source `aravis`: network packets [byte]; 0 finds the largest that passes."
+        0, ge=0, le=65535, description="Source `aravis`: size of network packets [byte]; 0: the largest possible."
     )
 
     @model_validator(mode="after")
@@ -89,22 +91,22 @@ class CameraParameters(HardwareParameters):
         if self.source in _NAMED and not self.files:
             raise ValueError(f"source {self.source} needs the parameter files: {_NAMED[self.source]}")
         if self.source == "topic" and not self.topic:
-            raise ValueError("source topic needs the parameter topic: the images of the camera's driver")
+            raise ValueError("source topic needs the parameter topic: the image topic of the camera driver")
         if self.source == "v4l2" and not self.camera:
             raise ValueError("source v4l2 needs the parameter camera: a path such as /dev/video0")
         if len(self.region_px) not in (0, 4):
             raise ValueError("region_px needs four numbers: first column, first row, width, height")
         if self.source == "v4l2" and self.region_px[:2] not in ([], [0, 0]):
-            raise ValueError("region_px of the source v4l2 begins with 0, 0: such cameras have formats, no regions")
+            raise ValueError("region_px of the source v4l2 starts with 0, 0: such cameras have formats, no regions")
         return self
 
     @property
     def driver_timeout(self) -> float:
-        """How long a driver waits for a frame beyond its exposure time [s]."""
+        """Longest wait of the driver for a frame beyond its exposure time [s]."""
         return _OF_THE_TIMEOUT * self.timeout_s
 
     def aravis(self) -> AravisSettings:
-        """The settings of a GenICam camera."""
+        """Return the settings of a GenICam camera."""
         region = None
         if self.region_px:
             column, row, width, height = self.region_px
@@ -122,7 +124,7 @@ class CameraParameters(HardwareParameters):
         )
 
     def v4l2(self) -> V4l2Settings:
-        """The settings of a Video4Linux device."""
+        """Return the settings of a Video4Linux device."""
         return V4l2Settings(
             device=self.camera,
             exposure_time=self.exposure_time_s,
@@ -133,12 +135,12 @@ class CameraParameters(HardwareParameters):
         )
 
     def open(self, node: Node) -> Driver:
-        """Open the camera; `node` is the owner of a subscription.
+        """Open the camera; `node` owns the subscription of the source `topic`.
 
         Raises
         ------
         FringedicError
-            There is no such camera, or it does not offer what is asked for.
+            There is no such camera, or it does not offer a setting.
         """
         if self.source == "files":
             return FilesDriver(self.files, repeat=self.repeat)

@@ -1,4 +1,4 @@
-"""For tests of cameras: somebody who asks for frames, and a GigE Vision camera on the loopback."""
+"""For tests of cameras: a client that requests frames, and a GigE Vision camera on the loopback."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from fringedic_ros.qos import IMAGES, LATCHED
 from fringedic_ros.testing import Peer
 
 _LOCK = Path(tempfile.gettempdir()) / "fringedic-gige-camera.lock"
-_PORT = 3956  # of the control protocol, the same for every camera: there can be one at a time
+_PORT = 3956  # of the control protocol, the same for every camera: only one can run at a time
 
 
 class Studio(Peer):
-    """Asks a camera node for frames and hears what it publishes."""
+    """Requests frames from a camera node and collects its messages."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -34,7 +34,7 @@ class Studio(Peer):
         self.capture_client = self.create_client(CaptureFrame, "camera/capture")
 
     def capture(self, index: int = 0, count: int = 100, **fields: Any) -> CaptureFrame.Response:
-        """Ask for one frame and wait for the answer."""
+        """Request one frame and wait for the response."""
         self.wait(self.capture_client.service_is_ready, "the camera's service")
         expected = {"image_subscribers": 1, "exposure_subscribers": 1}
         request = CaptureFrame.Request(**{"experiment": "test", "index": index, "count": count, **expected, **fields})
@@ -43,9 +43,9 @@ class Studio(Peer):
         return future.result()
 
     def frame(self, stamp: Time) -> tuple[Image, CameraInfo, Exposure]:
-        """What was published with a stamp."""
+        """Return the three messages that were published with a stamp."""
 
-        def with_stamp() -> list[tuple]:
+        def with_stamp() -> list[tuple[Image, CameraInfo, Exposure]]:
             found = [
                 [m for m in heard if m.header.stamp == stamp] for heard in (self.images, self.infos, self.exposures)
             ]
@@ -57,9 +57,9 @@ class Studio(Peer):
 
 
 class FakeCamera:
-    """Aravis' own GigE Vision camera as a process, plugged in from entering to leaving the `with` block.
+    """The fake GigE Vision camera of Aravis as a process, plugged in from entering to leaving the `with` block.
 
-    One test at a time has it, of all that run on this computer.
+    Only one test at a time on this computer can use it.
     """
 
     address = "127.0.0.1"
@@ -68,7 +68,11 @@ class FakeCamera:
         self._lock = _LOCK.open("w")
         fcntl.flock(self._lock, fcntl.LOCK_EX)
         self._process: subprocess.Popen[bytes] | None = None
-        self.plug_in()
+        try:
+            self.plug_in()
+        except BaseException:
+            self._lock.close()  # the next test must not wait for a camera that did not start
+            raise
         return self
 
     def __exit__(
@@ -78,18 +82,19 @@ class FakeCamera:
         self._lock.close()
 
     def plug_in(self, *, lost_per_thousand: int = 0, description: Path | None = None) -> None:
-        """Start it, losing some of its packets, or with another description (GenICam) of itself."""
+        """Start the camera, with a share of lost packets, or with another GenICam description."""
         command = ["arv-fake-gv-camera-0.8", "-i", self.address, "-r", str(lost_per_thousand)]
         if description is not None:
             command += ["-g", str(description)]
         self._process = subprocess.Popen(command)
         deadline = time.monotonic() + 30
         while not _port_is_open():
-            assert self._process.poll() is None and time.monotonic() < deadline, "the fake camera does not listen"
+            assert self._process.poll() is None, "the fake camera ended"
+            assert time.monotonic() < deadline, "the fake camera does not listen"
             time.sleep(0.01)
 
     def pull(self) -> None:
-        """Let it vanish, as a pulled cable would."""
+        """Remove the camera as a pulled cable would."""
         if self._process is not None:
             self._process.kill()
             self._process.wait()

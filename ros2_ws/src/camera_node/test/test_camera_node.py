@@ -20,9 +20,10 @@ from sensor_msgs.msg import Image
 
 from camera_node import testing
 from fringedic.camera import DistortionMap
-from fringedic.patterns import render_pattern
-from fringedic.rig import RigModel
-from fringedic.sequence import PatternKind, Projection, frame_record
+from fringedic.frames.records import frame_record
+from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.patterns.render import render_pattern
+from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import Exposure, LoadState, RigCalibration, StepStatus
 from fringedic_msgs.srv import CaptureFrame
@@ -96,10 +97,9 @@ def test_camera_info_tells_of_the_lens_once_calibrated(studio: Studio, tmp_path:
     assert after.p[0] == pytest.approx(focal * rig.pixel_aspect)
     # what the image shows at (159, 40) belongs to the pixel p_u of the undistorted image
     seen = np.array([[[159.0, 40.0]]])
-    projection = np.array(after.p).reshape(3, 4)[:, :3]
-    ideal = cv2.undistortPoints(seen, np.array(after.k).reshape(3, 3), np.array(after.d), None, np.eye(3), projection)
+    pattern = np.array(after.p).reshape(3, 4)[:, :3]
+    ideal = cv2.undistortPoints(seen, np.array(after.k).reshape(3, 3), np.array(after.d), None, np.eye(3), pattern)
     expected = rig.camera_distortion.ideal(159.0, 40.0)
-    print(f"{ideal.ravel()} by camera_info, {np.ravel(expected)} by the calibration")
     assert ideal.ravel() == pytest.approx(np.ravel(expected), abs=0.005)
 
 
@@ -114,8 +114,11 @@ def test_virtual_frames_are_those_of_the_twin(studio: Studio, tmp_path: Path) ->
         "exposure_time_s": 0.02,
         "settle_time_s": 0.05,
     }
-    projection = Projection(PatternKind.FRINGES, pitch=25.0, shift=2, shifts=4)
-    patterns = [render_pattern(projection, columns, rows), render_pattern(Projection(PatternKind.WHITE), columns, rows)]
+    projection = ProjectedPattern(PatternKind.FRINGES, pitch=25.0, shift=2, shifts=4)
+    patterns = [
+        render_pattern(projection, columns, rows),
+        render_pattern(ProjectedPattern(PatternKind.WHITE), columns, rows),
+    ]
     studio.add_projector()
     studio.add_load_frame()
     steps = [(0, 0.1e-3), (1, 0.4e-3), (3, 0.3e-3)]  # step 2 was given up before its last frame
@@ -135,7 +138,7 @@ def test_virtual_frames_are_those_of_the_twin(studio: Studio, tmp_path: Path) ->
                 record = frame_record(exposure)
                 assert (record.experiment, record.step, record.index, record.count) == ("test", step, index, 2)
                 assert record.exposure_time == 0.02
-                assert index == 1 or record.projection == projection
+                assert index == 1 or record.pattern == projection
                 assert record.stamp > last_stamp
                 assert record.stamp >= to_nanoseconds(shown) + 60_000_000  # settled, then half the exposure
                 last_stamp, number = record.stamp, number + 1
@@ -154,7 +157,8 @@ def test_virtual_frames_are_those_of_the_twin(studio: Studio, tmp_path: Path) ->
                 expected = exact[name].values
                 written_as = expected.astype(np.float32) if expected.dtype == float else expected
                 np.testing.assert_array_equal(written.values, written_as, err_msg=f"{name} of step {step}")
-        assert np.isnan(truth.u.isel(step=2)).all() and not truth.valid.isel(step=2).any()
+        assert np.isnan(truth.u.isel(step=2)).all()
+        assert not truth.valid.isel(step=2).any()
 
 
 def test_pattern_that_never_comes_and_then_the_next(studio: Studio, tmp_path: Path) -> None:
@@ -248,7 +252,6 @@ def test_free_run_counts_every_frame(studio: Studio, tmp_path: Path) -> None:
         assert {record.experiment for record in records} == {""}
         stamps = np.array([record.stamp for record in records])
         assert (np.diff(stamps) > 0).all()
-        print(f"frames per second: {1e9 / np.diff(stamps).mean():.1f}, asked for 50; dropped {records[-1].dropped}")
         steps = studio.create_publisher(StepStatus, "experiment/step", EVENTS)
         studio.wait(steps.get_subscription_count, "the camera to hear of steps")
         asked = [studio.capture(index, 2) for index in range(2)]
@@ -295,7 +298,7 @@ def test_bad_parameters_end_the_start_in_words() -> None:
         (["source:=files"], "camera: value error, source files needs the parameter files"),
         (["source:=files", "files:=/nowhere"], "camera cannot configure: no images"),
         (["source:=v4l2", "camera:=/dev/video97"], "camera cannot configure: there is no device /dev/video97"),
-        (["source:=topic", "topic:=camera/image_raw"], "/camera/image_raw is this node's own topic"),
+        (["source:=topic", "topic:=camera/image_raw"], "/camera/image_raw is a topic of this node itself"),
         (["exposure_time_s:=.nan"], "camera.exposure_time_s = nan: must be a finite number"),
         (['virtual_rig:="{preset: tent}"'], "tent"),
     ]

@@ -1,4 +1,4 @@
-"""Grey levels of image files, and the order in which they are taken."""
+"""Images from files: their order, and files that cannot be read."""
 
 from __future__ import annotations
 
@@ -7,49 +7,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from PIL import Image as Picture
 
 from camera_node.drivers import FilesDriver, Scene
-from camera_node.drivers.files import read_grey
 from fringedic.errors import CameraError
 
 SCENE = Scene(0, (), 0.0)
-
-
-def levels(dtype: type, *shape: int) -> np.ndarray:
-    values = np.random.default_rng(2).integers(0, np.iinfo(dtype).max, shape, endpoint=True)
-    return values.astype(dtype)
-
-
-@pytest.mark.parametrize("suffix", ["png", "tif", "pgm"])
-@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
-def test_grey_files_are_taken_as_they_are(tmp_path: Path, suffix: str, dtype: type) -> None:
-    image = levels(dtype, 5, 7)
-    path = tmp_path / f"a.{suffix}"
-    assert cv2.imwrite(str(path), image)
-    read = read_grey(path)
-    assert read.dtype == dtype
-    np.testing.assert_array_equal(read, image)
-
-
-@pytest.mark.parametrize("mode", ["RGB", "RGBA", "P"])
-@pytest.mark.parametrize("suffix", ["png", "tif"])
-def test_colours_and_palettes_become_luminance(tmp_path: Path, suffix: str, mode: str) -> None:
-    """Both are compared with Pillow, whose rounding of the luminance is the same."""
-    picture = Picture.fromarray(levels(np.uint8, 30, 40, 3), "RGB").convert(mode)
-    path = tmp_path / f"a.{suffix}"
-    picture.save(path)
-    with Picture.open(path) as saved:
-        expected = np.asarray(saved.convert("RGB").convert("L"))
-    np.testing.assert_array_equal(read_grey(path), expected)
-
-
-def test_grey_palette_keeps_its_levels(tmp_path: Path) -> None:
-    image = levels(np.uint8, 30, 40)
-    picture = Picture.fromarray(image).convert("L")
-    picture.putpalette([level for grey in range(256) for level in (grey, grey, grey)])
-    picture.save(tmp_path / "a.tif")
-    np.testing.assert_array_equal(read_grey(tmp_path / "a.tif"), image)
 
 
 def test_order_end_and_repeat(tmp_path: Path) -> None:

@@ -14,8 +14,9 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from camera_node.live_view_node import LiveViewParameters
-from fringedic.live import RED
-from fringedic.sequence import FrameRecord, PatternKind, Projection
+from fringedic.figures.live_preview import RED
+from fringedic.frames.records import FrameRecord
+from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic_msgs.msg import Exposure, LiveView
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.parameter_docs import documented
@@ -58,7 +59,7 @@ class Studio(Peer):
         image[10:12, :] = 255
         self._stamp += 100_000_000
         kind, count = (PatternKind.OTHER, 0) if free else (PatternKind.WHITE, 1)
-        record = FrameRecord("", 0, 0, count, Projection(kind), self._stamp, 0.01)
+        record = FrameRecord("", 0, 0, count, ProjectedPattern(kind), self._stamp, 0.01)
         self._exposures.publish(exposure_message(record, frame_id="camera_optical_frame"))
         self._images.publish(image_message(image, stamp_ns=self._stamp, frame_id="camera_optical_frame"))
         self.wait(
@@ -114,7 +115,7 @@ def test_region_is_told_and_one_outside_the_image_is_named(studio: Studio, tmp_p
         studio.set_region([120, 40, 64, 48])
         with pytest.raises(AssertionError, match="figures did not happen"):
             studio.send(timeout_s=1.0)
-        assert "the region of 64x48 px from column 120 and row 40 on does not lie in the image of 160x120" in node.log
+        assert "the region of 64x48 px from column 120 and row 40 is not inside the image of 160x120" in node.log
         studio.set_region([])
         assert studio.send().width == 160, "the next frame works"
     with pytest.raises(ValueError, match="four numbers"):

@@ -5,9 +5,9 @@ from __future__ import annotations
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import TransformStamped
 from rclpy.node import Node
-from scipy.spatial.transform import Rotation
 
-from fringedic.rig import RigModel
+from fringedic.rig.model import RigModel
+from fringedic.rig.pose import camera_quaternion
 from fringedic_ros.qos import LATCHED
 
 try:
@@ -29,20 +29,14 @@ class CameraTransform:
 
 
 def camera_transform(rig: RigModel, stamp: Time) -> TransformStamped:
-    """Pose of the optical frame (z forward, x right, y down) in the rig's frame (z towards the camera, y up).
+    """Return the pose of the optical frame (z forward, x right, y down) in the rig frame (z to the camera, y up).
 
-    The camera sits at (0, 0, h0); its axes are the rig's, turned by the tilts about x and y, then by half a turn about
-    x that makes z look at the plane.
+    The camera's pin-hole is at (0, 0, h0).
     """
-    turn = (
-        Rotation.from_euler("x", rig.camera_tilt_x)
-        * Rotation.from_euler("y", rig.camera_tilt_y)
-        * Rotation.from_euler("x", 180, degrees=True)
-    )
     message = TransformStamped(child_frame_id="camera_optical_frame")
     message.header.frame_id = "reference_plane"
     message.header.stamp = stamp
     message.transform.translation.z = float(rig.camera_distance)
     rotation = message.transform.rotation
-    rotation.x, rotation.y, rotation.z, rotation.w = map(float, turn.as_quat())
+    rotation.x, rotation.y, rotation.z, rotation.w = camera_quaternion(rig)
     return message

@@ -9,7 +9,7 @@ from builtin_interfaces.msg import Time
 from scipy.spatial.transform import Rotation
 
 from coupling_node.camera_transform import camera_transform
-from fringedic.rig import RigModel
+from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRig
 
 

@@ -9,24 +9,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import rclpy
-from rclpy.parameter import Parameter
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
-from fringedic.chain import (
-    CouplingParameters,
-    CouplingResult,
-    DicParameters,
-    DicResult,
-    DisplacementTracker,
-    PhaseParameters,
-    PhaseResult,
-    ShapeTracker,
-    phase_step,
-)
-from fringedic.rig import RigModel
-from fringedic.sequence import FrameCollector, FrameRecord
+from fringedic.frames.collector import FrameCollector
+from fringedic.frames.records import FrameRecord
+from fringedic.rig.model import RigModel
+from fringedic.steps.displacement_tracker import DisplacementTracker
+from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
+from fringedic.steps.phase import phase_step
+from fringedic.steps.shape_tracker import ShapeTracker
+from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult
 from fringedic.virtual_rig import VirtualRig
-from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, Reference, RigCalibration
+from fringedic_msgs.msg import Exposure, NodeStatus, Reference, RigCalibration
 from fringedic_ros.clouds import cloud_arrays
 from fringedic_ros.images import image_message
 from fringedic_ros.qos import DERIVED, EVENTS, LATCHED
@@ -37,6 +31,7 @@ from fringedic_ros.testing import Bench, NodeProcess, fringe_step, of_stamp, whi
 POSITIONS = (0.0, 1.0e-4, 2.0e-4)  # crosshead of each step [m]
 SPACING = 2
 FIELDS = ["x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w", "u_t", "v_t", "w_n", "e_11", "e_22", "e_12"]
+SIGMAS = ["sigma_e_11", "sigma_e_22", "sigma_e_12"]
 
 
 @dataclass
@@ -67,6 +62,7 @@ class CouplingBench(Bench):
         super().__init__("coupling")
         rig = VirtualRig.from_preset("plate", size="tiny")
         self.calibration = RigModel(**rig.optics())
+        self.window_known = True  # whether the dic node states how it measured
         self.measured = measure(rig)
         self.images = {
             topic: self.create_publisher(Image, topic, DERIVED)
@@ -76,7 +72,6 @@ class CouplingBench(Bench):
         self.inputs = {name: self.create_publisher(NodeStatus, f"{name}/status", EVENTS) for name in ("phase", "dic")}
         self.calibrations = self.create_publisher(RigCalibration, "calibration", LATCHED)
         self.references = self.create_publisher(Reference, "experiment/reference", LATCHED)
-        self.dic_parameters = self.create_publisher(NodeParameters, "node_parameters", LATCHED)
         self.shape = self.listen(PointCloud2, "coupling/shape", DERIVED)
         self.displacement = self.listen(PointCloud2, "coupling/displacement", DERIVED)
 
@@ -91,6 +86,8 @@ class CouplingBench(Bench):
         status = NodeStatus(node=name, experiment=experiment, step=step, error_code=error_code, frames=16)
         status.error_message = "scripted" if error_code else ""
         status.header.stamp = to_msg(self.stamp(step))
+        if name == "dic" and self.window_known:
+            status.window, status.method = DicParameters().window, DicParameters().method
         self.inputs[name].publish(status)
 
     def parts(self, experiment: str, step: int) -> list[Callable[[], None]]:
@@ -103,7 +100,7 @@ class CouplingBench(Bench):
         ]
         grid = CameraInfo(height=120, width=160, binning_x=SPACING, binning_y=SPACING)
         grid.header.stamp = to_msg(stamp)
-        grid.roi.y_offset, grid.roi.x_offset = measured.dic.origin
+        grid.roi.x_offset, grid.roi.y_offset = measured.dic.origin
         exposure: Exposure = exposure_message(replace(measured.last, experiment=experiment), frame_id="")
         return [
             *(lambda publisher=publisher, image=image: publisher.publish(image) for publisher, image in images),
@@ -131,7 +128,7 @@ class CouplingBench(Bench):
             clouds = cloud_arrays(message)
             assert list(clouds) == list(fields)
             for name, array in fields.items():
-                assert clouds[name].tobytes() == array.tobytes(), name
+                assert clouds[name].tobytes() == array.values.tobytes(), name
 
 
 @pytest.fixture(scope="module")
@@ -152,24 +149,11 @@ def name(bench: CouplingBench, request: pytest.FixtureRequest) -> str:
     return request.node.name
 
 
-def expected(
-    bench: CouplingBench, tracker: ShapeTracker, experiment: str, step: int, window: int | None = None
-) -> CouplingResult:
-    phase, dic = bench.measured[step].phase, bench.measured[step].dic
-    return tracker.step(
-        experiment,
-        step,
-        phase.stamp,
-        phase.phase,
-        phase.sigma,
-        dic.displacement,
-        dic.sigma,
-        pitch=phase.pitch,
-        orientation=phase.orientation,
-        spacing=dic.spacing,
-        origin=dic.origin,
-        window=window,
-    )
+def expected(bench: CouplingBench, tracker: ShapeTracker, experiment: str, step: int) -> CouplingResult:
+    measured = bench.measured[step]
+    phase = replace(measured.phase, experiment=experiment)
+    displacement = replace(measured.dic, experiment=experiment)
+    return tracker.step(phase, displacement)
 
 
 def tracker_of(bench: CouplingBench, **parameters: float) -> ShapeTracker:
@@ -180,7 +164,8 @@ def tracker_of(bench: CouplingBench, **parameters: float) -> ShapeTracker:
 
 def test_calibration_is_needed(bench: CouplingBench, name: str) -> None:
     status = bench.send_step(name, 0)
-    assert status.error_code == NodeStatus.NO_CALIBRATION and "calibration" in status.error_message
+    assert status.error_code == NodeStatus.NO_CALIBRATION
+    assert "calibration" in status.error_message
     bench.publish_calibration()
     assert bench.send_step(name, 1).error_code == NodeStatus.NONE
 
@@ -196,33 +181,30 @@ def test_clouds_are_those_of_the_library_bit_by_bit(bench: CouplingBench, name: 
         assert (status.valid_fraction, status.rms, status.frames) == (result.valid_fraction, result.rms, 16)
         bench.assert_identical(result)
         assert list(result.shape) == ["x", "y", "z", "sigma_z"]
-        assert list(result.displacement) == FIELDS
+        assert list(result.displacement) == [*FIELDS, *SIGMAS]
     assert (bench.shape[-1].height, bench.shape[-1].width) == (120, 160)
     assert np.nanmax(np.abs(result.displacement["u"])) > 1e-6, "the plate has moved"
 
 
-def test_the_window_of_the_dic_node_gives_the_strain_its_sigma(bench: CouplingBench, name: str) -> None:
+def test_the_window_travels_with_the_displacement(bench: CouplingBench, name: str) -> None:
+    """The strain has a standard deviation because the status of the dic node states window and method."""
     bench.publish_calibration()
-    parameters = [
-        Parameter("window", value=32).to_parameter_msg(),
-        Parameter("method", value="dense").to_parameter_msg(),
-    ]
-    for node, sent in (("phase", [Parameter("window", value=8).to_parameter_msg()]), ("dic", parameters)):
-        bench.dic_parameters.publish(NodeParameters(node=node, parameters=sent))
-    bench.serve(0.3)
-    tracker = tracker_of(bench, strain_window_px=41)
     bench.change(strain_window_px=41)
+    tracker = tracker_of(bench, strain_window_px=41)
     try:
         for step in range(2):
             assert bench.send_step(name, step).error_code == NodeStatus.NONE
-            result = expected(bench, tracker, name, step, window=32)
+            result = expected(bench, tracker, name, step)
             bench.assert_identical(result)
+        assert list(result.displacement) == [*FIELDS, *SIGMAS]
+        assert 1e-7 < np.nanmedian(result.displacement["sigma_e_11"]) < 1e-2
+        bench.window_known = False
+        assert bench.send_step(f"{name} without", 0).error_code == NodeStatus.NONE
+        (cloud,) = of_stamp(bench.displacement, bench.stamp(0))[-1:]
+        assert list(cloud_arrays(cloud)) == FIELDS
     finally:
+        bench.window_known = True
         bench.change(strain_window_px=CouplingParameters().strain_window_px)
-        bench.dic_parameters.publish(NodeParameters(node="dic"))
-        bench.serve(0.3)
-    assert list(result.displacement) == [*FIELDS, "sigma_e_11", "sigma_e_22", "sigma_e_12"]
-    assert 1e-7 < np.nanmedian(result.displacement["sigma_e_11"]) < 1e-2
 
 
 def test_fields_that_nobody_asks_for_are_left_out(bench: CouplingBench, name: str) -> None:

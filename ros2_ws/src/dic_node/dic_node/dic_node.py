@@ -8,14 +8,18 @@ import numpy as np
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import CameraInfo, Image
 
-from fringedic.chain import DicParameters, DicResult, DisplacementTracker, white_texture
-from fringedic.pictures import displacement_preview
-from fringedic.sequence import PatternKind, Stack
+from fringedic.figures.previews import displacement_preview
+from fringedic.frames.collector import Stack
+from fringedic.patterns.pattern import PatternKind
+from fringedic.steps.displacement_tracker import DisplacementTracker
+from fringedic.steps.parameters import DicParameters
+from fringedic.steps.phase import white_texture
+from fringedic.steps.step_results import DicResult
 from fringedic_msgs.msg import NodeStatus, Reference
 from fringedic_ros.frame_steps import FrameSteps
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.main import run
-from fringedic_ros.processing import Outcome, ProcessingNode, StampJoin
+from fringedic_ros.processing import Outcome, ProcessingNode, StampJoin, StepId
 from fringedic_ros.qos import DERIVED, EVENTS, LATCHED, OVERRIDABLE
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 
@@ -23,10 +27,10 @@ FRAME = "camera_optical_frame"
 
 
 class DicNode(ProcessingNode[DicParameters]):
-    """Hands the texture of each step to a `DisplacementTracker`.
+    """Passes the texture of each step to a `DisplacementTracker`.
 
-    The texture of a fringe step comes from the phase node and is known by that node's status of the same stamp; a white
-    step's frame comes straight from the camera.
+    The texture of a fringe step comes from the phase node and is identified by that node's status of the same stamp;
+    the frame of a white step comes directly from the camera.
     """
 
     def __init__(self) -> None:
@@ -49,7 +53,7 @@ class DicNode(ProcessingNode[DicParameters]):
         return self.create_publisher(Image, f"dic/{name}", DERIVED, qos_overriding_options=OVERRIDABLE)
 
     def _take_reference(self, message: Reference) -> None:
-        # through the queue, so that steps which arrived before it are measured without it
+        # through the queue, so that it does not apply to steps that arrived before it
         self.worker.submit(self._tracker.set_reference, message.experiment, message.step)
 
     def _take_phase_status(self, message: NodeStatus) -> None:
@@ -57,7 +61,7 @@ class DicNode(ProcessingNode[DicParameters]):
         if message.error_code != NodeStatus.NONE:
             self._textures.discard(stamp)
             self.refuse_input("phase", message)
-        elif message.frames:  # a white step has none for the phase node
+        elif message.frames:  # 0 for a white step, which the phase node does not measure
             self._join("phase/status", stamp, message)
 
     def _take_texture(self, message: Image) -> None:
@@ -72,41 +76,50 @@ class DicNode(ProcessingNode[DicParameters]):
         try:
             texture = image_array(joined["phase/texture"])
         except Exception as error:
-            self.fail(status.experiment, status.step, stamp, error)
+            self.fail(StepId.of(status), error)
         else:
-            self._submit(status.experiment, status.step, stamp, texture, status.frames)
+            self._submit(StepId.of(status), texture, status.frames)
 
     def _take_white(self, stack: Stack) -> None:
         self._report_losses()
-        self._submit(stack.experiment, stack.step, stack.stamp, white_texture(stack.frames[-1]), len(stack.records))
+        step = StepId(stack.experiment, stack.step, stack.stamp)
+        self._submit(step, white_texture(stack.frames[-1]), len(stack.records))
 
-    def _submit(self, experiment: str, step: int, stamp: int, texture: np.ndarray, frames: int) -> None:
-        work = partial(self._measure_displacement, experiment, step, stamp, texture, frames, self.parameters.value)
-        self.measure(experiment, step, stamp, work)
+    def _submit(self, step: StepId, texture: np.ndarray, frames: int) -> None:
+        self.measure(step, partial(self._measure_displacement, step, texture, frames, self.parameters.value))
 
     def _report_losses(self) -> None:
         self.report_unjoined(self._frames.unpaired + self._textures.unjoined)
 
-    def abandon(self, experiment: str, step: int, stamp: int) -> str:
-        """Forget what has arrived of a step."""
-        return self._textures.discard(stamp) or self._frames.abandon(experiment, step)
+    def abandon(self, step: StepId) -> str:
+        """Drop the messages of a step."""
+        return self._textures.discard(step.stamp) or self._frames.abandon(step.experiment, step.step)
 
     def _measure_displacement(
-        self, experiment: str, step: int, stamp: int, texture: np.ndarray, frames: int, parameters: DicParameters
+        self, step: StepId, texture: np.ndarray, frames: int, parameters: DicParameters
     ) -> Outcome:
         self._tracker.parameters = parameters
-        result = self._tracker.step(experiment, step, stamp, texture)
-        for publisher, array in ((self._displacement, result.displacement), (self._sigma, result.sigma)):
-            publisher.publish(image_message(array, stamp_ns=stamp, frame_id=FRAME))
+        result = self._tracker.step(*step, texture)
+        displacement = result.displacement
+        for publisher, array in ((self._displacement, displacement), (self._sigma, result.sigma)):
+            publisher.publish(image_message(array, stamp_ns=step.stamp, frame_id=FRAME))
         self._grid.publish(grid_message(result, texture.shape))
         if self._preview.get_subscription_count():
-            colours = displacement_preview(result.displacement)
-            self._preview.publish(image_message(colours, stamp_ns=stamp, frame_id=FRAME))
-        return Outcome(result.valid_fraction, result.rms, frames, correlated_step=result.correlated_step)
+            colours = displacement_preview(displacement)
+            self._preview.publish(image_message(colours, stamp_ns=step.stamp, frame_id=FRAME))
+        return Outcome(
+            result.valid_fraction,
+            result.rms,
+            frames,
+            reference_step=result.reference_step,
+            correlated_step=result.correlated_step,
+            window=result.field.attrs["window_px"],
+            method=result.field.attrs["method"],
+        )
 
 
 def grid_message(result: DicResult, shape: tuple[int, ...]) -> CameraInfo:
-    """Tell where the points are: point (i, j) is at row y_offset + i binning_y, column x_offset + j binning_x.
+    """Return the grid of the points: point (i, j) is at row y_offset + i binning_y, column x_offset + j binning_x.
 
     Parameters
     ----------
@@ -115,11 +128,11 @@ def grid_message(result: DicResult, shape: tuple[int, ...]) -> CameraInfo:
     shape
         (row, column) of the camera's image.
     """
-    rows, columns = result.displacement.shape[:2]
+    rows, columns = result.field.sizes["row"], result.field.sizes["column"]
     message = CameraInfo(height=shape[0], width=shape[1], binning_x=result.spacing, binning_y=result.spacing)
     message.header.stamp = to_msg(result.stamp)
     message.header.frame_id = FRAME
-    message.roi.y_offset, message.roi.x_offset = result.origin
+    message.roi.x_offset, message.roi.y_offset = result.origin
     message.roi.height = (rows - 1) * result.spacing + 1
     message.roi.width = (columns - 1) * result.spacing + 1
     return message

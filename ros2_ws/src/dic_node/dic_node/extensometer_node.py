@@ -1,21 +1,19 @@
-"""Frames of a free run in, strain between two pads out: for controllers that close the loop over it."""
+"""Strain between two gauge subsets in the frames of a free run, for closed-loop control."""
 
 from __future__ import annotations
 
-import math
 import time
 
 import numpy as np
-from numba import set_num_threads
 from pydantic import BaseModel, Field
 from rclpy.node import Node
 from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import Trigger
 
-from fringedic.errors import FringedicError, PadError
-from fringedic.extensometer import Elongation, VirtualExtensometer
-from fringedic.sequence import PatternKind
+from fringedic.correlation.extensometer import StrainReading, VirtualExtensometer
+from fringedic.errors import CorrelationError, FringedicError
+from fringedic.patterns.pattern import PatternKind
 from fringedic_msgs.msg import Exposure, StepStatus
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.images import image_array
@@ -32,16 +30,18 @@ MEASURED = (PatternKind.OTHER, PatternKind.WHITE)  # frames of a free run, and o
 class ExtensometerParameters(BaseModel):
     """Parameters of the extensometer node."""
 
-    first_column_px: int = Field(160, ge=0, le=32768, description="Centre of the first pad in the reference [px].")
-    first_row_px: int = Field(240, ge=0, le=32768, description="Centre of the first pad in the reference [px].")
-    second_column_px: int = Field(480, ge=0, le=32768, description="Centre of the second pad [px].")
-    second_row_px: int = Field(240, ge=0, le=32768, description="Centre of the second pad [px].")
-    pad_px: int = Field(48, ge=16, le=256, description="Width of a pad's window [px].")
-    largest_sigma: float = Field(
-        1e-3, gt=0, le=1, description="A strain that is less certain than this counts as invalid [-]."
+    first_column_px: int = Field(
+        160, ge=0, le=32768, description="Centre of the first gauge subset in the reference [px]."
     )
+    first_row_px: int = Field(
+        240, ge=0, le=32768, description="Centre of the first gauge subset in the reference [px]."
+    )
+    second_column_px: int = Field(480, ge=0, le=32768, description="Centre of the second gauge subset [px].")
+    second_row_px: int = Field(240, ge=0, le=32768, description="Centre of the second gauge subset [px].")
+    pad_px: int = Field(48, ge=16, le=256, description="Width of a gauge subset [px].")
+    largest_sigma: float = Field(1e-3, gt=0, le=1, description="Largest standard uncertainty of a valid strain [-].")
     frame_timeout_s: float = Field(
-        0.1, gt=0, le=10, description="Without a frame for this long the strain is invalid [s]."
+        0.1, gt=0, le=10, description="Time without a frame after which the strain is invalid [s]."
     )
 
 
@@ -49,7 +49,7 @@ class ExtensometerNode(Node):
     """Topics `extensometer/strain`, `extensometer/sigma`, `extensometer/valid`; service `extensometer/zero`.
 
     The first frame after the start, after `extensometer/zero` and after each reference step is the reference. When
-    frames come faster than they can be measured, the newest is. Frames that show a pattern are passed over.
+    frames arrive faster than they can be measured, only the newest is. Frames that show a pattern are ignored.
     """
 
     def __init__(self) -> None:
@@ -60,17 +60,17 @@ class ExtensometerNode(Node):
         self._extensometer: VirtualExtensometer | None = None
         self._newest: Image | None = None
         self._last_frame = time.monotonic()
-        self._told_invalid = False
+        self._published_invalid = False
         self._strain = self.create_publisher(Float64, "extensometer/strain", STATE)
         self._sigma = self.create_publisher(Float64, "extensometer/sigma", STATE)
         self._valid = self.create_publisher(Bool, "extensometer/valid", STATE)
         self._frames = ImageExposurePairs(self, self._take_frame)
         self.create_subscription(StepStatus, "experiment/step", self._take_step, EVENTS)
         self.create_service(Trigger, "extensometer/zero", self._zero)
-        self.create_timer(0.5 * self.parameters.value.frame_timeout_s, self._watch)
+        self.create_timer(0.5 * self.parameters.value.frame_timeout_s, self._check_frames)
 
     def destroy_node(self) -> None:
-        """End the background thread, too."""
+        """End the background thread and the node."""
         self._worker.stop()
         super().destroy_node()
 
@@ -98,47 +98,37 @@ class ExtensometerNode(Node):
             self._worker.submit(self._measure_newest)
 
     def _measure_newest(self) -> None:
-        """Measure until no frame waits; in the worker's thread."""
-        set_num_threads(1)  # two pads are too small to be shared: to wait for a second core takes longer
+        """Measure frames until none waits; in the thread of the worker."""
         while (message := self._newest) is not None:
             self._newest = None
-            image = image_array(message)
-            extensometer = self._extensometer
             try:
-                if extensometer is None:
-                    extensometer = self._extensometer = self._new(image)
-                read = extensometer.measure(image)
+                reading = self._measure(image_array(message))
             except FringedicError as error:
-                read = Elongation(math.nan, math.nan, np.full((2, 2), np.nan), str(error))
-            if read.valid and not read.sigma <= self.parameters.value.largest_sigma:
-                read = Elongation(
-                    math.nan,
-                    read.sigma,
-                    read.displacements,
-                    f"the strain is uncertain by {1e6 * read.sigma:.0f} µstrain",
-                )
-            self._tell(read)
-            if read.valid:
+                reading = StrainReading.invalid(str(error))
+            self._publish(reading)
+            if reading.valid:
                 self.diagnostics.success(1e-9 * (time.time_ns() - to_nanoseconds(message.header.stamp)))
 
-    def _new(self, image: np.ndarray) -> VirtualExtensometer:
-        p = self.parameters.value
-        first, second = (p.first_column_px, p.first_row_px), (p.second_column_px, p.second_row_px)
-        return VirtualExtensometer(image, first, second, pad=p.pad_px)
+    def _measure(self, image: np.ndarray) -> StrainReading:
+        p, extensometer = self.parameters.value, self._extensometer
+        if extensometer is None:
+            first, second = (p.first_column_px, p.first_row_px), (p.second_column_px, p.second_row_px)
+            extensometer = self._extensometer = VirtualExtensometer(image, first, second, subset=p.pad_px)
+        return extensometer.measure(image).limited(p.largest_sigma)
 
-    def _watch(self) -> None:
+    def _check_frames(self) -> None:
         silence = time.monotonic() - self._last_frame
-        if silence > self.parameters.value.frame_timeout_s and not self._told_invalid:
-            self._tell(Elongation(math.nan, math.nan, np.full((2, 2), np.nan), f"no frame for {silence:.2f} s"))
+        if silence > self.parameters.value.frame_timeout_s and not self._published_invalid:
+            self._publish(StrainReading.invalid(f"no frame for {silence:.2f} s"))
 
-    def _tell(self, read: Elongation) -> None:
-        self._told_invalid = not read.valid
-        # the flag first: whoever waits for the number has it already
-        self._valid.publish(Bool(data=read.valid))
-        self._sigma.publish(Float64(data=read.sigma))
-        self._strain.publish(Float64(data=read.strain))
-        if not read.valid:
-            self._fail(PadError(read.reason))
+    def _publish(self, reading: StrainReading) -> None:
+        self._published_invalid = not reading.valid
+        # the flag first: a subscriber that waits for the strain has received it then
+        self._valid.publish(Bool(data=reading.valid))
+        self._sigma.publish(Float64(data=reading.sigma))
+        self._strain.publish(Float64(data=reading.strain))
+        if not reading.valid:
+            self._fail(CorrelationError(reading.reason))
 
     def _fail(self, error: Exception) -> None:
         self.get_logger().error(str(error), throttle_duration_sec=1.0)

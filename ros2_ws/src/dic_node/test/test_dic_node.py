@@ -9,8 +9,11 @@ import pytest
 import rclpy
 from sensor_msgs.msg import CameraInfo, Image
 
-from fringedic.chain import DicParameters, DicResult, DisplacementTracker, white_texture
-from fringedic.pictures import displacement_preview
+from fringedic.figures.previews import displacement_preview
+from fringedic.steps.displacement_tracker import DisplacementTracker
+from fringedic.steps.parameters import DicParameters
+from fringedic.steps.phase import white_texture
+from fringedic.steps.step_results import DicResult
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import NodeStatus, Reference
 from fringedic_ros.images import image_array, image_message
@@ -109,7 +112,7 @@ def test_displacement_is_that_of_the_library_bit_by_bit(
     assert result.rms > 0.1, "the plate has moved"
 
 
-def test_preview_for_whoever_looks(bench: DicBench, name: str, tracker: DisplacementTracker) -> None:
+def test_preview_is_published_to_subscribers(bench: DicBench, name: str, tracker: DisplacementTracker) -> None:
     previews: list[Image] = []
     viewer = bench.create_subscription(Image, "dic/preview", previews.append, DERIVED)
     bench.serve(1.0)
@@ -150,7 +153,8 @@ def test_reference_of_the_following_steps(bench: DicBench, name: str, tracker: D
     tracker.set_reference(name, 2)
     itself = tracker.step(name, 2, bench.stamp(2), bench.textures[2])
     bench.assert_identical(itself)
-    assert np.nanmax(np.abs(itself.displacement)) == 0 and np.isfinite(itself.displacement).any()
+    assert np.nanmax(np.abs(itself.displacement)) == 0
+    assert np.isfinite(itself.displacement).any()
     bench.set_reference(name, 1)  # one that was measured earlier
     bench.serve(0.1)
     bench.send_step(name, 3)
@@ -162,7 +166,8 @@ def test_missing_reference(bench: DicBench, name: str) -> None:
     bench.set_reference(name, 7)
     bench.serve(0.1)
     status = bench.send_step(name, 0)
-    assert status.error_code == NodeStatus.NO_REFERENCE and "step 7" in status.error_message
+    assert status.error_code == NodeStatus.NO_REFERENCE
+    assert "step 7" in status.error_message
     bench.set_reference(name, 1)
     bench.serve(0.1)
     assert bench.send_step(name, 1).error_code == NodeStatus.NONE

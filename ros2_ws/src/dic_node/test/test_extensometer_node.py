@@ -14,7 +14,8 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import Trigger
 
-from fringedic.sequence import FrameRecord, PatternKind, Projection
+from fringedic.frames.records import FrameRecord
+from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic_msgs.msg import Exposure, StepStatus
 from fringedic_ros.images import image_message
 from fringedic_ros.parameter_docs import documented
@@ -27,7 +28,7 @@ PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "extensometer.md"
 
 
 class Rig(Peer):
-    """Plays the camera, and the controller that reads the strain."""
+    """Camera, and controller that reads the strain."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -52,11 +53,11 @@ class Rig(Peer):
         image = np.clip(128 + map_coordinates(self._texture, [row, material], order=5, mode="reflect"), 0, 255)
         now = self.get_clock().now().nanoseconds
         self._images.publish(image_message(image.round().astype(np.uint8), stamp_ns=now, frame_id="camera"))
-        record = FrameRecord("", 0, 0, 0, Projection(kind), now, 0.005, 0)
+        record = FrameRecord("", 0, 0, 0, ProjectedPattern(kind), now, 0.005, 0)
         self._exposures.publish(exposure_message(record, frame_id="camera"))
 
     def read(self, strain: float) -> tuple[float, float]:
-        """Strain and sigma of one frame; what the node says of the silence before is NaN."""
+        """Strain and sigma of one frame; the NaN of the time without frames before is ignored."""
         self.forget()
         self.send(strain)
         self.wait(lambda: any(flag.data for flag in self.valid), "a valid strain", 10)
@@ -75,22 +76,29 @@ class Rig(Peer):
         self.wait(future.done, "the zero", 10)
 
 
-@pytest.fixture
-def rig(tmp_path: Path) -> Iterator[Rig]:
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """The rig with a node that serves all tests of this module."""
     rclpy.init()
     rig = Rig()
-    with NodeProcess("dic_node.extensometer_node", tmp_path, {"frame_timeout_s": 0.3}):
+    with NodeProcess("dic_node.extensometer_node", tmp_path_factory.mktemp("extensometer"), {"frame_timeout_s": 0.3}):
         rig.ready()
         yield rig
     rig.destroy_node()
     rclpy.shutdown()
 
 
+@pytest.fixture
+def rig(running: Rig) -> Rig:
+    """The rig before the first frame: the next one is the reference."""
+    running.zero()
+    return running
+
+
 def test_strain_beside_its_sigma_and_validity(rig: Rig) -> None:
     assert rig.read(0.0)[0] == pytest.approx(0.0, abs=1e-5)
     for strain in (0.002, 0.005, -0.003):
         measured, sigma = rig.read(strain)
-        print(f"error {1e6 * (measured - strain):.1f} µstrain, sigma {1e6 * sigma:.1f} µstrain")
         assert measured == pytest.approx(strain, abs=1e-4)
         assert 0 < sigma < 1e-4
     rig.zero()
@@ -107,7 +115,7 @@ def test_the_frame_after_a_reference_step_is_the_reference(rig: Rig) -> None:
         assert read[1] == pytest.approx(expected, abs=1e-4), reference
 
 
-def test_frames_with_a_pattern_are_passed_over(rig: Rig) -> None:
+def test_frames_with_a_pattern_are_ignored(rig: Rig) -> None:
     rig.read(0.0)
     rig.forget()
     rig.send(0.005, PatternKind.FRINGES)
@@ -117,11 +125,11 @@ def test_frames_with_a_pattern_are_passed_over(rig: Rig) -> None:
     assert not any(strain.data == pytest.approx(0.005, abs=1e-3) for strain in rig.strains)
 
 
-def test_silence_is_told_once(rig: Rig) -> None:
+def test_missing_frames_are_reported_once(rig: Rig) -> None:
     rig.read(0.0)
     rig.forget()
     begin = time.monotonic()
-    rig.wait(lambda: rig.valid, "the word that frames stopped", 5)
+    rig.wait(lambda: rig.valid, "the report that frames are missing", 5)
     assert time.monotonic() - begin < 2.0
     assert not rig.valid[0].data
     rig.wait(lambda: rig.strains, "its number", 5)

@@ -1,4 +1,4 @@
-"""Looks at serialised messages and message types by name, without decoding whole messages."""
+"""Message types by name, and the stamps of serialised messages without decoding them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def message_type(name: str) -> type:
     Raises
     ------
     ImportError, AttributeError
-        The package is not installed or has no such message.
+        The package is not installed, or it has no such message.
     """
     package, folder, message = name.split("/")
     return getattr(importlib.import_module(f"{package}.{folder}"), message)

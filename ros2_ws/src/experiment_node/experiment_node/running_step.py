@@ -1,4 +1,4 @@
-"""What is known of an experiment, and of the step of it that is being measured."""
+"""State of the step that is being measured."""
 
 from __future__ import annotations
 
@@ -7,9 +7,11 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from experiment_node.turn import Turn
-from fringedic.load_samples import samples_over
-from fringedic.sequence import Projection
+from experiment_node.active_goal import ActiveGoal
+from experiment_node.experiments import Experiment
+from experiment_node.result_codes import failed_node
+from fringedic.patterns.pattern import ProjectedPattern
+from fringedic.recording.load_samples import samples_over
 from fringedic_msgs.msg import LoadState, NodeStatus
 from fringedic_ros.stamps import to_nanoseconds
 
@@ -17,67 +19,56 @@ LOAD_SAMPLES = 200_000  # kept, over three minutes at 1 kHz
 
 
 @dataclass
-class Experiment:
-    """Numbers and references of one experiment.
-
-    Attributes
-    ----------
-    next_step
-        Number of the step measured next; never used twice.
-    measured
-        Steps that succeeded.
-    reference
-        The step that the others are measured against.
-    next_is_reference
-        The step measured next becomes the reference.
-    ready
-        Everybody who has to hear of its steps was connected at the first one.
-    """
-
-    name: str
-    next_step: int = 0
-    measured: set[int] = field(default_factory=set)
-    reference: int | None = None
-    next_is_reference: bool = True
-    ready: bool = False
-
-    def take_number(self) -> int:
-        """Return the number of a new step."""
-        self.next_step += 1
-        return self.next_step - 1
-
-
-@dataclass
 class RunningStep:
-    """What is known of the step that is being measured.
+    """Request and state of the step that is being measured.
 
     Attributes
     ----------
+    goal
+        The active goal, which ends the step when it is cancelled.
+    patterns
+        Pattern of each frame.
     nodes
         Processing nodes whose results end the step.
-    feed_back
-        Called with the stage whenever it or the number of frames changes.
+    on_stage
+        Called with the stage and this step when the stage or the number of frames changes.
+    started, exposed, answered
+        Time [s] of the start, of the last frame and of the last result on the monotonic clock.
+    stamps
+        Stamps of the frames taken so far [ns].
+    recorder_answered
+        The recorder has published its status after the last frame.
+    exposures
+        Start and end of the exposure of each frame [ns].
+    statuses
+        Status of each processing node that has answered.
+    load
+        Samples of the load frame since the start.
     """
 
-    turn: Turn
+    goal: ActiveGoal
     experiment: Experiment
     number: int
-    projections: tuple[Projection, ...]
+    patterns: tuple[ProjectedPattern, ...]
     nodes: Sequence[str]
     is_reference: bool
-    feed_back: Callable[[str, RunningStep], None]
+    on_stage: Callable[[str, RunningStep], None]
     started: float = field(default_factory=time.monotonic)
-    stamps: list[int] = field(default_factory=list)  # of the frames taken so far [ns]
-    exposed: float = 0.0  # when the last frame was reported [s], monotonic
-    answered: float = 0.0  # when the last result came [s], monotonic
-    recorder_answered: bool = False  # to the stage PROCESS
-    exposures: dict[int, tuple[int, int]] = field(default_factory=dict)  # start and end of each frame [ns]
+    stamps: list[int] = field(default_factory=list)
+    exposed: float = 0.0
+    answered: float = 0.0
+    recorder_answered: bool = False
+    exposures: dict[int, tuple[int, int]] = field(default_factory=dict)
     statuses: dict[str, NodeStatus] = field(default_factory=dict)
     load: deque[LoadState] = field(default_factory=lambda: deque(maxlen=LOAD_SAMPLES))
 
     def is_named(self, experiment: str, step: int) -> bool:
-        """Whether a message with these names speaks of this step."""
+        """Return whether a message with this experiment and step number belongs to this step."""
         return (experiment, step) == (self.experiment.name, self.number)
+
+    def report(self, stage: str) -> None:
+        """Report a stage to the client of the goal."""
+        self.on_stage(stage, self)
 
     @property
     def stamp(self) -> int:
@@ -91,20 +82,17 @@ class RunningStep:
 
     @property
     def failed_node(self) -> str | None:
-        """The first node of the chain that answered with an error."""
-        for name in self.nodes:
-            if name in self.statuses and self.statuses[name].error_code != NodeStatus.NONE:
-                return name
-        return None
+        """The first processing node, in the order of processing, that answered with an error."""
+        return failed_node(self.nodes, self.statuses)
 
     @property
     def processing_time(self) -> float:
-        """From the last exposure to the last result [s]."""
+        """Time from the last frame to the last result [s]."""
         return max(self.answered - self.exposed, 0.0) if self.statuses else 0.0
 
     def load_during_exposures(self) -> list[LoadState]:
-        """Return the samples from the start of the first exposure to the end of the last one, or those beside it."""
-        start, end = self.exposures[0][0], self.exposures[len(self.projections) - 1][1]
+        """Return the samples between the start of the first and the end of the last exposure, or the nearest ones."""
+        start, end = self.exposures[0][0], self.exposures[len(self.patterns) - 1][1]
         samples = list(self.load)
         chosen = samples_over([to_nanoseconds(sample.header.stamp) for sample in samples], start, end)
         return [samples[index] for index in chosen.nonzero()[0]]

@@ -1,6 +1,10 @@
-"""Which topics of a rig a recording holds, by their names relative to the rig's namespace."""
+"""Topics of a rig that a recording contains, by their names relative to the namespace of the rig."""
 
 from __future__ import annotations
+
+from coupling_node.topics import INPUTS as COUPLING_INPUTS
+from dic_node.topics import INPUTS as DIC_INPUTS
+from phase_node.topics import INPUTS as PHASE_INPUTS
 
 STEP = "experiment/step"
 REFERENCE = "experiment/reference"
@@ -12,7 +16,7 @@ EXPOSURE = "camera/exposure"
 
 SAMPLE_TOPICS = ("load_frame/state", "load_frame/wrench", "load_frame/joint_states")
 
-# Everything that the results follow from. Without these a test cannot be evaluated again.
+# All inputs of the results: a test can be evaluated again from these topics alone.
 RAW_TOPICS = (
     IMAGE,
     "camera/camera_info",
@@ -31,7 +35,7 @@ RAW_TOPICS = (
     "/tf_static",
 )
 
-# What the processing nodes compute from them.
+# Results of the processing nodes.
 DERIVED_TOPICS = (
     "phase/map",
     "phase/sigma",
@@ -47,26 +51,12 @@ DERIVED_TOPICS = (
     "coupling/status",
 )
 
-# Which of them each processing node publishes, and who must not miss any.
+# Topics of each processing node: those that it publishes, and those that it subscribes to as it declares them itself.
 PUBLISHED = {
     name: tuple(topic for topic in DERIVED_TOPICS if topic.startswith(f"{name}/"))
     for name in ("phase", "dic", "coupling")
 }
-READERS = (*PUBLISHED, "recorder", "experiment", "player")
+PROCESSING_INPUTS = {"phase": PHASE_INPUTS, "dic": DIC_INPUTS, "coupling": COUPLING_INPUTS}
 
-# What each processing node listens to: a replay begins when all of these have found each other.
-PROCESSING_INPUTS = {
-    "phase": (IMAGE, EXPOSURE, STEP),
-    "dic": (IMAGE, EXPOSURE, STEP, REFERENCE, "phase/texture", "phase/status"),
-    "coupling": (
-        STEP,
-        REFERENCE,
-        CALIBRATION,
-        "phase/map",
-        "phase/sigma",
-        "phase/status",
-        "dic/displacement",
-        "dic/sigma",
-        "dic/status",
-    ),
-}
+# Nodes that must not miss a message of the processing nodes.
+READERS = (*PUBLISHED, "recorder", "experiment", "player")

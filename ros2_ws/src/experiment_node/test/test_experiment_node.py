@@ -1,4 +1,4 @@
-"""The experiment node against a scripted rig: what it asks for, what it answers, and how every fault ends."""
+"""The experiment node against a scripted rig: requests, results, and the end of every fault."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
 from experiment_node.experiment_parameters import ExperimentParameters
-from fringedic.rig import RigModel
-from fringedic.sequence import PatternKind, Projection
+from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import (
@@ -58,7 +58,7 @@ Result = MeasureStep.Result
 
 
 class Rig(Peer):
-    """Projector, camera, load frame, recorder and processing nodes that do what the test's script says."""
+    """Projector, camera, load frame, recorder and processing nodes that follow the script of a test."""
 
     def __init__(self) -> None:
         super().__init__("rig")
@@ -213,7 +213,7 @@ class Rig(Peer):
         assert all(result.successful for result in answer.results), answer
 
     def reset(self) -> None:
-        """Forget what happened and do everything right."""
+        """Clear the journals and do everything right."""
         self.serve(0.1)
         for heard in (self.shown, self.captured, self.steps, self.references, self.feedback):
             heard.clear()
@@ -270,7 +270,7 @@ def test_a_step_from_begin_to_end(rig: Rig, request: pytest.FixtureRequest) -> N
     rig.wait(lambda: rig.node_parameters, "the node's parameters")
     assert "pitches_px" in [parameter.name for parameter in rig.node_parameters[0].parameters]
 
-    rig.silent = {"coupling"}  # a client hears no feedback after the result, which waits for this node
+    rig.silent = {"coupling"}  # no feedback arrives after the result, which waits for this node
     goal = rig.request(mode=MeasureStep.Goal.FRINGES)
     rig.wait(lambda: rig.feedback and rig.feedback[-1].stage == "process", "the last feedback")
     rig.silent = {"phase", "dic"}
@@ -289,7 +289,8 @@ def test_a_step_from_begin_to_end(rig: Rig, request: pytest.FixtureRequest) -> N
     assert all(to_nanoseconds(captured.shown) > 0 for captured in rig.captured)
     assert [captured.image_subscribers for captured in rig.captured] == [1] + [0] * (FRAMES - 1)
     assert rig.stages_of(0) == [StepStatus.BEGIN, *[StepStatus.CAPTURE] * FRAMES, StepStatus.PROCESS, StepStatus.END]
-    assert rig.steps[0].reference and [message.step for message in rig.references] == [0]
+    assert rig.steps[0].reference
+    assert [message.step for message in rig.references] == [0]
     last = to_nanoseconds(result.stamp)
     assert last == rig.clock_ns - EXPOSURE_NS // 2
     assert [to_nanoseconds(message.header.stamp) for message in rig.steps[-2:]] == [last, last]
@@ -301,18 +302,20 @@ def test_a_step_from_begin_to_end(rig: Rig, request: pytest.FixtureRequest) -> N
 
     second = rig.step()
     assert (second.error_code, second.step) == (Result.NONE, 1)
-    assert not rig.steps[-1].reference and len(rig.references) == 1
-    per_frame = second.duration / FRAMES * 1e3
-    print(f"show and capture per frame, whole step over its frames: {per_frame:.1f} ms (target under 15 ms)")
+    assert not rig.steps[-1].reference
+    assert len(rig.references) == 1
 
 
 def test_white_without_projector(rig: Rig) -> None:
     rig.change(projector=False)
     result = rig.step(mode=MeasureStep.Goal.WHITE)
     assert (result.error_code, result.rms_displacement) == (Result.NONE, 2.0)
-    assert not rig.shown and [captured.kind for captured in rig.captured] == [Exposure.WHITE]
+    assert not rig.shown
+    assert [captured.kind for captured in rig.captured] == [Exposure.WHITE]
     assert to_nanoseconds(rig.captured[0].shown) == 0
-    assert result.load_samples == 0 and math.isnan(result.force_mean) and math.isnan(result.position_range)
+    assert result.load_samples == 0
+    assert math.isnan(result.force_mean)
+    assert math.isnan(result.position_range)
     refused = rig.step(mode=MeasureStep.Goal.FRINGES)
     assert (refused.error_code, len(rig.captured)) == (Result.INVALID_GOAL, 1)
     assert "projector" in refused.error_message
@@ -408,7 +411,8 @@ def test_a_fault_ends_the_step_with_its_code_and_the_next_one_works(
         setattr(rig, name, Future() if name == "hang" else value)
     status, failed = rig.result(rig.request())
     assert (status, failed.error_code) == (GoalStatus.STATUS_ABORTED, code)
-    assert words in failed.error_message and "step 0" in failed.error_message
+    assert words in failed.error_message
+    assert "step 0" in failed.error_message
     assert rig.stages_of(0)[-1] == StepStatus.ERROR
     assert rig.steps[-1].error_code == code
     rig.wait(lambda: rig.holds == 1, "the request to hold")
@@ -418,7 +422,7 @@ def test_a_fault_ends_the_step_with_its_code_and_the_next_one_works(
 
 def test_a_failed_node_ends_the_sequence_early(rig: Rig) -> None:
     rig.answers = dict.fromkeys(("phase", "dic", "coupling"), NodeStatus.FRAME_DOUBLED)
-    capture = rig._capture
+    capture = rig.capture.callback
 
     async def doubled(request: CaptureFrame.Request, response: CaptureFrame.Response) -> CaptureFrame.Response:
         response = await capture(request, response)
@@ -437,7 +441,8 @@ def test_a_failed_node_ends_the_sequence_early(rig: Rig) -> None:
 def test_the_machine_has_to_hold(rig: Rig) -> None:
     rig.say_load(LoadState.MOVING)
     failed = rig.step()
-    assert failed.error_code == Result.LOAD_NOT_HELD and not rig.captured
+    assert failed.error_code == Result.LOAD_NOT_HELD
+    assert not rig.captured
     rig.say_load(LoadState.HOLD)
     rig.load_mode = LoadState.MOVING  # starts to move during the exposures
     assert rig.step().error_code == Result.LOAD_NOT_HELD
@@ -459,13 +464,14 @@ def test_the_load_must_not_drift_over_the_exposures(rig: Rig) -> None:
         assert rig.step().error_code == Result.NONE
         rig.load_mode = None
         silent = rig.step()
-        assert silent.error_code == Result.LOAD_DRIFT and "no sample of the force" in silent.error_message
+        assert silent.error_code == Result.LOAD_DRIFT
+        assert "no sample of the force" in silent.error_message
     finally:
         rig.change(load_drift_n=0.0)
 
 
-def test_a_hold_that_is_told_late_counts(rig: Rig) -> None:
-    """The machine has just reached its hold; the last that was heard of it is its motion."""
+def test_a_hold_that_is_published_late_counts(rig: Rig) -> None:
+    """The machine has just reached its hold; the latest sample still shows its motion."""
     rig.load_mode = LoadState.HOLD
     rig.say_load(LoadState.MOVING)
     running = rig.request()
@@ -488,12 +494,14 @@ def test_no_step_without_the_recorder(rig: Rig) -> None:
     rig.wait(lambda: StepStatus.PROCESS in [message.stage for message in rig.steps], "the end of the frames")
     rig.publish_recorder(RecorderStatus.RECORDING)
     assert rig.result(running)[1].error_code == Result.NONE
-    silent = rig.step()  # as if killed: its last words were fine, but it does not answer
-    assert silent.error_code == Result.RECORDER_FAILED and "does not answer" in silent.error_message
+    silent = rig.step()  # as if killed: its last status was good, but it does not answer
+    assert silent.error_code == Result.RECORDER_FAILED
+    assert "does not answer" in silent.error_message
     rig.publish_recorder(RecorderStatus.FAILED)
     rig.taken(rig.recorder)
     stopped = rig.step()
-    assert stopped.error_code == Result.DISK_FULL and "disk full" in stopped.error_message
+    assert stopped.error_code == Result.DISK_FULL
+    assert "disk full" in stopped.error_message
 
 
 def test_absent_node_is_named(rig: Rig) -> None:
@@ -502,7 +510,8 @@ def test_absent_node_is_named(rig: Rig) -> None:
     rig.wait(lambda: not rig.count_publishers("coupling/status"), "the end of a publisher")
     rig.serve(0.5)
     failed = rig.step()
-    assert failed.error_code == Result.NO_SUBSCRIBER and "coupling/status" in failed.error_message
+    assert failed.error_code == Result.NO_SUBSCRIBER
+    assert "coupling/status" in failed.error_message
     rig.statuses["coupling"] = rig.create_publisher(NodeStatus, "coupling/status", EVENTS)
     assert rig.step().error_code == Result.NONE
 
@@ -510,12 +519,13 @@ def test_absent_node_is_named(rig: Rig) -> None:
 def test_results_that_would_not_reach_the_next_node_are_waited_for(rig: Rig) -> None:
     rig.change(start_timeout_s=1.0)
     rig.reaches_all = False
-    publisher = rig.statuses.pop("phase")  # somebody who comes makes the experiment ask again
+    publisher = rig.statuses.pop("phase")  # a new publisher makes the experiment node check all connections again
     rig.destroy_publisher(publisher)
     rig.statuses["phase"] = rig.create_publisher(NodeStatus, "phase/status", EVENTS)
     rig.wait(rig.statuses["phase"].get_subscription_count, "the experiment node")
     failed = rig.step()
-    assert failed.error_code == Result.NO_SUBSCRIBER and "/phase/status" in failed.error_message, failed.error_message
+    assert failed.error_code == Result.NO_SUBSCRIBER, failed.error_message
+    assert "/phase/status" in failed.error_message
     rig.change(start_timeout_s=60.0)
     running = rig.request(mode=MeasureStep.Goal.FRINGES)
     rig.serve(1.5)
@@ -559,8 +569,9 @@ def test_impossible_parameters_are_refused(parameters: dict[str, Any], words: st
 
 def test_every_pattern_is_asked_for_at_every_exposure_time() -> None:
     parameters = ExperimentParameters(pitches_px=[800.0, 40.0], shifts=[3, 4], exposure_times_s=[0.004, 0.016])
-    shown = parameters.projections()
-    assert len(shown) == 14 and shown[::2] == shown[1::2]
-    asked = [parameters.exposure_time(index, projection) for index, projection in enumerate(shown)]
+    shown = parameters.patterns()
+    assert len(shown) == 14
+    assert shown[::2] == shown[1::2]
+    asked = [parameters.exposure_time(index, pattern) for index, pattern in enumerate(shown)]
     assert asked == [0.004, 0.016] * 7
-    assert parameters.exposure_time(0, Projection(PatternKind.WHITE)) == 0.0, "as the camera is set up"
+    assert parameters.exposure_time(0, ProjectedPattern(PatternKind.WHITE)) == 0.0, "as the camera is set up"

@@ -1,4 +1,4 @@
-"""Recordings of before the camera's distortion was measured: their calibration is played in today's definition."""
+"""Recordings without distortion of the camera: their calibration is played in the present definition."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ import numpy as np
 from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from experiment_node.player_node import _played
-from fringedic.recording import BagReader, BagWriter, Topic, interface_definition
-from fringedic.rig import RigModel
+from experiment_node.recorded_steps import recorded_messages
+from fringedic.recording.definitions import interface_definition
+from fringedic.recording.reader import BagReader
+from fringedic.recording.topics import Topic
+from fringedic.recording.writer import BagWriter
+from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import RigCalibration
 
@@ -32,7 +35,7 @@ def test_a_calibration_without_distortion_fields(tmp_path: Path) -> None:
         bag.add_recorded_topic(Topic("/rig/calibration", KIND, definition, "ros2msg", "RIHS01_old", ""))
         bag.write("/rig/calibration", data, 1, 1)
 
-    [message] = _played(BagReader(tmp_path / "bag"), {"/rig/calibration": "calibration"})
+    [message] = recorded_messages(BagReader(tmp_path / "bag"), {"/rig/calibration": "calibration"})
     played = deserialize_message(message.data, RigCalibration)
     assert message.topic == "calibration"
     assert (played.header.stamp.sec, played.header.stamp.nanosec) == (7, 8)

@@ -1,4 +1,4 @@
-"""The player node: the order of what it plays, its flow control, and what it says when something is missing."""
+"""The player node: order of the messages, flow control, status, and errors."""
 
 from __future__ import annotations
 
@@ -16,19 +16,22 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image
 
-from experiment_node.player_node import RecordedStep, is_complete, split_steps
+from experiment_node.recorded_steps import RecordedStep, split_steps
 from experiment_node.topics import EXPOSURE, IMAGE, PROCESSING_INPUTS, PUBLISHED, STEP
-from fringedic.recording import BagWriter, RawMessage
-from fringedic.sequence import FrameRecord, Orientation, PatternKind, Projection
+from fringedic.frames.records import FrameRecord
+from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
+from fringedic.recording.topics import RawMessage
+from fringedic.recording.writer import BagWriter
+from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, Reference, RigCalibration, StepStatus
 from fringedic_ros.images import image_message
 from fringedic_ros.matching import offer_reader_counts
-from fringedic_ros.qos import EVENTS, IMAGES, LATCHED
+from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY
 from fringedic_ros.records import exposure_message
 from fringedic_ros.spinning import Spinning
 
 FRAMES = 40  # more than the player has on their way at once
-FRINGES = Projection(PatternKind.FRINGES, Orientation.VERTICAL, 10.0, 1, 4)
+FRINGES = ProjectedPattern(PatternKind.FRINGES, Orientation.VERTICAL, 10.0, 1, 4)
 
 
 class Bag:
@@ -71,9 +74,9 @@ class Bag:
 
 
 class ScriptedNode(Node):
-    """Stands in for a processing node: hears its inputs and answers a step after its last exposure record.
+    """Substitute for a processing node: subscribes to its inputs and answers a step after its last exposure record.
 
-    `journal` keeps what every node did, in order.
+    `journal` lists the actions of all nodes in their order.
     """
 
     def __init__(self, name: str, journal: list[tuple[str, str, int]], silent: bool = False) -> None:
@@ -106,7 +109,7 @@ class ScriptedNode(Node):
         return SetParametersResult(successful=True)
 
     def _take_exposure(self, message: Exposure) -> None:
-        if message.index == message.count - 1:
+        if message.index == message.count - 1 and self.get_name() != "coupling":
             self._answer(message.experiment, message.step)
 
     def _take_step(self, message: StepStatus) -> None:
@@ -121,18 +124,33 @@ class ScriptedNode(Node):
 
 
 @pytest.fixture
-def graph() -> Iterator[Callable[..., list[tuple[str, str, int]]]]:
+def spinning() -> Iterator[Spinning]:
     rclpy.init()
-    with Spinning() as spinning:
-
-        def start(silent: str = "") -> list[tuple[str, str, int]]:
-            journal: list[tuple[str, str, int]] = []
-            for name in PROCESSING_INPUTS:
-                spinning.add(ScriptedNode(name, journal, silent=name == silent))
-            return journal
-
-        yield start
+    with Spinning() as loop:
+        yield loop
     rclpy.shutdown()
+
+
+@pytest.fixture
+def graph(spinning: Spinning) -> Callable[..., list[tuple[str, str, int]]]:
+    """Start the processing nodes and return their journal."""
+
+    def start(silent: str = "") -> list[tuple[str, str, int]]:
+        journal: list[tuple[str, str, int]] = []
+        for name in PROCESSING_INPUTS:
+            spinning.add(ScriptedNode(name, journal, silent=name == silent))
+        return journal
+
+    return start
+
+
+@pytest.fixture
+def statuses(spinning: Spinning) -> list[StepStatus]:
+    """The statuses that the player has published."""
+    received: list[StepStatus] = []
+    node = spinning.add(Node("progress", namespace="rig"))
+    node.create_subscription(StepStatus, "player/status", received.append, LATCHED_BY_MANY)
+    return received
 
 
 def play(bag: Path, **parameters: Any) -> subprocess.CompletedProcess[str]:
@@ -202,7 +220,9 @@ def test_a_step_that_failed_is_played_as_such_and_the_next_one_follows(
     assert journal.index(("phase", "error", 1)) < journal.index(("phase", "answer", 1))
 
 
-def test_a_recording_that_was_cut_off_says_so(graph: Callable[..., Any], tmp_path: Path) -> None:
+def test_a_recording_that_was_cut_off_is_reported(
+    graph: Callable[..., Any], statuses: list[StepStatus], tmp_path: Path
+) -> None:
     graph()
     with Bag(tmp_path / "bag") as bag:
         bag.step(0, count=4)
@@ -210,7 +230,15 @@ def test_a_recording_that_was_cut_off_says_so(graph: Callable[..., Any], tmp_pat
         bag.frame(1, 0, 4)
     played = play(tmp_path / "bag")
     assert played.returncode == 0, played.stderr
-    assert "experiment 'test', step 1: the recording ends within this step" in played.stdout
+    message = "experiment 'test', step 1: the recording ends within this step, no results"
+    assert message in played.stdout
+    assert [(each.step, each.stage, each.frame, each.frames) for each in statuses] == [
+        (0, StepStatus.BEGIN, 0, 4),
+        (0, StepStatus.END, 4, 4),
+        (1, StepStatus.BEGIN, 0, 1),
+        (1, StepStatus.ERROR, 1, 1),
+    ]
+    assert (statuses[-1].error_code, statuses[-1].error_message) == (MeasureStep.Result.RECORDER_FAILED, message)
 
 
 def test_recorded_parameters_reach_the_nodes_unless_overridden(graph: Callable[..., Any], tmp_path: Path) -> None:
@@ -237,12 +265,14 @@ def test_a_node_that_does_not_answer_is_named(graph: Callable[..., Any], tmp_pat
     assert "experiment 'test', step 0: no status from dic" in played.stderr
 
 
-def test_nodes_that_are_not_there_are_named(graph: Callable[..., Any], tmp_path: Path) -> None:
+@pytest.mark.usefixtures("graph")
+def test_nodes_that_are_not_there_are_named(tmp_path: Path) -> None:
     with Bag(tmp_path / "bag") as bag:
         bag.step(0, count=4)
     played = play(tmp_path / "bag", timeout_s=2.0)
     assert played.returncode == 1
-    assert "phase" in played.stderr and "coupling" in played.stderr
+    assert "phase" in played.stderr
+    assert "coupling" in played.stderr
 
 
 def test_a_bag_without_frames_is_refused_with_words(tmp_path: Path) -> None:
@@ -250,7 +280,8 @@ def test_a_bag_without_frames_is_refused_with_words(tmp_path: Path) -> None:
         bag.stage(0, StepStatus.BEGIN)
     played = play(tmp_path / "bag")
     assert played.returncode == 1
-    assert "camera/image_raw" in played.stderr and "Traceback" not in played.stderr
+    assert "camera/image_raw" in played.stderr
+    assert "Traceback" not in played.stderr
 
 
 def test_messages_are_cut_into_steps_at_each_begin() -> None:
@@ -264,9 +295,14 @@ def test_messages_are_cut_into_steps_at_each_begin() -> None:
         stage(1, StepStatus.BEGIN),
     ]
     before, first, second = split_steps(messages)
-    assert before.begin is None and before.messages == messages[:1]
-    assert first.begin is not None and first.begin.step == 0 and first.messages == messages[1:3]
-    assert second.begin is not None and second.begin.step == 1 and second.messages == messages[3:]
+    assert before.begin is None
+    assert before.messages == messages[:1]
+    assert first.begin is not None
+    assert first.begin.step == 0
+    assert first.messages == messages[1:3]
+    assert second.begin is not None
+    assert second.begin.step == 1
+    assert second.messages == messages[3:]
 
 
 def test_a_step_is_complete_with_the_image_and_the_record_of_its_last_frame() -> None:
@@ -276,6 +312,6 @@ def test_a_step_is_complete_with_the_image_and_the_record_of_its_last_frame() ->
         RawMessage(EXPOSURE, serialize_message(record), 0, 0),
         RawMessage(IMAGE, serialize_message(image), 0, 0),
     ]
-    assert is_complete(RecordedStep(None, messages))
-    assert not is_complete(RecordedStep(None, messages[:1]))
-    assert not is_complete(RecordedStep(None, messages[1:]))
+    assert RecordedStep(None, messages).is_complete
+    assert not RecordedStep(None, messages[:1]).is_complete
+    assert not RecordedStep(None, messages[1:]).is_complete

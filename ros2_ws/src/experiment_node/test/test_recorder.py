@@ -1,4 +1,4 @@
-"""The recorder node: what it records, and how it ends."""
+"""The recorder node: recorded messages, counts and faults."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ import rclpy
 import yaml
 from sensor_msgs.msg import Image
 
-from experiment_node.tally import ExposureTally
-from fringedic.recording import BagReader
-from fringedic.sequence import FrameRecord, PatternKind, Projection
+from experiment_node.exposure_tally import ExposureTally
+from fringedic.frames.records import FrameRecord
+from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.recording.reader import BagReader
 from fringedic_msgs.msg import Exposure, LoadState, NodeStatus, RecorderStatus, RigCalibration, StepStatus
 from fringedic_ros.images import image_message
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, STATE
@@ -29,7 +30,7 @@ from fringedic_ros.testing import NodeProcess, Peer
 
 
 class Rig(Peer):
-    """Publishes what a rig would."""
+    """Publishes the topics of a rig."""
 
     def __init__(self) -> None:
         super().__init__("rig")
@@ -55,7 +56,7 @@ class Rig(Peer):
         self.images.publish(image_message(pixels, stamp_ns=stamp, frame_id="camera_optical_frame"))
 
     def exposure(self, stamp: int, index: int = 0, count: int = 4) -> None:
-        record = FrameRecord("test", 0, index, count, Projection(PatternKind.WHITE), stamp, 0.01)
+        record = FrameRecord("test", 0, index, count, ProjectedPattern(PatternKind.WHITE), stamp, 0.01)
         self.exposures.publish(exposure_message(record, frame_id="camera_optical_frame"))
 
     def end_step(self) -> None:
@@ -88,7 +89,8 @@ def test_what_was_published_is_in_the_bag_bit_by_bit(rig: Rig, tmp_path: Path) -
         rig.wait(lambda: rig.statuses[-1].messages >= 11, "all messages to be written")
         status = rig.statuses[-1]
         assert (status.images, status.missing_images) == (4, 0)
-        assert status.path == str(tmp_path / "bag") and status.bytes > 4 * 48 * 64
+        assert status.path == str(tmp_path / "bag")
+        assert status.bytes > 4 * 48 * 64
 
     bag = BagReader(tmp_path / "bag")
     assert not bag.lost
@@ -127,7 +129,7 @@ def test_an_exposure_without_image_is_counted(rig: Rig, tmp_path: Path) -> None:
         for stamp in (1, 2, 3):
             rig.exposure(stamp)
         rig.image(3, pixels)
-        rig.wait(lambda: rig.statuses[-1].missing_images == 1, "the missing image to be told")
+        rig.wait(lambda: rig.statuses[-1].missing_images == 1, "the missing image in the status")
 
 
 def test_killed_in_the_middle_it_leaves_a_readable_bag(rig: Rig, tmp_path: Path) -> None:
@@ -164,7 +166,7 @@ def test_a_removed_folder_fails_the_recording_with_words_and_not_the_node(rig: R
     with recorder(tmp_path, flush_interval_s=0.1) as process:
         rig.connect()
         shutil.rmtree(tmp_path / "bag")
-        rig.wait(lambda: rig.state == RecorderStatus.FAILED, "the failure to be told")
+        rig.wait(lambda: rig.state == RecorderStatus.FAILED, "the failure in the status")
         assert str(tmp_path / "bag") in rig.statuses[-1].error_message
         rig.exposure(1)
         rig.serve(0.3)
@@ -181,7 +183,7 @@ def test_a_full_disk_fails_the_recording_and_keeps_what_was_written(rig: Rig, tm
             noise = np.random.default_rng(1).integers(0, 255, (1000, 1000), np.uint8)
             for stamp in range(8):
                 rig.image(stamp, noise)
-            rig.wait(lambda: rig.state == RecorderStatus.FAILED, "the failure to be told")
+            rig.wait(lambda: rig.state == RecorderStatus.FAILED, "the failure in the status")
             assert "the disk is full" in rig.statuses[-1].error_message
             assert process.poll() is None
         finally:
@@ -194,7 +196,7 @@ def test_an_existing_folder_is_not_overwritten(rig: Rig, tmp_path: Path) -> None
     (tmp_path / "bag").mkdir()
     (tmp_path / "bag" / "precious").write_text(json.dumps(1))
     with recorder(tmp_path):
-        rig.wait(lambda: rig.state == RecorderStatus.FAILED, "the failure to be told")
+        rig.wait(lambda: rig.state == RecorderStatus.FAILED, "the failure in the status")
         assert "exists already" in rig.statuses[-1].error_message
     assert os.listdir(tmp_path / "bag") == ["precious"]
 

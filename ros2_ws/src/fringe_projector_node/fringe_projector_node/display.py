@@ -1,4 +1,4 @@
-"""A window that fills one of this computer's displays, through SDL."""
+"""A window that fills one of the displays of this computer, through SDL."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ import numpy as np
 
 from fringedic.errors import ScreenError
 
-_SETTLING_S = 0.2  # in which a window manager may still move a new window
+_SETTLING_S = 0.2  # time in which a window manager may still move a new window
 
 
 class DisplayScreen:
-    """Full screen at the display's own resolution: one pattern pixel is one projector pixel, nothing is scaled.
+    """Full screen at the resolution of the display: one pattern pixel is one projector pixel, without scaling.
 
-    Every call belongs into the same thread.
+    All calls have to come from the same thread.
 
     Parameters
     ----------
     display
         Number of the display, from 0 on, in the order of the system's settings.
     width, height
-        Size of the patterns, which has to be that of the display [px].
+        Size of the patterns [px], equal to the resolution of the display.
 
     Raises
     ------
@@ -49,15 +49,15 @@ class DisplayScreen:
         self._open()
 
     def show(self, image: np.ndarray) -> int:
-        """Put an image on the display and wait until it has been handed to it.
+        """Show an image and wait until the display has received it.
 
-        With vertical synchronisation that is the start of a refresh. How much later the projector shows it, only the
-        camera can tell.
+        With vertical synchronisation this is the start of a refresh. The delay until the projector shows the image can
+        only be measured with the camera.
 
         Returns
         -------
         int
-            When it was handed over [ns].
+            Time at which the display received it [ns].
 
         Raises
         ------
@@ -78,32 +78,20 @@ class DisplayScreen:
             self._renderer.present()
         except self._pygame.error as error:
             self._close_window()
-            raise ScreenError(f"the display does not take the pattern: {error}") from error
+            raise ScreenError(f"the display does not accept the pattern: {error}") from error
         return time.time_ns()
 
     def check(self) -> None:
-        """Notice what happened to the window.
+        """Check that the window still fills the display.
 
         Raises
         ------
         ScreenError
-            It was closed, hidden or moved, or is no longer as large as the patterns.
+            It was closed, hidden, moved or resized, or the displays changed.
         """
-        pygame = self._pygame
         lost = ""
-        for event in pygame.event.get():  # a window whose events nobody takes counts as hanging
-            if event.type in (pygame.WINDOWCLOSE, pygame.QUIT):
-                lost = "the projector's window was closed"
-            elif event.type in (pygame.WINDOWHIDDEN, pygame.WINDOWMINIMIZED):
-                lost = "the projector's window was hidden"
-            elif event.type == pygame.WINDOWDISPLAYCHANGED and event.display_index != self._display:
-                lost = f"the projector's window is on display {event.display_index} now"
-            elif event.type == pygame.WINDOWMOVED and (event.x, event.y) != self._origin:
-                lost = (
-                    f"the projector's window was moved by {event.x - self._origin[0]}, {event.y - self._origin[1]} px"
-                )
-            elif event.type == pygame.WINDOWSIZECHANGED and (event.x, event.y) != self._size:
-                lost = f"the projector's display or window changed to {event.x}x{event.y} px; restore its resolution"
+        for event in self._pygame.event.get():  # a window whose events are not read counts as hanging
+            lost = self._loss(event) or lost
         if (size := self._desktop.size()) != self._desktop_size:
             self._close_window()
             raise ScreenError(
@@ -118,6 +106,21 @@ class DisplayScreen:
             self._close_window()
             raise ScreenError(f"{lost}; the next pattern opens it again")
 
+    def _loss(self, event: Any) -> str:
+        """Return what an event did to the window; empty when the window still fills the display."""
+        pygame = self._pygame
+        if event.type in (pygame.WINDOWCLOSE, pygame.QUIT):
+            return "the projector's window was closed"
+        if event.type in (pygame.WINDOWHIDDEN, pygame.WINDOWMINIMIZED):
+            return "the projector's window was hidden"
+        if event.type == pygame.WINDOWDISPLAYCHANGED and event.display_index != self._display:
+            return f"the projector's window is on display {event.display_index} now"
+        if event.type == pygame.WINDOWMOVED and (event.x, event.y) != self._origin:
+            return f"the projector's window was moved by {event.x - self._origin[0]}, {event.y - self._origin[1]} px"
+        if event.type == pygame.WINDOWSIZECHANGED and (event.x, event.y) != self._size:
+            return f"the projector's display or window changed to {event.x}x{event.y} px; restore its resolution"
+        return ""
+
     def close(self) -> None:
         """Close the window."""
         self._close_window()
@@ -131,7 +134,7 @@ class DisplayScreen:
             pygame.display.init()
             sizes = pygame.display.get_desktop_sizes()
         except pygame.error as error:
-            raise ScreenError(f"there is no display: {error}; is DISPLAY set?") from error
+            raise ScreenError(f"there is no display: {error}; check the environment variable DISPLAY") from error
         if not os.environ.get("DISPLAY") and not os.environ.get("WAYLAND_DISPLAY"):
             raise ScreenError("there is no display: neither DISPLAY nor WAYLAND_DISPLAY is set")
         found = ", ".join(f"{number}: {width}x{height} px" for number, (width, height) in enumerate(sizes))
@@ -166,21 +169,21 @@ class DisplayScreen:
 
 
 class _Desktop:
-    """Asks an X server how large all its displays are together; SDL does that only once in a process."""
+    """Total size of the displays of an X server; SDL requests it only once in a process."""
 
     def __init__(self) -> None:
         self._server: Any = None
         if os.environ.get("DISPLAY"):
             try:
                 self._x11 = ctypes.CDLL("libX11.so.6")
-            except OSError:  # then there is no window either, which the caller is about to find
+            except OSError:  # then there is no window either, which `_open` reports
                 return
             self._x11.XOpenDisplay.restype = ctypes.c_void_p
             self._x11.XDefaultRootWindow.restype = ctypes.c_ulong
             self._server = self._x11.XOpenDisplay(None)
 
     def size(self) -> tuple[int, int]:
-        """Width and height [px]; (0, 0) without an X server."""
+        """Return width and height [px]; (0, 0) without an X server."""
         if not self._server:
             return 0, 0
         server = ctypes.c_void_p(self._server)

@@ -1,4 +1,4 @@
-"""Shows fringes, white light and set-up patterns, and publishes what is on the screen."""
+"""Shows fringes, white light and set-up patterns, and publishes the pattern on the screen."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from sensor_msgs.msg import Image
 
 from fringe_projector_node.display import DisplayScreen
 from fringe_projector_node.screens import Screen, VirtualScreen
-from fringedic.errors import InvalidPatternError, ScreenError
-from fringedic.patterns import render_pattern
-from fringedic.response import ResponseCurve
-from fringedic.sequence import PatternKind, Projection, projection_of
+from fringedic.errors import PatternError, ScreenError
+from fringedic.patterns.pattern import PatternKind, ProjectedPattern, pattern_of_message
+from fringedic.patterns.render import render_pattern
+from fringedic.patterns.response import ResponseCurve
 from fringedic_msgs.srv import ShowPattern
 from fringedic_ros.images import image_message
 from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
@@ -25,24 +25,24 @@ from fringedic_ros.stamps import to_msg
 
 FRAME_ID = "projector_optical_frame"
 _CHECK_PERIOD_S = 0.1
-_KEPT_PATTERNS = 64  # more than a sequence of shifts, so that each step after the first renders nothing
+_KEPT_PATTERNS = 64  # more than a sequence has: the steps after the first do not render
 
 
 class ProjectorParameters(HardwareParameters):
     """Parameters of the projector node."""
 
     screen: Literal["virtual", "display"] = Field(
-        "virtual", description="virtual: the camera of the virtual rig sees the patterns; display: a real projector."
+        "virtual", description="virtual: patterns for the camera of the virtual rig; display: a real projector."
     )
     display: int = Field(
-        0, ge=0, le=15, description="Screen `display`: which of this computer's displays the projector is, from 0 on."
+        0, ge=0, le=15, description="Screen `display`: number of the display of the projector, from 0 on."
     )
     width_px: int = Field(800, ge=16, le=16384, description="Columns of the projector [px].")
     height_px: int = Field(600, ge=16, le=16384, description="Rows of the projector [px].")
     response_file: str = Field(
         "",
-        description="YAML file of the response curve of projector and camera that fringes and codes make up for; empty "
-        "shows them as they are.",
+        description="YAML file of the response curve of projector and camera, for which fringes and Gray codes are "
+        "pre-compensated; empty: no pre-compensation.",
     )
 
 
@@ -61,14 +61,14 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
         self.create_timer(_CHECK_PERIOD_S, self._check, callback_group=screen)
 
     def open(self) -> None:
-        """Prepare the screen of the size that the parameters say."""
+        """Open the screen with the size of the parameters."""
         width, height = self.parameters.value.width_px, self.parameters.value.height_px
         file = self.parameters.value.response_file
         response = ResponseCurve.load(file) if file else None
 
         @lru_cache(maxsize=_KEPT_PATTERNS)
-        def render(projection: Projection, name: str) -> np.ndarray:
-            return render_pattern(projection, width, height, name, response=response)
+        def render(pattern: ProjectedPattern, name: str) -> np.ndarray:
+            return render_pattern(pattern, width, height, name, response=response)
 
         self._render = render
         if self.parameters.value.screen == "display":
@@ -77,18 +77,17 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
             self._screen = VirtualScreen()
 
     def activate(self) -> None:
-        """Begin with a dark screen."""
-        self._put(self._render(Projection(PatternKind.OTHER), "dark"))
+        """Start with a dark screen."""
+        self._put(self._render(ProjectedPattern(PatternKind.OTHER), "dark"))
 
     def close(self) -> None:
-        """Give the screen back."""
+        """Close the screen."""
         self._screen.close()
         self._screen = VirtualScreen()
 
     def _put(self, image: np.ndarray) -> int:
-        # strictly increasing, so that a stamp names one pattern
         shown_ns = self._screen.show(image)
-        # two patterns never have the same stamp; a clock that was set back may set theirs back
+        # a stamp identifies a pattern: successive ones differ, even when the clock is set back
         self._shown_ns = shown_ns + (shown_ns == self._shown_ns)
         self._images.publish(image_message(image, stamp_ns=self._shown_ns, frame_id=FRAME_ID))
         return self._shown_ns
@@ -102,18 +101,18 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
                 raise lost
             response.shown = to_msg(self._put(self._render(_asked(request), request.name)))
             self.diagnostics.success()
-        except InvalidPatternError as error:
+        except PatternError as error:
             self._refuse(response, ShowPattern.Request.INVALID_PATTERN, error)
         except ScreenError as error:
             self._refuse(response, ShowPattern.Request.SCREEN_FAILED, error)
         return response
 
     def _check(self) -> None:
-        """Notice a lost window between two patterns; who has shown the one that was in it hears of it with the next."""
+        """Check the screen between two patterns; an error is reported with the next show request."""
         try:
             self._screen.check()
         except ScreenError as error:
-            if self._lost is None:  # a display that stays as it is needs no second word
+            if self._lost is None:  # the same error is logged once
                 self.get_logger().error(str(error))
             self._lost = error
             self.diagnostics.failure(str(error))
@@ -124,11 +123,11 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
         self.diagnostics.failure(str(error))
 
 
-def _asked(request: ShowPattern.Request) -> Projection:
+def _asked(request: ShowPattern.Request) -> ProjectedPattern:
     try:
-        return projection_of(request)
+        return pattern_of_message(request)
     except ValueError as error:
-        raise InvalidPatternError(f"no such pattern: {error}") from None
+        raise PatternError(f"no such pattern: {error}") from None
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""Screens that a projector node can show its patterns on."""
+"""Screens for the patterns of a projector node."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import numpy as np
 
 
 class Screen(Protocol):
-    """Where patterns appear."""
+    """A screen that shows patterns."""
 
     def show(self, image: np.ndarray) -> int:
-        """Put an image, uint8 (height, width), on the screen.
+        """Show an image, uint8 (row, column).
 
         Returns
         -------
         int
-            When it was there [ns].
+            Time at which it was on the screen [ns].
 
         Raises
         ------
@@ -27,7 +27,7 @@ class Screen(Protocol):
         ...
 
     def check(self) -> None:
-        """Notice what happened to the screen; called several times a second.
+        """Check the screen; called several times a second.
 
         Raises
         ------
@@ -37,19 +37,19 @@ class Screen(Protocol):
         ...
 
     def close(self) -> None:
-        """Give the screen back."""
+        """Close the screen."""
         ...
 
 
 class VirtualScreen:
-    """The projector of a virtual rig: its camera sees whatever the node publishes."""
+    """Projector of a virtual rig, whose camera receives the published patterns."""
 
-    def show(self, image: np.ndarray) -> int:
-        """Appear at once."""
+    def show(self, image: np.ndarray) -> int:  # noqa: ARG002 (the interface of every screen)
+        """Return the present time [ns]."""
         return time.time_ns()
 
     def check(self) -> None:
-        """Nothing can happen to it."""
+        """Do nothing: it is always present."""
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """Do nothing: no device is open."""

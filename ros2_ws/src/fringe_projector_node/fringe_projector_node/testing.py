@@ -1,4 +1,4 @@
-"""For tests of the projector: a display without a screen, and somebody else who uses it."""
+"""For tests of the projector: a display without a screen, and another program that uses it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class VirtualDisplay:
         self._process.wait()
 
     def screenshot(self) -> np.ndarray:
-        """Red, green and blue of every pixel, uint8 (row, column, 3)."""
+        """Return red, green and blue of every pixel, uint8 (row, column, 3)."""
         memory = (self._folder / "Xvfb_screen0").read_bytes()
         header = np.frombuffer(memory, ">u4", 25)
         start, columns, rows, line, colours = header[[0, 4, 5, 12, 19]].astype(int)
@@ -40,7 +40,7 @@ class VirtualDisplay:
         return pixels.reshape(rows, line)[:, : 4 * columns].reshape(rows, columns, 4)[:, :, 2::-1]
 
     def change_resolution(self, width: int, height: int) -> None:
-        """Give it another resolution, not above the one it began with, as a user does in the settings."""
+        """Change the resolution to at most the initial one, as a user does in the settings."""
         name = f"{width}x{height}"
         timing = [str(n) for n in (1, width, width, width, width, height, height, height, height)]
         for words in (
@@ -54,7 +54,7 @@ class VirtualDisplay:
 
 
 class WindowManager:
-    """Another program that does to windows what a user or a window manager does."""
+    """Another program that changes windows as a user or a window manager does."""
 
     def __enter__(self) -> Self:
         self._x11 = ctypes.CDLL("libX11.so.6")
@@ -68,7 +68,7 @@ class WindowManager:
         self._x11.XCloseDisplay(self._display)
 
     def windows(self) -> list[int]:
-        """Top windows, the uppermost last."""
+        """Return the top windows, the uppermost last."""
         root, parent, count = ctypes.c_ulong(), ctypes.c_ulong(), ctypes.c_uint()
         windows = ctypes.POINTER(ctypes.c_ulong)()
         found = (ctypes.byref(each) for each in (root, parent, windows, count))
@@ -81,7 +81,7 @@ class WindowManager:
         self._x11.XSync(self._display, 0)
 
     def close(self, window: int) -> None:
-        """Ask the window to close, as its button does: a ClientMessage of WM_PROTOCOLS."""
+        """Request the window to close, as its button does: a ClientMessage of WM_PROTOCOLS."""
         protocols, delete = (
             self._x11.XInternAtom(self._display, name, 0) for name in (b"WM_PROTOCOLS", b"WM_DELETE_WINDOW")
         )

@@ -14,8 +14,8 @@ import rclpy
 from fringe_projector_node.display import DisplayScreen
 from fringe_projector_node.testing import VirtualDisplay, WindowManager
 from fringedic.errors import ScreenError
-from fringedic.patterns import render_pattern
-from fringedic.sequence import Orientation, PatternKind, Projection
+from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
+from fringedic.patterns.render import render_pattern
 from fringedic_msgs.srv import ShowPattern
 from fringedic_ros.testing import NodeProcess, Peer
 
@@ -47,12 +47,12 @@ def display(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Virtual
 @pytest.mark.parametrize(
     "projection",
     [
-        Projection(PatternKind.FRINGES, Orientation.VERTICAL, 10.0, 3, 8),
-        Projection(PatternKind.FRINGES, Orientation.HORIZONTAL, 16.0, 1, 4),
-        Projection(PatternKind.WHITE),
+        ProjectedPattern(PatternKind.FRINGES, Orientation.VERTICAL, 10.0, 3, 8),
+        ProjectedPattern(PatternKind.FRINGES, Orientation.HORIZONTAL, 16.0, 1, 4),
+        ProjectedPattern(PatternKind.WHITE),
     ],
 )
-def test_every_pixel_is_the_patterns(display: VirtualDisplay, projection: Projection) -> None:
+def test_every_pixel_is_the_patterns(display: VirtualDisplay, projection: ProjectedPattern) -> None:
     pattern = render_pattern(projection, WIDTH, HEIGHT)
     screen = DisplayScreen(0, WIDTH, HEIGHT)
     before = time.time_ns()
@@ -71,7 +71,8 @@ def test_every_pixel_is_the_patterns(display: VirtualDisplay, projection: Projec
         (0, (800, 600), "patterns have 800x600 px and display 0 another size; there are 0: 640x480 px"),
     ],
 )
-def test_wrong_display_is_named(display: VirtualDisplay, number: int, size: tuple[int, int], words: str) -> None:
+@pytest.mark.usefixtures("display")
+def test_wrong_display_is_named(number: int, size: tuple[int, int], words: str) -> None:
     with pytest.raises(ScreenError, match=words):
         DisplayScreen(number, *size)
 
@@ -81,6 +82,13 @@ def test_no_display(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(ScreenError, match="there is no display"):
         DisplayScreen(0, WIDTH, HEIGHT)
+
+
+def check_for_10_s(screen: DisplayScreen) -> None:
+    deadline = time.monotonic() + 10
+    while time.monotonic() < deadline:
+        screen.check()
+        time.sleep(0.01)
 
 
 @pytest.mark.parametrize(
@@ -94,27 +102,24 @@ def test_no_display(monkeypatch: pytest.MonkeyPatch) -> None:
 )
 def test_window_that_is_lost_opens_again(display: VirtualDisplay, what: str, values: tuple, words: str) -> None:
     screen = DisplayScreen(0, WIDTH, HEIGHT)
-    pattern = render_pattern(Projection(PatternKind.FRINGES, pitch=20.0, shift=1, shifts=4), WIDTH, HEIGHT)
+    pattern = render_pattern(ProjectedPattern(PatternKind.FRINGES, pitch=20.0, shift=1, shifts=4), WIDTH, HEIGHT)
     screen.show(pattern)
     with WindowManager() as manager:
         if what == "close":
             manager.close(manager.windows()[-1])
         else:
             manager.do(what, manager.windows()[-1], *values)
-    deadline = time.monotonic() + 10
     with pytest.raises(ScreenError, match=words):
-        while time.monotonic() < deadline:
-            screen.check()
-            time.sleep(0.01)
+        check_for_10_s(screen)
     screen.show(pattern)
     assert shown_in_time(display, pattern)
     screen.close()
 
 
 def test_display_at_another_resolution_is_refused_until_it_is_restored(display: VirtualDisplay) -> None:
-    """No window manager resizes the window, and SDL does not hear of it."""
+    """No window manager resizes the window, and SDL gets no event."""
     screen = DisplayScreen(0, WIDTH, HEIGHT)
-    pattern = render_pattern(Projection(PatternKind.WHITE), WIDTH, HEIGHT)
+    pattern = render_pattern(ProjectedPattern(PatternKind.WHITE), WIDTH, HEIGHT)
     screen.show(pattern)
     display.change_resolution(320, 240)
     for _ in range(2):
@@ -127,7 +132,7 @@ def test_display_at_another_resolution_is_refused_until_it_is_restored(display: 
 
 
 def test_node_shows_on_the_display(display: VirtualDisplay, tmp_path: Path) -> None:
-    """What the service answers for is on the display; a pattern of the set-up, too."""
+    """The confirmed pattern is on the display, set-up patterns included."""
     rclpy.init()
     operator = Peer()
     show = operator.create_client(ShowPattern, "projector/show")
@@ -143,13 +148,13 @@ def test_node_shows_on_the_display(display: VirtualDisplay, tmp_path: Path) -> N
                 future = show.call_async(request)
                 operator.wait(future.done, "the answer", 10)
                 assert future.result().error_code == ShowPattern.Request.NONE, future.result().error_message
-                projection = Projection(
+                pattern = ProjectedPattern(
                     PatternKind(request.kind), pitch=request.pitch, shift=request.shift, shifts=request.shifts
                 )
-                expected = render_pattern(projection, WIDTH, HEIGHT, name)
+                expected = render_pattern(pattern, WIDTH, HEIGHT, name)
                 operator.wait(
                     lambda expected=expected: np.array_equal(display.screenshot()[:, :, 1], expected),
-                    f"the pattern {projection} {name} on the display",
+                    f"the pattern {pattern} {name} on the display",
                     10,
                 )
     finally:

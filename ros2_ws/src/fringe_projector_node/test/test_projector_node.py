@@ -1,4 +1,4 @@
-"""The projector node in a process of its own: it shows what it is asked for, pixel by pixel."""
+"""The projector node in a process of its own: requested patterns are shown pixel by pixel."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from sensor_msgs.msg import Image
 
-from fringedic.patterns import render_pattern
-from fringedic.sequence import Orientation, PatternKind, Projection
+from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
+from fringedic.patterns.render import render_pattern
 from fringedic_msgs.srv import ShowPattern
 from fringedic_ros.images import image_array
 from fringedic_ros.parameter_docs import documented
@@ -26,7 +26,7 @@ PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "projector.md"
 
 
 class Audience(Peer):
-    """Asks for patterns and looks at the screen."""
+    """Requests patterns and collects the images of the screen."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -56,31 +56,31 @@ def audience(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Audience]:
 
 
 @pytest.mark.parametrize(
-    ("projection", "name"),
+    ("pattern", "name"),
     [
-        (Projection(PatternKind.FRINGES, Orientation.VERTICAL, 25.0, 1, 4), ""),
-        (Projection(PatternKind.FRINGES, Orientation.VERTICAL, 12.5, 3, 8), ""),
-        (Projection(PatternKind.FRINGES, Orientation.HORIZONTAL, 25.0, 2, 4), ""),
-        (Projection(PatternKind.GRAY_CODE, Orientation.VERTICAL, 25.0, 2, 6), ""),
-        (Projection(PatternKind.GREY, shift=77, shifts=255), ""),
-        (Projection(PatternKind.WHITE), ""),
-        (Projection(PatternKind.OTHER), "grid"),
+        (ProjectedPattern(PatternKind.FRINGES, Orientation.VERTICAL, 25.0, 1, 4), ""),
+        (ProjectedPattern(PatternKind.FRINGES, Orientation.VERTICAL, 12.5, 3, 8), ""),
+        (ProjectedPattern(PatternKind.FRINGES, Orientation.HORIZONTAL, 25.0, 2, 4), ""),
+        (ProjectedPattern(PatternKind.GRAY_CODE, Orientation.VERTICAL, 25.0, 2, 6), ""),
+        (ProjectedPattern(PatternKind.GREY, shift=77, shifts=255), ""),
+        (ProjectedPattern(PatternKind.WHITE), ""),
+        (ProjectedPattern(PatternKind.OTHER), "grid"),
     ],
 )
-def test_shows_what_is_asked(audience: Audience, projection: Projection, name: str) -> None:
+def test_shows_the_requested_pattern(audience: Audience, pattern: ProjectedPattern, name: str) -> None:
     stamps = []
-    for _ in range(2):  # the second time from what is kept
+    for _ in range(2):  # the second time from the cache
         response = audience.show(
-            kind=int(projection.kind),
-            orientation=int(projection.orientation),
-            pitch=projection.pitch,
-            shift=projection.shift,
-            shifts=projection.shifts,
+            kind=int(pattern.kind),
+            orientation=int(pattern.orientation),
+            pitch=pattern.pitch,
+            shift=pattern.shift,
+            shifts=pattern.shifts,
             name=name,
         )
         assert response.error_code == ShowPattern.Request.NONE, response.error_message
         stamps.append(to_nanoseconds(response.shown))
-        expected = render_pattern(projection, WIDTH, HEIGHT, name)
+        expected = render_pattern(pattern, WIDTH, HEIGHT, name)
         np.testing.assert_array_equal(audience.seen(stamps[-1]), expected)
     assert stamps[1] > stamps[0]
 

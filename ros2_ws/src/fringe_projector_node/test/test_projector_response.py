@@ -8,9 +8,9 @@ import numpy as np
 import rclpy
 from sensor_msgs.msg import Image
 
-from fringedic.patterns import render_pattern
-from fringedic.response import ResponseCurve
-from fringedic.sequence import Orientation, PatternKind, Projection
+from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
+from fringedic.patterns.render import render_pattern
+from fringedic.patterns.response import ResponseCurve
 from fringedic_msgs.srv import ShowPattern
 from fringedic_ros.images import image_array
 from fringedic_ros.qos import LATCHED
@@ -24,7 +24,7 @@ def test_patterns_make_up_for_the_response_curve(tmp_path: Path) -> None:
     curve.save(tmp_path / "response.yaml")
     curve = ResponseCurve.load(tmp_path / "response.yaml")
     parameters = {"width_px": WIDTH, "height_px": HEIGHT, "response_file": str(tmp_path / "response.yaml")}
-    fringes = Projection(PatternKind.FRINGES, Orientation.VERTICAL, 25.0, 1, 4)
+    fringes = ProjectedPattern(PatternKind.FRINGES, Orientation.VERTICAL, 25.0, 1, 4)
     rclpy.init()
     audience = Peer()
     images: list[Image] = audience.listen(Image, "projector/image", LATCHED)

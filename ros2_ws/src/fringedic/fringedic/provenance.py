@@ -1,4 +1,4 @@
-"""Which software made a file."""
+"""Version and commit of the software that writes a file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from fringedic import __version__
 
 UNKNOWN = "unknown"
-_SECONDS = 10
+_TIMEOUT = 10  # [s]
 
 
 def software() -> str:
@@ -21,17 +21,17 @@ def software() -> str:
 
 @cache
 def git_commit() -> str:
-    """Return the commit of the source that runs, as known to git or to the installer.
+    """Return the commit of the running source, from git or from the installer.
 
     Returns
     -------
     str
-        Forty hexadecimal digits, followed by ``, with changes`` when files differ from that commit; ``unknown`` for an
-        installation that does not tell.
+        Forty hexadecimal digits, followed by ``, with changes`` when files differ from that commit; ``unknown`` where
+        the installation does not contain it.
     """
     folder = Path(__file__).resolve().parent
     try:
-        # a repository that happens to lie around an installation knows nothing of this file
+        # refuses a repository that contains the installation by chance, but not this file
         _git(folder, "ls-files", "--error-unmatch", "provenance.py")
         commit = _git(folder, "rev-parse", "HEAD")
         changed = _git(folder, "status", "--porcelain", "--untracked-files=no", "--", ".")
@@ -42,13 +42,13 @@ def git_commit() -> str:
 
 def _git(folder: Path, *words: str) -> str:
     done = subprocess.run(
-        ["git", "-C", str(folder), *words], capture_output=True, text=True, check=True, timeout=_SECONDS
+        ["git", "-C", str(folder), *words], capture_output=True, text=True, check=True, timeout=_TIMEOUT
     )
     return done.stdout.strip()
 
 
 def _installed_commit() -> str:
-    """Return the commit that an installer noted (PEP 610)."""
+    """Return the commit from the record of the installer (PEP 610)."""
     try:
         noted = importlib.metadata.distribution("fringedic").read_text("direct_url.json")
         return str(json.loads(noted or "")["vcs_info"]["commit_id"])

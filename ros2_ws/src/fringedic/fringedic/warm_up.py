@@ -1,36 +1,33 @@
-"""Compile every Numba kernel of the library for the types that measurements use, and keep the machine code.
+"""Compile every Numba kernel of the library for the types of measurements, and cache the machine code.
 
-Run once after installation, `python -m fringedic.warm_up`: the first step of an experiment then starts at once.
+Run `python -m fringedic.warm_up` once after installation: the first step of an experiment then starts at once.
 """
 
 from __future__ import annotations
 
+import sys
 import time
 from dataclasses import replace
 
 import numpy as np
 import xarray as xr
 
-from fringedic.chain import (
-    CouplingParameters,
-    DicParameters,
-    DisplacementTracker,
-    PhaseParameters,
-    ShapeTracker,
-    phase_step,
-    white_texture,
-)
 from fringedic.correlation import measure_displacement
-from fringedic.patterns import fringe_sequence
-from fringedic.rig import RigModel
-from fringedic.sequence import FrameRecord, Stack
+from fringedic.frames.collector import Stack
+from fringedic.frames.records import FrameRecord
+from fringedic.patterns.sequences import fringe_sequence
+from fringedic.rig.model import RigModel
+from fringedic.steps.displacement_tracker import DisplacementTracker
+from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
+from fringedic.steps.phase import phase_step, white_texture
+from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.surface.planes import fit_planes
 
-SIZE = 96  # [px]: enough for every stage, compilation takes all the time anyway
+SIZE = 96  # [px]: enough for every stage, and negligible against the compilation
 
 
 def _rig() -> RigModel:
-    """A projector to the right of a camera that sees the projected image pixel by pixel."""
+    """Return a projector to the right of a camera whose pixels coincide with the projected ones."""
     middle = (SIZE - 1) / 2
     return RigModel(
         camera_width=SIZE,
@@ -50,19 +47,19 @@ def _rig() -> RigModel:
 
 
 def _stack(dtype: type[np.unsignedinteger], step: int) -> Stack:
-    """Fringes on a rough texture as a camera of 8 or 16 bits sees them."""
+    """Return fringes on a rough texture in images of 8 or 16 bits."""
     sequence = fringe_sequence(SIZE, SIZE, [SIZE, SIZE / 8], 4)
     texture = 0.5 + 0.5 * np.random.default_rng(1).random((SIZE, SIZE))
     grey = np.stack([frame * texture for frame in sequence]) * (np.iinfo(dtype).max / 255)
     records = [
-        FrameRecord("warm up", step, index, len(sequence), projection, stamp=index, exposure_time=0.01, dropped=0)
-        for index, projection in enumerate(sequence.projections)
+        FrameRecord("warm up", step, index, len(sequence), pattern, stamp=index, exposure_time=0.01, dropped=0)
+        for index, pattern in enumerate(sequence.patterns)
     ]
-    return Stack("warm up", step, records, grey.astype(dtype), stamp=len(sequence))
+    return Stack(np.dtype(dtype).name, step, records, grey.astype(dtype), stamp=len(sequence))
 
 
 def _twice_exposed(stack: Stack) -> Stack:
-    """The same frames as if each pattern had been taken at two exposure times."""
+    """Return the same frames as if each pattern had two exposure times."""
     records = [
         replace(record, index=2 * record.index + number, count=2 * record.count, exposure_time=0.01 * (number + 1))
         for record in stack.records
@@ -72,7 +69,7 @@ def _twice_exposed(stack: Stack) -> Stack:
 
 
 def warm_up() -> None:
-    """Send small frames through the whole chain, printing the seconds that each part takes."""
+    """Process small frames by the whole pipeline, with the time that each part takes on standard output."""
     tracker = DisplacementTracker(DicParameters())
     shapes = ShapeTracker(CouplingParameters(local_frame_window_px=11, strain_window_px=11))
     shapes.set_calibration(_rig())
@@ -80,37 +77,28 @@ def warm_up() -> None:
         with _Part(f"phase, displacement and coupling of {np.dtype(dtype).name} frames"):
             for step in (0, 1, 2):
                 phase = phase_step(_stack(dtype, step), PhaseParameters(lens_blur_px=0.5))
-                # arrays of messages, which the nodes take, are read-only: kernels are compiled once more for them
-                phase.texture.setflags(write=step != 2)
-                found = tracker.step(np.dtype(dtype).name, step, 0, phase.texture)
-                for array in (phase.phase, phase.sigma, found.displacement, found.sigma):
-                    array.setflags(write=step != 2)
-                shapes.step(
-                    np.dtype(dtype).name,
-                    step,
-                    0,
-                    phase.phase,
-                    phase.sigma,
-                    found.displacement,
-                    found.sigma,
-                    pitch=phase.pitch,
-                    orientation=phase.orientation,
-                    spacing=found.spacing,
-                    origin=found.origin,
-                    window=DicParameters().window,
-                )
+                # nodes work on read-only arrays of messages, for which kernels are compiled, too
+                _set_writable(phase.maps, step != 2)
+                found = tracker.step(phase.experiment, phase.step, phase.stamp, phase.texture)
+                _set_writable(found.field, step != 2)
+                shapes.step(phase, found)
         with _Part(f"exposures of {np.dtype(dtype).name} frames"):
             phase_step(_twice_exposed(_stack(dtype, 0)), PhaseParameters())
         with _Part(f"displacement of white {np.dtype(dtype).name} images"):
             white = _stack(dtype, 0).frames[0]
             measure_displacement(white, white, initial=_still(1))
             measure_displacement(white_texture(white), white_texture(white), spacing=2, initial=_still(2))
-    with _Part("strain beside a tear"):
-        _torn_surface()
+    with _Part("strain beside a discontinuity"):
+        _discontinuous_surface()
 
 
-def _torn_surface() -> None:
-    """Fit planes on both sides of a tear, as the strain does it: the kernels for that wait for the first crack."""
+def _set_writable(dataset: xr.Dataset, writable: bool) -> None:
+    for array in dataset.values():
+        array.values.setflags(write=writable)
+
+
+def _discontinuous_surface() -> None:
+    """Fit planes on both sides of a discontinuity, as the strain does after the first crack."""
     row, column = np.meshgrid(np.arange(SIZE), np.arange(SIZE), indexing="ij")
     names = (*"xyzuvw", "noise_z", "noise_z_deformed", "displacement_sigma_x", "displacement_sigma_y")
     values = dict.fromkeys(names, (("row", "column"), np.ones((SIZE, SIZE), np.float32)))
@@ -120,23 +108,28 @@ def _torn_surface() -> None:
 
 
 def _still(spacing: int) -> tuple[np.ndarray, np.ndarray]:
-    """No motion, as a displacement to start from."""
+    """Return an initial displacement of zero."""
     points = -(-SIZE // spacing)
     return np.zeros((points, points), np.float32), np.zeros((points, points), np.float32)
 
 
 class _Part:
-    """Prints what is being compiled, and for how long."""
+    """Writes what is compiled, and how long it takes."""
 
     def __init__(self, name: str) -> None:
         self.name = name
 
     def __enter__(self) -> None:
-        print(f"{self.name} ...", end=" ", flush=True)
+        _write(f"{self.name} ... ")
         self.begin = time.monotonic()
 
     def __exit__(self, *_: object) -> None:
-        print(f"{time.monotonic() - self.begin:.1f} s", flush=True)
+        _write(f"{time.monotonic() - self.begin:.1f} s\n")
+
+
+def _write(text: str) -> None:
+    sys.stdout.write(text)
+    sys.stdout.flush()
 
 
 if __name__ == "__main__":

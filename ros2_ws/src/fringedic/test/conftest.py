@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numba import njit
+from numba import njit, prange
 
 Motion = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 DENSITY = 0.35  # spots per pixel
 
 
-@njit
+@njit(cache=True, parallel=True)
 def _spots_at(
     x: np.ndarray,
     y: np.ndarray,
@@ -22,11 +22,11 @@ def _spots_at(
     at_x: np.ndarray,
     at_y: np.ndarray,
 ) -> np.ndarray:
-    """Sum of the spots at the points (at_x, at_y); `bins` (row, column) counts the spots before each 8 x 8 square."""
+    """Sum the spots at the points (at_x, at_y); `bins` (row, column) counts the spots before each 8 x 8 square."""
     out = np.zeros(at_x.shape)
     reach = 6 * radius
     squares = bins.shape[1]
-    for r in range(at_x.shape[0]):
+    for r in prange(at_x.shape[0]):
         for c in range(at_x.shape[1]):
             px, py = at_x[r, c], at_y[r, c]
             first, last = max(int((px - reach) / 8), 0), min(int((px + reach) / 8), squares - 2)

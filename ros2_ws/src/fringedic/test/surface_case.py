@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import xarray as xr
 
-from fringedic.rig import RigModel
+from fringedic.rig.model import RigModel
 
 WIDTH, HEIGHT = 240, 180
 H0 = 0.6
@@ -47,8 +47,18 @@ def seen_point(surface: Field, column: np.ndarray, row: np.ndarray) -> tuple[np.
     ray_x, ray_y = lines_of_sight(column, row)
     z = np.zeros_like(row)
     for _ in range(60):
-        z = surface(ray_x * (z - H0), ray_y * (z - H0))
+        before, z = z, surface(ray_x * (z - H0), ray_y * (z - H0))
+        if np.abs(z - before).max() < 1e-16:
+            break
     return ray_x * (z - H0), ray_y * (z - H0), z
+
+
+def flat(x: np.ndarray, _: np.ndarray) -> np.ndarray:
+    return 0 * x
+
+
+def at_rest(x: np.ndarray, _y: np.ndarray, _z: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return x * 0, x * 0, x * 0
 
 
 def relief(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -77,6 +87,8 @@ class Case:
             column, row = pixel_of(x + u, y + v, z + w)
             origin_column += COLUMN - column
             origin_row += ROW - row
+            if max(np.abs(COLUMN - column).max(), np.abs(ROW - row).max()) < 1e-11:
+                break
         self.phase = RIG.phase(self.x, self.y, self.z, PITCH)
         self.phase_after = RIG.phase(x + u, y + v, z + w, PITCH)
 

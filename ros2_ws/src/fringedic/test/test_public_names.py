@@ -17,12 +17,8 @@ def test_every_public_name_is_there_and_documented(name):
     assert name in dir(fringedic)
 
 
-def test_names_and_their_homes_are_the_same_list():
-    assert sorted(fringedic._HOMES) == sorted(fringedic.__all__)
-
-
 def test_an_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="no attribute 'measure_everything'"):
+    with pytest.raises(AttributeError, match=r"attribute .?measure_everything"):
         _ = fringedic.measure_everything
 
 
@@ -34,13 +30,14 @@ def loaded_by(statement):
 
 def test_a_node_that_needs_little_loads_little():
     assert not {"numba", "xarray", "matplotlib", "scipy", "pandas"} & loaded_by(
-        "from fringedic.sequence import Projection"
+        "from fringedic.patterns.pattern import ProjectedPattern"
     )
 
 
 def test_no_ros_is_imported_by_any_module():
-    modules = [path.stem for path in (Path(fringedic.__file__).parent).glob("*.py") if path.stem != "__init__"]
-    everything = "; ".join(f"import fringedic.{module}" for module in [*modules, "correlation", "virtual_rig"])
+    root = Path(fringedic.__file__).parent
+    modules = [".".join(path.relative_to(root.parent).with_suffix("").parts) for path in root.rglob("*.py")]
+    everything = "; ".join(f"import {module.removesuffix('.__init__')}" for module in modules)
     loaded = loaded_by(everything)
     assert "numba" in loaded
     assert not {"rclpy", "sensor_msgs", "std_msgs", "fringedic_msgs", "rosbag2_py"} & loaded

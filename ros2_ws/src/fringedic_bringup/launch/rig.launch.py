@@ -8,8 +8,8 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from fringedic.rig_file import load_rig_file
-from fringedic_bringup.graph import rig_graph
+from fringedic.configuration.rig_file import load_rig_file
+from fringedic_bringup.launch.graph import rig_graph
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -17,8 +17,10 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             DeclareLaunchArgument("rig", description="rig file"),
-            DeclareLaunchArgument("folder", description="folder for the recording, which must not hold one yet"),
-            DeclareLaunchArgument("experiment", default_value="", description="name of the experiment"),
+            DeclareLaunchArgument("folder", description="new folder for the recording"),
+            DeclareLaunchArgument(
+                "experiment", default_value="", description="name of the experiment; empty: the time"
+            ),
             OpaqueFunction(function=_nodes),
         ]
     )

@@ -10,8 +10,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from typer.testing import CliRunner
 
-from fringedic.errors import AdviceError, CameraError
-from fringedic_bringup.command import app
+from fringedic.errors import ImageError, RigSetupError
+from fringedic_bringup.command.main import app
 
 
 @pytest.fixture
@@ -28,9 +28,8 @@ def files(tmp_path: Path) -> list[str]:
 
 
 def test_the_report_is_printed(files: list[str]) -> None:
-    wishes = ["--wanted-noise-px", "0.006", "--pixel-size-mm", "0.05", "--strain-window-points", "7"]
-    result = CliRunner().invoke(app, ["advise", *files, *wishes])
-    print(result.output)
+    options = ["--wanted-noise-px", "0.006", "--pixel-size-mm", "0.05", "--strain-window-points", "7"]
+    result = CliRunner().invoke(app, ["advise", *files, *options])
     assert result.exit_code == 0
     report = {line[:30].strip(): line[30:].strip() for line in result.output.splitlines() if line.startswith("  ")}
     assert report["image resolution"] == "320 x 240 px"
@@ -44,8 +43,10 @@ def test_the_report_is_printed(files: list[str]) -> None:
     )
 
 
-def test_what_cannot_be_answered_is_one_sentence(files: list[str], tmp_path: Path) -> None:
-    wish = CliRunner().invoke(app, ["advise", *files, "--wanted-noise-px", "-1"])
-    assert isinstance(wish.exception, AdviceError) and "positive" in str(wish.exception)
+def test_impossible_requests_are_refused(files: list[str], tmp_path: Path) -> None:
+    negative = CliRunner().invoke(app, ["advise", *files, "--wanted-noise-px", "-1"])
+    assert isinstance(negative.exception, RigSetupError)
+    assert "positive" in str(negative.exception)
     missing = CliRunner().invoke(app, ["advise", *files[:2], str(tmp_path / "none.png")])
-    assert isinstance(missing.exception, CameraError) and "none.png" in str(missing.exception)
+    assert isinstance(missing.exception, ImageError)
+    assert "none.png" in str(missing.exception)

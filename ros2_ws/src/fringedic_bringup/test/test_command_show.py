@@ -29,4 +29,4 @@ def test_a_pattern_is_held_until_enter(tmp_path: Path) -> None:
 def test_an_unknown_pattern_is_refused(tmp_path: Path) -> None:
     ended = show("stars", folder=tmp_path)
     assert ended.returncode == 1
-    assert "pattern stars is unknown: use one of crosshair, grid" in " ".join((ended.stdout + ended.stderr).split())
+    assert "pattern stars is unknown; use one of crosshair, grid" in " ".join((ended.stdout + ended.stderr).split())

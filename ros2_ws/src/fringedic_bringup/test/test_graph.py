@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fringedic.rig_file import load_rig_file
-from fringedic_bringup.graph import rig_graph
+from fringedic.configuration.rig_file import load_rig_file
+from fringedic_bringup.launch.graph import rig_graph
 
 REAL_RIG = """
 namespace: bench
@@ -16,7 +16,7 @@ load_frame: {source: machine, file: frame.yaml, rate_hz: 500}
 """
 
 
-def test_real_devices_get_what_the_rig_file_says(tmp_path: Path) -> None:
+def test_real_devices_get_the_parameters_of_the_rig_file(tmp_path: Path) -> None:
     path = tmp_path / "bench.yaml"
     path.write_text(REAL_RIG)
     graph = rig_graph(load_rig_file(path), path, tmp_path / "out", experiment="tension")
@@ -31,7 +31,7 @@ def test_real_devices_get_what_the_rig_file_says(tmp_path: Path) -> None:
     assert nodes["load_frame"] == {"source": "machine", "rate_hz": 500.0, "machine_file": str(tmp_path / "frame.yaml")}
 
 
-def test_other_cameras_get_what_the_rig_file_says(tmp_path: Path) -> None:
+def test_other_cameras_get_the_parameters_of_the_rig_file(tmp_path: Path) -> None:
     path = tmp_path / "bench.yaml"
     size = "width: 640, height: 480"
     for section, expected in (
@@ -49,7 +49,7 @@ def test_other_cameras_get_what_the_rig_file_says(tmp_path: Path) -> None:
         assert expected.items() <= camera.items()
 
 
-def test_controller_is_told_its_topics(tmp_path: Path) -> None:
+def test_controller_gets_its_topics(tmp_path: Path) -> None:
     path = tmp_path / "bench.yaml"
     path.write_text(
         REAL_RIG.replace("source: machine, file: frame.yaml", "source: controller, joint: ram, force_sign: -1")

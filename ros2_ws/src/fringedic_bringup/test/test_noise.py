@@ -14,16 +14,16 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from typer.testing import CliRunner
 
-from fringedic.errors import NoiseFloorError, ParameterError
-from fringedic.facts import NoiseFacts
-from fringedic_bringup.command import app
+from fringedic.errors import ConfigurationError, RigSetupError
+from fringedic.metadata import NoiseFloorMetadata
+from fringedic_bringup.command.main import app
 
 TINY = Path(__file__).parent.parent / "config" / "tiny.yaml"
 
 
 def test_steps_at_rest_of_the_virtual_rig(tmp_path: Path) -> None:
     """The camera of the preset has 1 grey level of read noise, rounds, and a variance of 0.02 per grey level."""
-    program = "from fringedic_bringup.command import main; main()"
+    program = "from fringedic_bringup.command.main import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", program, "noise", str(TINY), "--steps", "3", "--output", str(tmp_path / "noise")],
         env=dict(os.environ),
@@ -32,16 +32,15 @@ def test_steps_at_rest_of_the_virtual_rig(tmp_path: Path) -> None:
         timeout=240,
         check=False,
     )
-    print(done.stdout)
     assert done.returncode == 0, done.stderr
     assert "noise floor of 3 steps at rest" in done.stdout
-    facts = NoiseFacts.load(tmp_path / "noise" / "noise_floor.yaml")
-    assert facts.read_noise_grey_level == pytest.approx(math.sqrt(1 + 1 / 12), rel=0.02)
-    assert facts.shot_noise_grey_level == pytest.approx(0.02, rel=0.03)
+    metadata = NoiseFloorMetadata.load(tmp_path / "noise" / "noise_floor.yaml")
+    assert metadata.read_noise_grey_level == pytest.approx(math.sqrt(1 + 1 / 12), rel=0.02)
+    assert metadata.shot_noise_grey_level == pytest.approx(0.02, rel=0.03)
     for name in ("displacement_x_px", "u_um", "v_um", "w_um"):
-        assert facts.spatial[name] == pytest.approx(facts.predicted[name], rel=0.25), name
-    assert facts.temporal["z_um"] == pytest.approx(facts.predicted["z_um"], rel=0.25)
-    assert (facts.window_px, facts.spacing_px, facts.strain_window_px) == (32, 1, 85)
+        assert metadata.spatial[name] == pytest.approx(metadata.predicted[name], rel=0.25), name
+    assert metadata.temporal["z_um"] == pytest.approx(metadata.predicted["z_um"], rel=0.25)
+    assert (metadata.window_px, metadata.spacing_px, metadata.strain_window_px) == (32, 1, 85)
 
 
 @pytest.fixture
@@ -60,20 +59,20 @@ def images(tmp_path: Path) -> list[str]:
 def test_images_at_rest(images: list[str], tmp_path: Path) -> None:
     options = [word for name in images for word in ("--images", name)]
     result = CliRunner().invoke(app, ["noise", *options, "--window", "24", "--output", str(tmp_path / "noise")])
-    print(result.output)
     assert result.exit_code == 0, result.exception
-    facts = NoiseFacts.load(tmp_path / "noise" / "noise_floor.yaml")
+    metadata = NoiseFloorMetadata.load(tmp_path / "noise" / "noise_floor.yaml")
     level = 128
-    variance = facts.read_noise_grey_level**2 + facts.shot_noise_grey_level * level
+    variance = metadata.read_noise_grey_level**2 + metadata.shot_noise_grey_level * level
     assert math.sqrt(variance) == pytest.approx(math.sqrt(4 + 1 / 12), rel=0.02)
-    assert facts.spatial["displacement_x_px"] == pytest.approx(facts.predicted["displacement_x_px"], rel=0.2)
-    assert facts.spatial["e_11_ustrain"] > 0
+    assert metadata.spatial["displacement_x_px"] == pytest.approx(metadata.predicted["displacement_x_px"], rel=0.2)
+    assert metadata.spatial["e_11_ustrain"] > 0
 
 
-def test_what_tells_no_noise_floor_is_one_sentence(images: list[str], tmp_path: Path) -> None:
+def test_too_few_images_or_steps_are_refused(images: list[str], tmp_path: Path) -> None:
     few = CliRunner().invoke(app, ["noise", "--images", images[0], "--output", str(tmp_path / "a")])
-    assert isinstance(few.exception, NoiseFloorError) and "at least 3" in str(few.exception)
+    assert isinstance(few.exception, RigSetupError)
+    assert "at least 3" in str(few.exception)
     short = CliRunner().invoke(app, ["noise", str(TINY), "--steps", "2", "--output", str(tmp_path / "b")])
-    assert isinstance(short.exception, NoiseFloorError)
+    assert isinstance(short.exception, RigSetupError)
     nothing = CliRunner().invoke(app, ["noise"])
-    assert isinstance(nothing.exception, ParameterError)
+    assert isinstance(nothing.exception, ConfigurationError)

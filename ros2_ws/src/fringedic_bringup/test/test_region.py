@@ -1,4 +1,4 @@
-"""Drawing a region: what clicks make of it, a real window on a virtual display, and the mask in a measurement."""
+"""Drawing a region: polygons from clicks, a real window on a virtual display, and the mask in a measurement."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ import pytest
 import xarray as xr
 from typer.testing import CliRunner
 
-from fringedic.errors import CameraError, RegionError
-from fringedic.region import Polygon, Region
-from fringedic.rig_file import load_rig_file
-from fringedic_bringup.command import app
-from fringedic_bringup.graph import rig_graph
-from fringedic_bringup.region import mask_of
-from fringedic_bringup.region_window import BAR, GREEN, RED, Drawing, draw_region
+from fringedic.configuration.rig_file import load_rig_file
+from fringedic.errors import ImageError
+from fringedic.frames.region import Polygon, Region
+from fringedic_bringup.command.main import app
+from fringedic_bringup.display.region_window import BAR, GREEN, RED, Drawing, draw_region
+from fringedic_bringup.launch.graph import rig_graph
+from fringedic_bringup.procedures.region import mask_of
 
 CONFIG = Path(__file__).parent.parent / "config"
 WIDTH, HEIGHT = 768, 576  # of the picture: 0.9 of the display's 800 rows, less both bars
@@ -30,10 +30,10 @@ WIDTH, HEIGHT = 768, 576  # of the picture: 0.9 of the display's 800 rows, less 
 
 def test_clicks_make_polygons() -> None:
     drawing = Drawing(200, 100)
-    assert drawing.begin(hole=True) == "draw a part first, then a hole in it"
+    assert drawing.begin(hole=True) == "draw a part before the hole in it"
     for point in ((10, 10), (150, 10), (150, 300), (80, 50)):
         drawing.add(point)
-    assert drawing.points[2] == (150, 99), "beside the image is its edge"
+    assert drawing.points[2] == (150, 99), "outside the image means its edge"
     drawing.undo()
     drawing.move(0, (5.5, 12))
     assert drawing.nearest((8, 12), reach=4) == 0
@@ -42,15 +42,15 @@ def test_clicks_make_polygons() -> None:
     drawing.add((100, 20))
     drawing.add((110, 20))
     assert "three corners" in drawing.begin(hole=False)
-    with pytest.raises(RegionError, match="three corners"):
+    with pytest.raises(ImageError, match="three corners"):
         drawing.region()
     drawing.add((110, 30))
     first = Polygon(((5.5, 12), (150, 10), (150, 99)))
     hole = Polygon(((100, 20), (110, 20), (110, 30)), hole=True)
-    assert drawing.region() == Region(200, 100, (first, hole))
+    assert drawing.region() == Region((first, hole), 200, 100)
     for _ in range(4):
         drawing.undo()
-    assert (drawing.hole, len(drawing.points), drawing.finished) == (False, 3, []), "back into the polygon before"
+    assert (drawing.hole, len(drawing.points), drawing.finished) == (False, 3, []), "the previous polygon is open again"
 
 
 @pytest.fixture
@@ -70,7 +70,7 @@ def display(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 class Person(threading.Thread):
-    """Clicks and presses keys in the window, each when what came before can be seen."""
+    """Clicks and presses keys in the window, each after the previous action is visible."""
 
     def __init__(self) -> None:
         super().__init__(daemon=True)
@@ -80,14 +80,14 @@ class Person(threading.Thread):
         try:
             self._draw()
         finally:
-            if pygame.display.get_init():  # a window that waits would wait for ever
+            if pygame.display.get_init():  # otherwise the window would wait for ever
                 pygame.event.post(pygame.event.Event(pygame.QUIT))
 
     def _draw(self) -> None:
         self._until(lambda: pygame.display.get_init() and pygame.display.get_surface() is not None)
         for place in ((100, 80), (300, 80), (300, 200), (100, 200), (99, 330)):
             self._click(place)
-        self._click((50, 50), button=3)  # takes the last corner back
+        self._click((50, 50), button=3)  # removes the last corner
         self._until(lambda: self._colour(100, 80) == GREEN)
         self._drag((300, 200), (340, 240))
         self._key(pygame.K_h)
@@ -120,7 +120,8 @@ class Person(threading.Thread):
 
 
 @pytest.mark.hardware
-def test_window_takes_mouse_keys_and_buttons(display: None) -> None:
+@pytest.mark.usefixtures("display")
+def test_window_takes_mouse_keys_and_buttons() -> None:
     """The image of 320x240 px is shown as large as the display allows."""
     image = np.random.default_rng(1).integers(40, 200, (240, 320)).astype(np.uint8)
     person = Person()
@@ -133,22 +134,23 @@ def test_window_takes_mouse_keys_and_buttons(display: None) -> None:
         return (np.array(places) + 0.5) * (240 / HEIGHT) - 0.5
 
     part, hole = region.polygons
-    assert not part.hole and hole.hole
+    assert not part.hole
+    assert hole.hole
     np.testing.assert_allclose(part.points, corners((100, 80), (300, 80), (340, 240), (100, 200)))
     np.testing.assert_allclose(hole.points, corners((150, 110), (200, 110), (200, 150)))
     picture = person.seen[0]
     inside, outside = picture[240:280, 100:180].mean(), picture[400:500, 100:180].mean()
-    assert outside < 0.6 * inside, "what is not measured is shaded"
+    assert outside < 0.6 * inside, "the part outside the region is shaded"
 
 
 def test_no_display_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(RegionError, match="no display"):
+    with pytest.raises(ImageError, match="no display"):
         draw_region(np.zeros((40, 60), np.uint8))
 
 
-REGION = Region(200, 160, (Polygon(((40, 30), (150, 30), (150, 120), (40, 120))),))
+REGION = Region((Polygon(((40, 30), (150, 30), (150, 120), (40, 120))),), 200, 160)
 
 
 def test_measure_takes_mask_and_polygons(tmp_path: Path) -> None:
@@ -172,15 +174,15 @@ def test_measure_takes_mask_and_polygons(tmp_path: Path) -> None:
     assert measured[10:28, 14:34].all()
     assert np.nanmedian(maps[0]) == pytest.approx(2.0, abs=0.01)
     np.testing.assert_array_equal(*maps)
-    with pytest.raises(RegionError, match="200x160"):
+    with pytest.raises(ImageError, match="200x160"):
         mask_of(polygons, (100, 200))
-    with pytest.raises(RegionError, match="200x160"):
+    with pytest.raises(ImageError, match="200x160"):
         mask_of(picture, (100, 200))
-    with pytest.raises(CameraError):
+    with pytest.raises(ImageError, match="none"):
         mask_of(tmp_path / "none.png", (160, 200))
 
 
-def test_rig_file_hands_the_region_to_the_dic_node(tmp_path: Path) -> None:
+def test_dic_node_gets_the_region_of_the_rig_file(tmp_path: Path) -> None:
     REGION.save(tmp_path / "region.png")
     path = tmp_path / "rig.yaml"
     path.write_text((CONFIG / "tiny.yaml").read_text() + "region_file: region.yaml\n")

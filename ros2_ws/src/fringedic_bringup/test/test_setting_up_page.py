@@ -7,8 +7,8 @@ from pathlib import Path
 
 from typer.main import get_command
 
-from fringedic.rig_file import load_rig_file
-from fringedic_bringup.command import app
+from fringedic.configuration.rig_file import load_rig_file
+from fringedic_bringup.command.main import app
 
 PAGE = Path(__file__).parents[4] / "docs" / "setting_up.md"
 

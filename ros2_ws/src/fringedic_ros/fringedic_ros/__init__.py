@@ -1,7 +1,7 @@
-"""What every fringedic node shares: QoS profiles, image and cloud conversion, typed parameters, waiting, diagnostics.
+"""Shared parts of all nodes: QoS profiles, image and cloud conversion, typed parameters, waiting, diagnostics.
 
-Importing it keeps linear algebra on one thread, so that results do not depend on the machine's load. The setting only
-counts before NumPy is loaded: each node package imports this one first.
+The import restricts linear algebra to one thread, so that results do not depend on the load of the computer. The
+setting has an effect only before NumPy is loaded: each node package imports this one first.
 """
 
 import os

@@ -1,17 +1,18 @@
-"""What `sensor_msgs/CameraInfo` can say of a calibrated camera: the pin-hole, and Brown's model nearest to its lens."""
+"""`sensor_msgs/CameraInfo` of a calibrated camera."""
 
 from __future__ import annotations
 
 import numpy as np
 from sensor_msgs.msg import CameraInfo
 
-from fringedic.rig import RigModel
+from fringedic.rig.model import RigModel
+from fringedic.rig.pinhole import pinhole_camera
 
 
 def camera_info(rig: RigModel) -> tuple[CameraInfo, float]:
-    """Return a rig's camera for tools that know no other lens, and what that model leaves of the lens.
+    """Return the camera of a rig as a pin-hole with Brown's distortion, and the residual of that model.
 
-    ``k`` belongs to the image as it is, ``p`` to the undistorted one; the rectification is the identity.
+    ``k`` belongs to the distorted image, ``p`` to the undistorted one; the rectification is the identity.
 
     Parameters
     ----------
@@ -21,26 +22,16 @@ def camera_info(rig: RigModel) -> tuple[CameraInfo, float]:
     Returns
     -------
     message, residual
-        The message without its header, and the root mean square over the image of what it cannot describe [px].
+        The message without its header, and the root mean square of the lens that it does not describe [px].
     """
-    focal = rig.camera_distance / rig.pixel_size
-    ideal = np.array(
-        [
-            [focal * rig.pixel_aspect, 0.0, rig.principal_column],
-            [0.0, focal, rig.principal_row],
-            [0.0, 0.0, 1.0],
-        ]
-    )
-    matrix, coefficients, residual = ideal, (0.0,) * 5, 0.0
-    if rig.camera_distortion is not None:
-        coefficients, matrix, _, residual = rig.camera_distortion.brown(ideal)
+    camera = pinhole_camera(rig)
     message = CameraInfo(
         width=rig.camera_width,
         height=rig.camera_height,
         distortion_model="plumb_bob",
-        d=list(coefficients),
-        k=matrix.ravel().tolist(),
+        d=list(camera.coefficients),
+        k=camera.matrix.ravel().tolist(),
         r=np.eye(3).ravel().tolist(),
-        p=np.hstack([ideal, np.zeros((3, 1))]).ravel().tolist(),
+        p=np.hstack([camera.ideal_matrix, np.zeros((3, 1))]).ravel().tolist(),
     )
-    return message, residual
+    return message, camera.residual

@@ -1,4 +1,7 @@
-"""Organised float32 point clouds: one point per pixel, NaN where nothing was measured."""
+"""Encodes maps as organised float32 point clouds: one point per pixel, NaN where not measured.
+
+The decoder is `fringedic.frames.messages.cloud_arrays`.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,15 @@ from collections.abc import Mapping
 import numpy as np
 from sensor_msgs.msg import PointCloud2, PointField
 
-from fringedic.errors import CloudMessageError
+from fringedic.errors import ImageError
+from fringedic.frames.messages import cloud_arrays as cloud_arrays
 from fringedic_ros.stamps import to_msg
 
-_ROWS = 16  # of a cloud that are filled at once
+_ROWS = 16  # of a cloud that are filled at a time
 
 
 def cloud_message(fields: Mapping[str, np.ndarray], *, stamp_ns: int, frame_id: str) -> PointCloud2:
-    """Organised cloud of named float32 images, interleaved in the given order.
+    """Return the organised cloud of named float32 images, interleaved in the given order.
 
     Parameters
     ----------
@@ -28,19 +32,17 @@ def cloud_message(fields: Mapping[str, np.ndarray], *, stamp_ns: int, frame_id: 
 
     Raises
     ------
-    CloudMessageError
+    ImageError
         No field, or fields of different shapes.
     """
     shapes = {np.shape(values) for values in fields.values()}
     if len(shapes) != 1 or len(next(iter(shapes))) != 2:
-        raise CloudMessageError(
-            f"a cloud needs at least one field, all (row, column) of one shape; got {shapes or 'none'}"
-        )
+        raise ImageError(f"a cloud needs at least one field, all (row, column) of one shape; got {shapes or 'none'}")
     rows, columns = shapes.pop()
-    # the only type that rclpy takes over without looking at every byte
+    # the only type that rclpy accepts without a check of every byte
     data = array.array("B", b"\0") * (4 * rows * columns * len(fields))
     points = np.frombuffer(data, dtype="<f4").reshape(rows, columns, len(fields))
-    # rows by rows: interleaving whole images would fetch each line of memory once per field
+    # some rows at a time: interleaving whole images would fetch each line of memory once per field
     for first in range(0, rows, _ROWS):
         for channel, values in enumerate(fields.values()):
             points[first : first + _ROWS, :, channel] = values[first : first + _ROWS]
@@ -58,36 +60,3 @@ def cloud_message(fields: Mapping[str, np.ndarray], *, stamp_ns: int, frame_id: 
     message.is_dense = False
     message.data = data
     return message
-
-
-def cloud_arrays(message: PointCloud2) -> dict[str, np.ndarray]:
-    """Read-only (row, column) views of a cloud's float32 fields, by name.
-
-    Raises
-    ------
-    CloudMessageError
-        A field that is not one float32, or an amount of data that contradicts the cloud's size.
-    """
-    strange = [field.name for field in message.fields if field.datatype != PointField.FLOAT32 or field.count != 1]
-    if strange:
-        raise CloudMessageError(f"cloud fields {', '.join(strange)} are not single float32 values")
-    needed = message.row_step * message.height
-    if message.row_step < message.point_step * message.width or len(message.data) != needed:
-        raise CloudMessageError(
-            f"cloud of {message.width} x {message.height} points of {message.point_step} bytes has rows of "
-            f"{message.row_step} bytes and {len(message.data)} bytes in all"
-        )
-    dtype = np.dtype(">f4" if message.is_bigendian else "<f4")
-    buffer = memoryview(message.data)
-    arrays = {}
-    for field in message.fields:
-        values = np.ndarray(
-            (message.height, message.width),
-            dtype=dtype,
-            buffer=buffer,
-            offset=field.offset,
-            strides=(message.row_step, message.point_step),
-        )
-        values.flags.writeable = False
-        arrays[field.name] = values
-    return arrays

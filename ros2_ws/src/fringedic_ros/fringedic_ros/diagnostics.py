@@ -1,4 +1,4 @@
-"""Rate, latency, drops and the last error of a node, once a second on `/diagnostics`."""
+"""Rate, latency, lost work and the last error of a node, once a second on `/diagnostics`."""
 
 from __future__ import annotations
 
@@ -15,9 +15,15 @@ _PERIOD_S = 1.0
 
 
 class NodeDiagnostics:
-    """Counts what a node does and says once a second how it is. May be called from any thread.
+    """Counts the units of work of a node (frames, steps, samples) and publishes its state once a second.
 
-    The level is ERROR after a failure until the next success, WARN in a period with drops, else OK.
+    The level is ERROR after a failure until the next success, WARN in a period with lost work, else OK. All methods may
+    be called from any thread.
+
+    Parameters
+    ----------
+    node
+        Owner of publisher and timer.
     """
 
     def __init__(self, node: Node) -> None:
@@ -28,31 +34,31 @@ class NodeDiagnostics:
         self._drops = 0
         self._reported_drops = 0
         self._last_error = ""
-        self._told: dict[str, str] = {}
+        self._values: dict[str, str] = {}
         self._failing = False
         self._period_start = time.monotonic()
         self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", DIAGNOSTICS)
         node.create_timer(_PERIOD_S, self._publish, callback_group=ReentrantCallbackGroup())
 
     def success(self, latency_s: float = float("nan")) -> None:
-        """One more unit of work (frame, step, sample) is done; `latency_s` from its last input [s]."""
+        """Count a finished unit of work, `latency_s` after its last input [s]."""
         with self._lock:
             self._count += 1
             self._latency_s = latency_s
             self._failing = False
 
     def drop(self, count: int = 1) -> None:
-        """Units of work were lost."""
+        """Count lost units of work."""
         with self._lock:
             self._drops += count
 
-    def tell(self, key: str, value: str) -> None:
-        """Something else that is worth knowing of this node; replaces what was told under this key."""
+    def set_value(self, key: str, value: str) -> None:
+        """Set a further value of the published state, such as the packets that a camera lost."""
         with self._lock:
-            self._told[key] = value
+            self._values[key] = value
 
     def failure(self, message: str) -> None:
-        """The last unit of work failed."""
+        """Count a failed unit of work."""
         with self._lock:
             self._last_error = message
             self._failing = True
@@ -71,7 +77,7 @@ class NodeDiagnostics:
                     KeyValue(key="latency_s", value=f"{self._latency_s:.3g}"),
                     KeyValue(key="drops", value=str(self._drops)),
                     KeyValue(key="last_error", value=self._last_error),
-                    *(KeyValue(key=key, value=value) for key, value in self._told.items()),
+                    *(KeyValue(key=key, value=value) for key, value in self._values.items()),
                 ],
             )
             if self._failing:

@@ -1,6 +1,6 @@
-"""Image messages from arrays and arrays from image messages.
+"""Encodes arrays as image messages; the decoder is `fringedic.frames.messages.image_array`.
 
-The bytes go through `array.array`, the only type that rclpy takes over without looking at every byte.
+The bytes are passed as `array.array`, the only type that rclpy accepts without a check of every byte.
 """
 
 from __future__ import annotations
@@ -10,23 +10,16 @@ import array
 import numpy as np
 from sensor_msgs.msg import Image
 
-from fringedic.errors import ImageMessageError
+from fringedic.errors import ImageError
+from fringedic.frames.messages import ENCODINGS
+from fringedic.frames.messages import image_array as image_array
 from fringedic_ros.stamps import to_msg
 
-_LAYOUTS: dict[str, tuple[np.dtype, int]] = {
-    "mono8": (np.dtype(np.uint8), 1),
-    "mono16": (np.dtype(np.uint16), 1),
-    "32FC1": (np.dtype(np.float32), 1),
-    "32FC2": (np.dtype(np.float32), 2),
-    "rgb8": (np.dtype(np.uint8), 3),
-    "bgr8": (np.dtype(np.uint8), 3),
-}
-
-_DEFAULT_ENCODINGS = {layout: encoding for encoding, layout in _LAYOUTS.items() if encoding != "bgr8"}
+_DEFAULT_ENCODINGS = {layout: encoding for encoding, layout in ENCODINGS.items() if encoding != "bgr8"}
 
 
 def image_message(pixels: np.ndarray, *, stamp_ns: int, frame_id: str, encoding: str | None = None) -> Image:
-    """Image message of an array.
+    """Return the image message of an array.
 
     Parameters
     ----------
@@ -41,16 +34,16 @@ def image_message(pixels: np.ndarray, *, stamp_ns: int, frame_id: str, encoding:
 
     Raises
     ------
-    ImageMessageError
+    ImageError
         The array's shape or type does not fit an encoding.
     """
     channels = 1 if pixels.ndim == 2 else pixels.shape[-1]
     if encoding is None:
         encoding = _DEFAULT_ENCODINGS.get((pixels.dtype, channels))
-    if encoding not in _LAYOUTS or pixels.ndim not in (2, 3) or (pixels.dtype, channels) != _LAYOUTS[encoding]:
-        raise ImageMessageError(
+    if encoding not in ENCODINGS or pixels.ndim not in (2, 3) or (pixels.dtype, channels) != ENCODINGS[encoding]:
+        raise ImageError(
             f"an array of shape {pixels.shape} and type {pixels.dtype} does not make an image of encoding {encoding}; "
-            f"known encodings: {', '.join(_LAYOUTS)}"
+            f"known encodings: {', '.join(ENCODINGS)}"
         )
     message = Image()
     message.header.stamp = to_msg(stamp_ns)
@@ -64,35 +57,8 @@ def image_message(pixels: np.ndarray, *, stamp_ns: int, frame_id: str, encoding:
     return message
 
 
-def image_array(message: Image) -> np.ndarray:
-    """Read-only view of an image message's pixels: (row, column), or (row, column, channel) for several channels.
-
-    Raises
-    ------
-    ImageMessageError
-        Unknown encoding, or a row length or amount of data that contradicts width, height and encoding.
-    """
-    if message.encoding not in _LAYOUTS:
-        raise ImageMessageError(
-            f"image encoding '{message.encoding}' is not supported; known encodings: {', '.join(_LAYOUTS)}"
-        )
-    native, channels = _LAYOUTS[message.encoding]
-    dtype = native.newbyteorder(">" if message.is_bigendian else "<")
-    row_bytes = message.width * channels * dtype.itemsize
-    if message.step < row_bytes or len(message.data) != message.step * message.height:
-        raise ImageMessageError(
-            f"image of {message.width} x {message.height} pixels ({message.encoding}) has rows of {message.step} bytes "
-            f"and {len(message.data)} bytes in all; rows need at least {row_bytes} bytes, and step x height in all"
-        )
-    shape = (message.height, message.width, channels)
-    strides = (message.step, channels * dtype.itemsize, dtype.itemsize)
-    pixels = np.ndarray(shape, dtype=dtype, buffer=memoryview(message.data), strides=strides)
-    pixels.flags.writeable = False
-    return pixels[:, :, 0] if channels == 1 else pixels
-
-
-def as_bytes(values: np.ndarray) -> array.array:
-    """Copy of a C-contiguous array's bytes in the type that rclpy's byte sequences take over as it is."""
+def as_bytes(values: np.ndarray) -> array.array[int]:
+    """Return a copy of a C-contiguous array's bytes in the type that rclpy's byte sequences accept unchecked."""
     data = array.array("B")
     data.frombytes(values.data.cast("B") if values.size else b"")
     return data

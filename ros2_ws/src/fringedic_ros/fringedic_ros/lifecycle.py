@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Generic, Self, TypeVar
 
 from pydantic import BaseModel, Field
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
-from fringedic.errors import FringedicError, StartError
+from fringedic.errors import FringedicError, ProcessError
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.parameters import declare
 
 
 class HardwareParameters(BaseModel):
-    """What every hardware node has."""
+    """Parameters of every hardware node."""
 
     autostart: bool = Field(
-        True, description="Configure and activate at start; otherwise wait for a lifecycle manager."
+        True, description="Configure and activate at the start; otherwise wait for a lifecycle manager."
     )
 
 
@@ -26,8 +27,8 @@ ParametersT = TypeVar("ParametersT", bound=HardwareParameters)
 class HardwareNode(LifecycleNode, Generic[ParametersT]):
     """A device behind a lifecycle: `open` at configure, `activate`, `deactivate`, `close` at clean-up.
 
-    Subclasses override these four; each may raise a `FringedicError`, which refuses the transition with its words.
-    Parameters are declared once and read at the transitions, so a change counts from the next one on.
+    Subclasses override these four; each may raise a `FringedicError`, whose message is the reason of the refused
+    transition. Parameters are declared once and read at the transitions: a change has an effect at the next one.
 
     Parameters
     ----------
@@ -47,12 +48,12 @@ class HardwareNode(LifecycleNode, Generic[ParametersT]):
 
     @classmethod
     def started(cls, **options: Any) -> Self:
-        """The node, active already when its parameter `autostart` says so.
+        """Return the node, which is active when its parameter `autostart` is true.
 
         Raises
         ------
-        StartError
-            It cannot be configured or activated; the message says why.
+        ProcessError
+            The node cannot be configured or activated; the message gives the reason.
         """
         node = cls(**options)
         if node.parameters.value.autostart:
@@ -60,7 +61,7 @@ class HardwareNode(LifecycleNode, Generic[ParametersT]):
                 if transition() is not TransitionCallbackReturn.SUCCESS:
                     refusal = node._refusal
                     node.destroy_node()
-                    raise StartError(refusal)
+                    raise ProcessError(refusal)
         return node
 
     @property
@@ -69,42 +70,42 @@ class HardwareNode(LifecycleNode, Generic[ParametersT]):
         return self._active
 
     def open(self) -> None:
-        """Open the device as the parameters say."""
+        """Open the device that the parameters select."""
 
     def activate(self) -> None:
-        """Begin to work."""
+        """Start to work."""
 
     def deactivate(self) -> None:
         """Stop working; the device stays open."""
 
     def close(self) -> None:
-        """Give the device back."""
+        """Close the device."""
 
-    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Open the device."""
         return self._transition("configure", self._open)
 
-    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin to work."""
+    def on_activate(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Start to work."""
         result = self._transition("activate", self.activate)
         self._active = result is TransitionCallbackReturn.SUCCESS
         return result
 
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+    def on_deactivate(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """Stop working."""
         self._active = False
         return self._transition("deactivate", self.deactivate)
 
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Give the device back."""
+    def on_cleanup(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Close the device."""
         return self._transition("clean up", self._release)
 
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Stop working and give the device back."""
+    def on_shutdown(self, _state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop working and close the device."""
         return self._transition("shut down", self._release)
 
     def destroy_node(self) -> None:
-        """Stop working, give the device back and end the node."""
+        """Stop working, close the device and end the node."""
         self._release()
         super().destroy_node()
 
@@ -120,7 +121,7 @@ class HardwareNode(LifecycleNode, Generic[ParametersT]):
             self._opened = False
             self.close()
 
-    def _transition(self, verb: str, action: Any) -> TransitionCallbackReturn:
+    def _transition(self, verb: str, action: Callable[[], None]) -> TransitionCallbackReturn:
         try:
             action()
         except FringedicError as error:

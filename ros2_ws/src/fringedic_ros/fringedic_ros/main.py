@@ -1,4 +1,4 @@
-"""How every node process starts, runs and ends."""
+"""Start, run and end of every node process."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from rclpy.signals import SignalHandlerOptions
 
 from fringedic.errors import FringedicError
 
-# Fast DDS may keep a process that has closed everything (decision 0033); this long, then SIGALRM ends it.
-LONGEST_FAREWELL_S = 5
+# Fast DDS may block a process after its node is closed (decision 0033); SIGALRM ends it after this time.
+LONGEST_END_S = 5
 ENDING = (signal.SIGINT, signal.SIGTERM)
-CLEAN_ENDS = (0, -signal.SIGALRM)  # exit codes of a process whose node has closed everything
+CLEAN_ENDS = (0, -signal.SIGALRM)  # exit codes of a process whose node is closed
 
 
-class _EndAskedFor(Exception):
-    """SIGINT or SIGTERM came."""
+class _EndRequested(Exception):
+    """SIGINT or SIGTERM was received."""
 
 
 def run(make_node: Callable[[], Node]) -> int:
     """Spin one node until SIGINT or SIGTERM; return the exit code of the process.
 
-    The signal waits until the node stands and the callback in hand has returned: an exception or a context that is
-    shut down amid either leaves a node half made or half destroyed, whose process may not end at all. Signals after
-    the first change nothing, so that a second Ctrl-C cannot tear a recording that is being closed.
+    A signal has an effect after the node is complete and the running callback has returned: an exception in between
+    would leave an incomplete node, whose process may not end. Further signals are ignored, so that a second Ctrl-C does
+    not interrupt the closing of a recording.
 
-    A node that cannot start (a named error) ends with its message and code 1; anything unexpected ends with its
-    traceback and code 1, so that whoever started the process knows.
+    A node that cannot start (a `FringedicError`) ends with its message and code 1, every other error with its traceback
+    and code 1.
     """
     signals = _collect_signals()
     node: Node | None = None
@@ -46,25 +46,25 @@ def run(make_node: Callable[[], Node]) -> int:
         executor.add_node(node)
         _end_at(signals, node)
         executor.spin()
-    except _EndAskedFor:
+    except _EndRequested:
         pass
     except FringedicError as error:
-        print(f"{type(error).__name__}: {error}", file=sys.stderr, flush=True)
+        sys.stderr.write(f"{type(error).__name__}: {error}\n")
         return 1
     except Exception:
         traceback.print_exc()
         return 1
     finally:
         if node is not None:
-            with node.handle:  # keeps the participant until the node has closed all that is ours
+            with node.handle:  # keeps the participant until the node is closed
                 node.destroy_node()
-                signal.alarm(LONGEST_FAREWELL_S)
+                signal.alarm(LONGEST_END_S)
         rclpy.try_shutdown()
     return 0
 
 
 def _collect_signals() -> int:
-    """Return the file descriptor that each signal is written to, instead of an exception wherever Python is."""
+    """Return the file descriptor that receives each signal, in place of an exception at an arbitrary line."""
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
     signal.set_wakeup_fd(writing, warn_on_full_buffer=False)
@@ -74,17 +74,17 @@ def _collect_signals() -> int:
 
 
 def _end_at(signals: int, node: Node) -> None:
-    """Have the executor of a node end with `_EndAskedFor`, between two callbacks, once a signal has come."""
+    """End the executor of a node with `_EndRequested`, between two callbacks, after a signal."""
 
     def end() -> None:
-        raise _EndAskedFor
+        raise _EndRequested
 
-    # a group of its own: the node's may be taken by a callback that waits
+    # a group of its own: a waiting callback may occupy that of the node
     guard = node.create_guard_condition(end, callback_group=ReentrantCallbackGroup())
 
     def listen() -> None:
         while os.read(signals, 1)[0] not in ENDING:
-            pass  # another signal that somebody handles in Python
+            pass  # another signal with a handler in Python
         guard.trigger()
 
     threading.Thread(target=listen, name="signals", daemon=True).start()

@@ -1,7 +1,7 @@
-"""Whether nodes have found each other: of what is published before, a reader gets nothing.
+"""Connection of publishers and readers: a reader does not receive messages published before it is connected.
 
-Discovery is between each two processes. That this one has found both ends of a topic does not say that they have found
-each other; the one who publishes knows, and is asked.
+Each two processes discover each other. When this process has discovered both ends of a topic, these two may not yet be
+connected; the node that publishes reports it on request.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from rclpy.task import Future
 
 from fringedic_msgs.srv import CountReaders
 
-ASK_AGAIN_S = 0.05  # [s] after an answer that says that somebody is missing
-UNANSWERED_S = 1.0  # [s] after which a question may have been lost, or have gone to a node that is dead
+ASK_AGAIN_S = 0.05  # [s] after a response with missing readers
+UNANSWERED_S = 1.0  # [s] after which a request may be lost, or its server has ended
 
 
 def offer_reader_counts(node: Node, name: str) -> None:
-    """Let others ask the node that publishes as `name` how many readers its publishers have matched."""
+    """Serve the number of connected readers of each publisher of the node `name`."""
 
     def count(request: CountReaders.Request, response: CountReaders.Response) -> CountReaders.Response:
         matched = {publisher.topic_name: publisher.get_subscription_count() for publisher in node.publishers}
@@ -30,16 +30,16 @@ def offer_reader_counts(node: Node, name: str) -> None:
 
 
 class Matching:
-    """Asks nodes that publish until each has matched all the readers that this node knows.
+    """Requests the connections of nodes until all readers known to this node are connected to their publishers.
 
     Parameters
     ----------
     node
-        Who asks; it is spun by the caller.
+        Owner of the clients; the caller spins it.
     topics
-        Names of topics by the name of the node that publishes them.
+        Names of topics, by the name of the node that publishes them.
     readers
-        Names of the nodes whose subscriptions count; strangers may have settings that never match.
+        Names of the nodes whose subscriptions count; the settings of other nodes may never match.
     """
 
     def __init__(self, node: Node, topics: Mapping[str, Iterable[str]], readers: Collection[str]) -> None:
@@ -52,7 +52,7 @@ class Matching:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew: somebody has come or gone."""
+        """Start again: the graph has changed."""
         for name, (future, _) in self._asked.items():
             if future is not None:
                 self._clients[name].remove_pending_request(future)
@@ -60,7 +60,7 @@ class Matching:
         self._missing = {name: list(topics) for name, topics in self._topics.items()}
 
     def unmatched(self, names: Collection[str]) -> list[str]:
-        """Full names of topics of these nodes that do not reach everybody yet; to be called until there are none."""
+        """Return the full names of topics of these nodes with missing readers; call until there are none."""
         for name in names:
             if self._missing[name]:
                 self._ask(name)

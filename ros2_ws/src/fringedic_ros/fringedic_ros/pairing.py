@@ -1,24 +1,21 @@
-"""Joins every image with the exposure record of exactly the same stamp."""
+"""Subscribes to camera images and their exposure records, and pairs them."""
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable
 
 from rclpy.callback_groups import CallbackGroup
 from rclpy.node import Node
 from sensor_msgs.msg import Image
 
+from fringedic.frames.pairing import FramePairs
 from fringedic_msgs.msg import Exposure
 from fringedic_ros.qos import IMAGES, OVERRIDABLE
 from fringedic_ros.stamps import to_nanoseconds
 
 
 class ImageExposurePairs:
-    """Subscribes to images and exposure records and hands on the pairs, in the order of their stamps.
-
-    One camera publishes both topics, each in order of its strictly increasing stamps. So when a pair is complete, what
-    is older and still alone has lost its partner for good: it is dropped and counted in `unpaired`.
+    """Subscribes to images and exposure records and passes on the pairs, in the order of their stamps.
 
     Parameters
     ----------
@@ -41,10 +38,8 @@ class ImageExposurePairs:
         exposure_topic: str = "camera/exposure",
         callback_group: CallbackGroup | None = None,
     ) -> None:
-        self.unpaired = 0
         self._on_pair = on_pair
-        self._images: OrderedDict[int, Image] = OrderedDict()
-        self._exposures: OrderedDict[int, Exposure] = OrderedDict()
+        self._pairs: FramePairs[Image, Exposure] = FramePairs(IMAGES.depth)
         node.create_subscription(
             Image,
             image_topic,
@@ -56,29 +51,21 @@ class ImageExposurePairs:
         node.create_subscription(Exposure, exposure_topic, self._add_exposure, IMAGES, callback_group=callback_group)
 
     @property
+    def unpaired(self) -> int:
+        """Images and records that were dropped without a partner."""
+        return self._pairs.unpaired
+
+    @property
     def waiting(self) -> int:
         """Images and records that have no partner yet."""
-        return len(self._images) + len(self._exposures)
+        return self._pairs.waiting
 
     def _add_image(self, image: Image) -> None:
-        stamp = to_nanoseconds(image.header.stamp)
-        self._images[stamp] = image
-        self._join(stamp)
+        self._pass_on(self._pairs.add_image(to_nanoseconds(image.header.stamp), image))
 
     def _add_exposure(self, exposure: Exposure) -> None:
-        stamp = to_nanoseconds(exposure.header.stamp)
-        self._exposures[stamp] = exposure
-        self._join(stamp)
+        self._pass_on(self._pairs.add_record(to_nanoseconds(exposure.header.stamp), exposure))
 
-    def _join(self, stamp: int) -> None:
-        if stamp in self._images and stamp in self._exposures:
-            image, exposure = self._images.pop(stamp), self._exposures.pop(stamp)
-            for waiting in (self._images, self._exposures):
-                for older in [other for other in waiting if other < stamp]:
-                    del waiting[older]
-                    self.unpaired += 1
-            self._on_pair(image, exposure)
-        for waiting in (self._images, self._exposures):
-            while len(waiting) > IMAGES.depth:
-                waiting.popitem(last=False)
-                self.unpaired += 1
+    def _pass_on(self, pair: tuple[Image, Exposure] | None) -> None:
+        if pair is not None:
+            self._on_pair(*pair)

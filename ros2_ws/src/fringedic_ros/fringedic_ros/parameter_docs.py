@@ -1,4 +1,4 @@
-"""Keeps the parameter tables of the documentation in step with the declarations.
+"""Updates the parameter tables of the documentation from the declarations.
 
 A page holds `<!-- parameters: package.module:Model -->` ... `<!-- end of parameters -->`; the lines between are
 generated. `python -m fringedic_ros.parameter_docs docs/nodes/*.md` rewrites them.
@@ -17,7 +17,7 @@ _BLOCK = re.compile(r"(<!-- parameters: ([\w.]+):(\w+) -->\n).*?(<!-- end of par
 
 
 def documented(page: str) -> str:
-    """A page's text with every parameter table as the named model declares it now."""
+    """Return a page's text with every parameter table as the named model declares it."""
 
     def block(match: re.Match[str]) -> str:
         model = getattr(importlib.import_module(match[2]), match[3])
@@ -27,7 +27,7 @@ def documented(page: str) -> str:
 
 
 def main() -> None:
-    """Rewrite the pages named on the command line."""
+    """Rewrite the pages of the command line."""
     for path in map(Path, sys.argv[1:]):
         path.write_text(documented(path.read_text()))
 

@@ -1,4 +1,4 @@
-"""Node parameters from one declaration: a pydantic model gives names, types, defaults, ranges, words and documentation.
+"""Node parameters from one declaration: a pydantic model with names, types, defaults, ranges and descriptions.
 
 class FilterParameters(BaseModel):
     window: int = Field(32, ge=8, le=128, description="Width of the window [px].")
@@ -22,7 +22,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from fringedic.errors import ParameterError
+from fringedic.errors import ConfigurationError
 from fringedic_msgs.msg import NodeParameters
 from fringedic_ros.qos import LATCHED
 
@@ -73,7 +73,7 @@ class Parameters(Generic[ModelT]):
     def _check(self, changes: list[Parameter]) -> SetParametersResult:
         try:
             self._changed(changes)
-        except ParameterError as error:
+        except ConfigurationError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
@@ -97,14 +97,14 @@ class Parameters(Generic[ModelT]):
 def declare(node: Node, model: type[ModelT], on_change: Callable[[ModelT], None] | None = None) -> Parameters[ModelT]:
     """Declare every field of a model as a parameter and keep a validated model of their values.
 
-    Values come from the command line or a parameter file, else from the field's default. Whole numbers are taken for
-    floats. Later changes are refused, with words, unless the model accepts them; NaN and infinity never pass. The node
-    publishes all its values on `node_parameters` (latched) now and after every change.
+    Values come from the command line, from a parameter file, or from the default of the field. Whole numbers are
+    accepted for floats. A later change is refused with a reason unless the model accepts it; NaN and infinity are never
+    accepted. The node publishes all values on `node_parameters` (latched) now and after every change.
 
     Parameters
     ----------
     node
-        Owner of the parameters; calls this once.
+        Owner of the parameters; it calls this function once.
     model
         Flat model whose fields are bool, int, float, str, enumerations of str, or lists of these; each with a default
         and a description.
@@ -113,12 +113,12 @@ def declare(node: Node, model: type[ModelT], on_change: Callable[[ModelT], None]
 
     Raises
     ------
-    ParameterError
-        A value that the model refuses; the message names node, parameter and value.
+    ConfigurationError
+        The model refuses a value; the message names node, parameter and value.
     """
     raw: dict[str, Any] = {}
     for name, field in model.model_fields.items():
-        # declared with any type first: the model's words are better than the middleware's
+        # declared with any type first: the messages of the model are better than those of the middleware
         start = ParameterDescriptor(description=field.description or "", dynamic_typing=True)
         raw[name] = node.declare_parameter(
             name, _plain_value(field.get_default(call_default_factory=True)), start
@@ -132,7 +132,7 @@ def declare(node: Node, model: type[ModelT], on_change: Callable[[ModelT], None]
 
 
 def parameter_table(model: type[BaseModel]) -> str:
-    """Markdown table of a model's parameters: name, type, default, range and description."""
+    """Return the Markdown table of the parameters of a model: name, type, default, range, description."""
     lines = ["| parameter | type | default | range | what |", "|---|---|---|---|---|"]
     for name, field in model.model_fields.items():
         default = _plain_value(field.get_default(call_default_factory=True))
@@ -144,7 +144,7 @@ def parameter_table(model: type[BaseModel]) -> str:
             else str(default)
         )
         kind = _ros_type(field).name.lower().replace("_", " ")
-        lines.append(f"| `{name}` | {kind} | `{shown}` | {_range_words(field)} | {field.description or ''} |")
+        lines.append(f"| `{name}` | {kind} | `{shown}` | {_range_text(field)} | {field.description or ''} |")
     return "\n".join(lines)
 
 
@@ -153,9 +153,9 @@ def _validated(node_name: str, model: type[ModelT], values: Mapping[str, Any]) -
         field = model.model_fields[name]
         if not _fits(value, field):
             kind = _ros_type(field).name.lower().replace("_", " ")
-            raise ParameterError(f"{node_name}.{name} = {value!r}: needs a value of type {kind}")
+            raise ConfigurationError(f"{node_name}.{name} = {value!r}: needs a value of type {kind}")
         if not all(math.isfinite(number) for number in _elements(value) if isinstance(number, float)):
-            raise ParameterError(f"{node_name}.{name} = {value}: must be a finite number")
+            raise ConfigurationError(f"{node_name}.{name} = {value}: must be a finite number")
     try:
         return model.model_validate({name: _widened(value, model.model_fields[name]) for name, value in values.items()})
     except ValidationError as error:
@@ -164,13 +164,13 @@ def _validated(node_name: str, model: type[ModelT], values: Mapping[str, Any]) -
             where = ".".join(str(part) for part in (node_name, *detail["loc"]))
             given = f" = {detail['input']!r}" if detail["loc"] else ""
             complaints.append(f"{where}{given}: {detail['msg'][:1].lower()}{detail['msg'][1:]}")
-        raise ParameterError("; ".join(complaints)) from None
+        raise ConfigurationError("; ".join(complaints)) from None
 
 
 def _descriptor(name: str, field: FieldInfo) -> ParameterDescriptor:
     kind = _ros_type(field)
     descriptor = ParameterDescriptor(
-        name=name, type=kind.value, description=field.description or "", additional_constraints=_range_words(field)
+        name=name, type=kind.value, description=field.description or "", additional_constraints=_range_text(field)
     )
     low, high, _, _ = _bounds(field)
     if (low, high) != (-math.inf, math.inf):
@@ -188,7 +188,7 @@ def _descriptor(name: str, field: FieldInfo) -> ParameterDescriptor:
 
 
 def _bounds(field: FieldInfo) -> tuple[float, float, bool, bool]:
-    """Lowest and highest value of a field, and whether each is excluded."""
+    """Return the lowest and highest value of a field, and whether each is excluded."""
     low, high, low_open, high_open = -math.inf, math.inf, False, False
     for constraint in field.metadata:
         if isinstance(constraint, Ge):
@@ -202,7 +202,7 @@ def _bounds(field: FieldInfo) -> tuple[float, float, bool, bool]:
     return low, high, low_open, high_open
 
 
-def _range_words(field: FieldInfo) -> str:
+def _range_text(field: FieldInfo) -> str:
     choices = _choices(_element_type(field)[0])
     if choices:
         return ", ".join(f"`{choice}`" for choice in choices)
@@ -225,7 +225,7 @@ def _choices(annotation: Any) -> list[str]:
 
 
 def _element_type(field: FieldInfo) -> tuple[Any, bool]:
-    """Type of a field's elements, and whether the field is a list of them."""
+    """Return the type of the elements of a field, and whether the field is a list."""
     annotation: Any = field.annotation
     if typing.get_origin(annotation) in (list, tuple):
         return typing.get_args(annotation)[0], True
@@ -259,7 +259,7 @@ def _fits(value: Any, field: FieldInfo) -> bool:
 
 
 def _widened(value: Any, field: FieldInfo) -> Any:
-    """The value with whole numbers as floats where the field is one."""
+    """Return the value, with whole numbers as floats for a float field."""
     convert = float if _scalar_type(field) is float else lambda element: element
     return [convert(element) for element in _elements(value)] if _element_type(field)[1] else convert(value)
 

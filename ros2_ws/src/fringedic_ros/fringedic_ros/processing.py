@@ -1,4 +1,4 @@
-"""What the phase, dic and coupling nodes share: work off the executor's thread, and exactly one status per step."""
+"""Base of the phase, dic and coupling nodes: work outside the executor's thread, exactly one status per step."""
 
 from __future__ import annotations
 
@@ -7,27 +7,11 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from math import nan
-from typing import Any, Generic
+from typing import Any, Generic, NamedTuple
 
 from rclpy.node import Node
 
-from fringedic.errors import (
-    CalibrationMissingError,
-    FrameDoubledError,
-    FrameLateError,
-    FrameMismatchError,
-    FrameMissingError,
-    FramesOutOfOrderError,
-    ImageMessageError,
-    ImageSizeError,
-    InvalidSequenceError,
-    NoCorrelationError,
-    ReferenceMissingError,
-    ShapeMismatchError,
-    TexturelessImageError,
-    TooFewValidError,
-    WrongPatternError,
-)
+from fringedic.errors import ErrorCode, FringedicError, ImageError
 from fringedic_msgs.msg import NodeStatus, StepStatus
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.matching import offer_reader_counts
@@ -36,31 +20,32 @@ from fringedic_ros.qos import EVENTS
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.work import Worker
 
-ERROR_CODES: dict[type[Exception], int] = {  # the first that fits counts
-    FrameMissingError: NodeStatus.FRAME_MISSING,
-    FrameDoubledError: NodeStatus.FRAME_DOUBLED,
-    WrongPatternError: NodeStatus.PATTERN_NOT_SEEN,
-    FramesOutOfOrderError: NodeStatus.PATTERN_NOT_SEEN,
-    FrameMismatchError: NodeStatus.FRAME_MISMATCH,
-    ImageMessageError: NodeStatus.FRAME_MISMATCH,
-    InvalidSequenceError: NodeStatus.FRAME_MISMATCH,
-    ImageSizeError: NodeStatus.FRAME_MISMATCH,
-    ShapeMismatchError: NodeStatus.FRAME_MISMATCH,
-    FrameLateError: NodeStatus.FRAME_LATE,
-    NoCorrelationError: NodeStatus.NO_CORRELATION,
-    TexturelessImageError: NodeStatus.NO_CORRELATION,
-    ReferenceMissingError: NodeStatus.NO_REFERENCE,
-    TooFewValidError: NodeStatus.TOO_FEW_VALID,
-    CalibrationMissingError: NodeStatus.NO_CALIBRATION,
+STATUS_CODES: dict[ErrorCode, int] = {
+    ErrorCode.FRAME_MISSING: NodeStatus.FRAME_MISSING,
+    ErrorCode.FRAME_DOUBLED: NodeStatus.FRAME_DOUBLED,
+    ErrorCode.FRAME_LATE: NodeStatus.FRAME_LATE,
+    ErrorCode.FRAME_MISMATCH: NodeStatus.FRAME_MISMATCH,
+    ErrorCode.FLICKER: NodeStatus.FRAME_MISMATCH,
+    ErrorCode.SURFACE_MOVED: NodeStatus.FRAME_MISMATCH,
+    ErrorCode.INVALID_SEQUENCE: NodeStatus.FRAME_MISMATCH,
+    ErrorCode.WRONG_PATTERN: NodeStatus.PATTERN_NOT_SEEN,
+    ErrorCode.FRAMES_OUT_OF_ORDER: NodeStatus.PATTERN_NOT_SEEN,
+    ErrorCode.NO_CORRELATION: NodeStatus.NO_CORRELATION,
+    ErrorCode.NO_TEXTURE: NodeStatus.NO_CORRELATION,
+    ErrorCode.NO_REFERENCE: NodeStatus.NO_REFERENCE,
+    ErrorCode.TOO_FEW_VALID: NodeStatus.TOO_FEW_VALID,
+    ErrorCode.SATURATED: NodeStatus.TOO_FEW_VALID,
+    ErrorCode.DARK: NodeStatus.TOO_FEW_VALID,
+    ErrorCode.NO_CALIBRATION: NodeStatus.NO_CALIBRATION,
 }
 REMEMBERED_STEPS = 1000
-JOINED_STEPS = 4  # incomplete ones, kept until their last message comes
-QUEUED_STEPS = 16  # complete ones, waiting for the worker
+JOINED_STEPS = 4  # incomplete steps that are kept until their last message arrives
+QUEUED_STEPS = 16  # complete steps that wait for the worker
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the status of a measured step says.
+    """Contents of the status of a measured step.
 
     Attributes
     ----------
@@ -69,13 +54,15 @@ class Outcome:
     rms
         Median 1-sigma of the phase [rad], or rms displacement [px] or [m].
     frames
-        Frames used.
+        Number of frames used.
     remark
-        What should be known about a good result; the status' message, and a warning in the log.
+        Sentence about a valid result that needs attention; becomes the status' message and a warning in the log.
     relative
-        The phase is true up to whole fringes only.
-    correlated_step
-        The step whose images this step's were compared with, for a displacement.
+        The phase is known up to whole fringes only.
+    reference_step, correlated_step
+        The step from whose configuration a displacement counts, and the step whose texture was compared.
+    window, method
+        How an in-plane displacement was measured.
     """
 
     valid_fraction: float = nan
@@ -83,23 +70,26 @@ class Outcome:
     frames: int = 0
     remark: str = ""
     relative: bool = False
+    reference_step: int = 0
     correlated_step: int = 0
+    window: int = 0
+    method: str = ""
 
 
 class StampJoin:
-    """Joins messages of several topics that carry exactly the same stamp, in whatever order they arrive.
+    """Joins messages of several topics with exactly equal stamps, in any order of arrival.
 
     Parameters
     ----------
     topics
-        One message of each makes a whole.
+        A stamp is complete with one message of each.
     capacity
-        Incomplete stamps that are kept; the oldest goes when another begins.
+        Incomplete stamps that are kept; the oldest is dropped when another begins.
 
     Attributes
     ----------
     unjoined
-        Messages that were given up.
+        Messages that were dropped.
     """
 
     def __init__(self, topics: Iterable[str], capacity: int = JOINED_STEPS) -> None:
@@ -109,7 +99,7 @@ class StampJoin:
         self.unjoined = 0
 
     def add(self, topic: str, stamp: int, message: Any) -> dict[str, Any] | None:
-        """Take one message and return all of its stamp, by topic, when it was the last one."""
+        """Add a message; return all messages of its stamp, by topic, when they are complete."""
         parts = self._waiting.setdefault(stamp, {})
         parts[topic] = message
         if parts.keys() == self._topics:
@@ -119,25 +109,41 @@ class StampJoin:
         return None
 
     def waiting(self, stamp: int, topics: Iterable[str]) -> dict[str, Any]:
-        """Return what has arrived with this stamp once all of these topics have, else nothing."""
+        """Return the messages of these topics with this stamp when all have arrived, else nothing."""
         parts = self._waiting.get(stamp, {})
         return {topic: parts[topic] for topic in topics} if parts.keys() >= set(topics) else {}
 
     def discard(self, stamp: int) -> str:
-        """Give up what has arrived with this stamp, and say what has not; empty when nothing has."""
+        """Drop the messages with this stamp, and return which are missing; empty when none had arrived."""
         parts = self._waiting.pop(stamp, {})
         self.unjoined += len(parts)
         return f"waiting for {', '.join(sorted(self._topics - parts.keys()))}" if parts else ""
 
 
+class StepId(NamedTuple):
+    """A step that is being processed: its experiment, its number, and the stamp of its last exposure [ns]."""
+
+    experiment: str
+    step: int
+    stamp: int
+
+    @classmethod
+    def of(cls, message: Any) -> StepId:
+        """Return the step that a message with ``header``, ``experiment`` and ``step`` belongs to."""
+        return cls(message.experiment, message.step, to_nanoseconds(message.header.stamp))
+
+    def __str__(self) -> str:
+        return f"experiment '{self.experiment}', step {self.step}"
+
+
 class ProcessingNode(Node, Generic[ModelT]):
-    """A node that answers every step of an experiment with one status, last of everything it publishes of the step.
+    """A node that publishes exactly one status per step, after every other message of the step.
 
-    Heavy work runs in one background thread, step after step. A step that is in its queue is finished whatever the
-    experiment decides; one that still waits for messages when the experiment ends it is answered STEP_ABORTED.
+    Heavy work runs in one background thread, step after step. A step in its queue is finished even when the experiment
+    ends it; a step that still waits for messages then gets the status STEP_ABORTED.
 
-    Subscriptions are served in the order of their creation. So a subclass creates those that say how to measure
-    (reference, calibration) before those that bring what is measured, and calls `subscribe_to_steps` in between.
+    Subscriptions are served in the order of their creation. A subclass therefore creates those for the settings
+    (reference, calibration) before those for the data, and calls `subscribe_to_steps` in between.
 
     Parameters
     ----------
@@ -158,66 +164,61 @@ class ProcessingNode(Node, Generic[ModelT]):
         offer_reader_counts(self, name)
 
     def subscribe_to_steps(self) -> None:
-        """Begin to hear how the experiment's steps end."""
+        """Subscribe to the stages of the experiment's steps."""
         self.create_subscription(StepStatus, "experiment/step", self._take_step, EVENTS)
 
     def answered(self, experiment: str, step: int) -> bool:
-        """Whether this step has its status, or will get it from the worker."""
+        """Return whether this step has its status, or the worker will publish it."""
         return (experiment, step) in self._answered
 
-    def measure(self, experiment: str, step: int, stamp: int, work: Callable[[], Outcome]) -> None:
-        """Queue the work of a step, which publishes what it measures; the status follows."""
+    def measure(self, step: StepId, work: Callable[[], Outcome]) -> None:
+        """Queue the work of a step, which publishes its results; the status follows."""
         if self.worker.pending >= QUEUED_STEPS:
             behind = f"{QUEUED_STEPS} steps are waiting already; give this node more time between steps"
-            self.answer(experiment, step, stamp, NodeStatus.FAILED, behind)
-        elif self._close(experiment, step):
-            self.worker.submit(self._measure, experiment, step, stamp, work, time.monotonic())
+            self.answer(step, NodeStatus.FAILED, behind)
+        elif self._close(step):
+            self.worker.submit(self._measure, step, work, time.monotonic())
 
-    def answer(self, experiment: str, step: int, stamp: int, error_code: int, error_message: str = "") -> None:
-        """End a step without any work, unless it has been answered."""
-        if self._close(experiment, step):
-            self._publish(experiment, step, stamp, Outcome(), 0.0, error_code, error_message)
+    def answer(self, step: StepId, error_code: int, error_message: str = "") -> None:
+        """Publish the status of a step without any work, unless it has one."""
+        if self._close(step):
+            self._publish(step, Outcome(), 0.0, error_code, error_message)
 
-    def fail(self, experiment: str, step: int, stamp: int, error: Exception) -> None:
-        """End a step with the code of an exception, unless it has been answered."""
-        self.answer(experiment, step, stamp, *_code_and_message(error))
+    def fail(self, step: StepId, error: Exception) -> None:
+        """Publish the status of a step that failed with an exception, unless it has one."""
+        self.answer(step, *_code_and_message(error))
 
     def refuse_input(self, name: str, status: NodeStatus) -> None:
-        """End a step whose input the node `name` could not measure."""
+        """Publish the status of a step whose input the node `name` could not measure."""
         aborted = status.error_code == NodeStatus.STEP_ABORTED
-        self.answer(
-            status.experiment,
-            status.step,
-            to_nanoseconds(status.header.stamp),
-            NodeStatus.STEP_ABORTED if aborted else NodeStatus.INPUT_FAILED,
-            f"{name}: {status.error_message}",
-        )
+        code = NodeStatus.STEP_ABORTED if aborted else NodeStatus.INPUT_FAILED
+        self.answer(StepId.of(status), code, f"{name}: {status.error_message}")
 
     def report_unjoined(self, total: int) -> None:
-        """Count in the diagnostics what could not be joined, `total` since the start."""
+        """Count the messages that could not be joined in the diagnostics; `total` since the start."""
         self.diagnostics.drop(total - self._unjoined)
         self._unjoined = total
 
     def destroy_node(self) -> None:
-        """Stop the worker before the publishers go."""
+        """Stop the worker before the publishers are destroyed."""
         self.worker.stop()
         super().destroy_node()
 
     def _take_step(self, message: StepStatus) -> None:
         if message.stage == StepStatus.ERROR:
-            stamp = to_nanoseconds(message.header.stamp)
-            missing = self.abandon(message.experiment, message.step, stamp)
+            step = StepId.of(message)
+            missing = self.abandon(step)
             reason = f"the experiment ended the step: {message.error_message}"
             if missing:
                 reason += f" (here: {missing})"
-            self.answer(message.experiment, message.step, stamp, NodeStatus.STEP_ABORTED, reason)
+            self.answer(step, NodeStatus.STEP_ABORTED, reason)
 
-    def abandon(self, experiment: str, step: int, stamp: int) -> str:
-        """Forget what has arrived of a step that the experiment ended, and say what has not; for subclasses."""
-        return ""
+    def abandon(self, step: StepId) -> str:
+        """Drop the messages of a step that the experiment ended, and return which are missing; for subclasses."""
+        raise NotImplementedError
 
-    def _close(self, experiment: str, step: int) -> bool:
-        key = (experiment, step)
+    def _close(self, step: StepId) -> bool:
+        key = (step.experiment, step.step)
         if key in self._answered:
             return False
         self._answered[key] = None
@@ -225,44 +226,47 @@ class ProcessingNode(Node, Generic[ModelT]):
             self._answered.popitem(last=False)
         return True
 
-    def _measure(self, experiment: str, step: int, stamp: int, work: Callable[[], Outcome], began: float) -> None:
+    def _measure(self, step: StepId, work: Callable[[], Outcome], began: float) -> None:
         outcome, code, message = Outcome(), NodeStatus.NONE, ""
         try:
             outcome = work()
             message = outcome.remark
         except Exception as error:
             code, message = _code_and_message(error)
-        self._publish(experiment, step, stamp, outcome, time.monotonic() - began, code, message)
+        self._publish(step, outcome, time.monotonic() - began, code, message)
 
-    def _publish(
-        self, experiment: str, step: int, stamp: int, outcome: Outcome, duration: float, code: int, message: str
-    ) -> None:
+    def _publish(self, step: StepId, outcome: Outcome, duration: float, code: int, message: str) -> None:
         status = NodeStatus(
             node=self.get_name(),
-            experiment=experiment,
-            step=step,
+            experiment=step.experiment,
+            step=step.step,
             error_code=code,
             error_message=message,
             valid_fraction=outcome.valid_fraction,
             relative=outcome.relative,
+            reference_step=outcome.reference_step,
             correlated_step=outcome.correlated_step,
+            window=outcome.window,
+            method=outcome.method,
             rms=outcome.rms,
             frames=outcome.frames,
             duration=duration,
         )
-        status.header.stamp = to_msg(stamp)
+        status.header.stamp = to_msg(step.stamp)
         if code == NodeStatus.NONE:
             self.diagnostics.success(duration)
             if message:
-                self.get_logger().warning(f"experiment '{experiment}', step {step}: {message}")
+                self.get_logger().warning(f"{step}: {message}")
         else:
-            self.get_logger().error(f"experiment '{experiment}', step {step}: {message}")
+            self.get_logger().error(f"{step}: {message}")
             self.diagnostics.failure(message)
         self._statuses.publish(status)
 
 
 def _code_and_message(error: Exception) -> tuple[int, str]:
-    for kind, code in ERROR_CODES.items():
-        if isinstance(error, kind):
-            return code, str(error)
+    code = error.code if isinstance(error, FringedicError) else None
+    if code in STATUS_CODES:
+        return STATUS_CODES[code], str(error)
+    if isinstance(error, ImageError):
+        return NodeStatus.FRAME_MISMATCH, str(error)
     return NodeStatus.FAILED, f"{type(error).__name__}: {error}"

@@ -1,6 +1,6 @@
-"""Every QoS profile of the system, by what it is for.
+"""All QoS profiles of the system, by their purpose.
 
-A lost frame ruins a step, so all of them are reliable; the depths say how far a reader may fall behind.
+A lost frame ruins a step: all profiles are reliable. The depth is the number of messages that a reader may fall behind.
 """
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -20,25 +20,25 @@ EVENTS = _reliable(100)
 """Step stages and node statuses: few, small, none may be lost."""
 
 LATCHED = _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
-"""What holds until it changes: calibration, reference, the pattern on the screen, a node's parameters."""
+"""State that is valid until it changes: calibration, reference, pattern on the screen, parameters of a node."""
 
 LATCHED_BY_MANY = _reliable(100, DurabilityPolicy.TRANSIENT_LOCAL)
-"""For reading a latched topic that several nodes write, such as `node_parameters`."""
+"""Latched topics with several messages, such as `node_parameters` of all nodes."""
 
 DERIVED = _reliable(2)
 """Maps and clouds computed from a step: large, published once per step."""
 
 SAMPLES = _reliable(10_000)
-"""Samples of the load frame as they are published and recorded: ten seconds at 1 kHz, all of them count."""
+"""Samples of the load frame, published and recorded: ten seconds at 1 kHz without loss."""
 
 STATE = _reliable(1000)
-"""For who acts on samples of the load frame, and for the strain of the extensometer."""
+"""Samples of the load frame for nodes that act on them, and the strain of the extensometer."""
 
 LATEST = _reliable(1)
-"""For who looks at the newest sample of the load frame alone."""
+"""The newest sample of the load frame only."""
 
 DIAGNOSTICS = _reliable(10)
 """`/diagnostics`."""
 
 OVERRIDABLE = QoSOverridingOptions.with_default_policies()
-"""Pass as `qos_overriding_options` on image topics: history, depth and reliability become parameters."""
+"""Option `qos_overriding_options` of image topics: history, depth and reliability become parameters."""

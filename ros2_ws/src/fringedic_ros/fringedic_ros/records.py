@@ -1,26 +1,26 @@
-"""Messages of exposures, clocks and calibrations from the library's records."""
+"""Messages of exposures, clocks and calibrations from records of the library."""
 
 from __future__ import annotations
 
-from fringedic.clocks import ClockEstimate
-from fringedic.rig import RigModel
-from fringedic.sequence import FrameRecord
+from fringedic.frames.records import FrameRecord
+from fringedic.recording.clocks import ClockEstimate
+from fringedic.rig.model import RigModel
 from fringedic_msgs.msg import ClockDrift, Exposure, RigCalibration
 from fringedic_ros.stamps import to_msg
 
 
 def exposure_message(record: FrameRecord, *, frame_id: str) -> Exposure:
-    """Message of one frame's record."""
+    """Return the message of the record of one frame."""
     message = Exposure(
         experiment=record.experiment,
         step=record.step,
         index=record.index,
         count=record.count,
-        kind=int(record.projection.kind),
-        orientation=int(record.projection.orientation),
-        pitch=float(record.projection.pitch),
-        shift=record.projection.shift,
-        shifts=record.projection.shifts,
+        kind=int(record.pattern.kind),
+        orientation=int(record.pattern.orientation),
+        pitch=float(record.pattern.pitch),
+        shift=record.pattern.shift,
+        shifts=record.pattern.shifts,
         exposure_time=float(record.exposure_time),
         dropped=record.dropped,
     )
@@ -29,17 +29,21 @@ def exposure_message(record: FrameRecord, *, frame_id: str) -> Exposure:
     return message
 
 
-def clock_message(clock: str, known: ClockEstimate) -> ClockDrift:
-    """Message of how a device's clock runs against this computer's."""
+def clock_message(clock: str, estimate: ClockEstimate) -> ClockDrift:
+    """Return the message of the clock of a device relative to this computer."""
     message = ClockDrift(
-        clock=clock, offset=known.offset, drift=known.drift, drift_sigma=known.drift_sigma, samples=known.samples
+        clock=clock,
+        offset=estimate.offset,
+        drift=estimate.drift,
+        drift_sigma=estimate.drift_sigma,
+        samples=estimate.samples,
     )
-    message.header.stamp = to_msg(known.stamp_ns)
+    message.header.stamp = to_msg(estimate.stamp_ns)
     return message
 
 
 def calibration_message(rig: RigModel, *, stamp_ns: int, frame_id: str = "reference_plane") -> RigCalibration:
-    """Message of a rig model; the fields have the same names and units."""
+    """Return the message of a rig model; the fields have the same names and units."""
     message = RigCalibration()
     for name, value in rig.message_fields().items():
         setattr(message, name, value)

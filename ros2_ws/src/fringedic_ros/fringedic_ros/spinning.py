@@ -1,4 +1,4 @@
-"""Nodes spun in a thread beside a program that goes on: for scripts, notebooks and tests."""
+"""Nodes that spin in a thread beside the program, for scripts, notebooks and tests."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ResultT = TypeVar("ResultT")
 
 
 class Spinning:
-    """A context in which nodes are spun by one executor in a thread of its own; at its end they are destroyed."""
+    """Context in which one executor spins nodes in a thread of its own; at its end the nodes are destroyed."""
 
     def __init__(self) -> None:
         self._executor = SingleThreadedExecutor()
@@ -36,7 +36,7 @@ class Spinning:
             node.destroy_node()
 
     def add(self, node: NodeT) -> NodeT:
-        """Spin one more node; it belongs to this context from now on."""
+        """Spin a further node, which this context owns from now on."""
         self._nodes.append(node)
         self._executor.add_node(node)
         return node
@@ -44,17 +44,17 @@ class Spinning:
     def run(
         self, function: Callable[..., Coroutine[Any, Any, ResultT]], *arguments: Any, timeout_s: float = 10.0
     ) -> ResultT:
-        """Result of a coroutine function that the executor runs.
+        """Return the result of a coroutine function that the executor runs.
 
         Raises
         ------
         WaitTimeoutError
-            It had not finished after `timeout_s`.
+            The coroutine did not finish within `timeout_s`.
         """
         outcome: queue.SimpleQueue[tuple[Any, BaseException | None]] = queue.SimpleQueue()
 
         async def report() -> None:
-            # an exception is the caller's: it must not end the executor
+            # the caller receives the exception, which must not end the executor
             try:
                 outcome.put((await function(*arguments), None))
             except BaseException as error:

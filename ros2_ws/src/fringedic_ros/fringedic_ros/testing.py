@@ -1,4 +1,4 @@
-"""Node processes, a peer that talks to them and frames to send, for tests over real DDS."""
+"""Node processes, a peer that communicates with them, and frames, for tests over real DDS."""
 
 from __future__ import annotations
 
@@ -22,8 +22,10 @@ from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 
-from fringedic.patterns import fringe_sequence, render_pattern
-from fringedic.sequence import FrameRecord, PatternKind, Projection
+from fringedic.frames.records import FrameRecord
+from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.patterns.render import render_pattern
+from fringedic.patterns.sequences import fringe_sequence
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, StepStatus
 from fringedic_ros.images import image_message
@@ -38,16 +40,16 @@ Frame = tuple[FrameRecord, np.ndarray]
 
 
 class NodeProcess:
-    """A node in a process of its own, from entering to leaving the `with` block.
+    """A node in a process of its own, during a `with` block.
 
     Parameters
     ----------
     module
         Module whose `main` runs the node.
     folder
-        Where its log goes.
+        Folder of its log.
     parameters
-        Values of its parameters, as YAML understands them.
+        Values of its parameters, as YAML.
     """
 
     def __init__(self, module: str, folder: Path, parameters: Mapping[str, Any] | None = None) -> None:
@@ -59,7 +61,7 @@ class NodeProcess:
 
     @property
     def log(self) -> str:
-        """What the process has written."""
+        """Text that the process has written."""
         return self._log.read_text()
 
     def __enter__(self) -> Self:
@@ -81,34 +83,35 @@ class NodeProcess:
             self.process.kill()
             code = self.process.wait()
         if error is not None:
-            print(f"--- {self._log.name}\n{self.log}")
+            sys.stdout.write(f"--- {self._log.name}\n{self.log}\n")  # pytest shows it with the failure
         else:
-            assert alive and code in CLEAN_ENDS, f"the process ended with {code}:\n{self.log}"
+            assert alive, f"the process ended by itself with {code}:\n{self.log}"
+            assert code in CLEAN_ENDS, f"the process ended with {code}:\n{self.log}"
 
 
 def fringe_step(rig: VirtualRig, position: float, experiment: str, step: int) -> list[Frame]:
-    """Frames of one step of a tiny virtual rig, with their records; the stamps grow from step to step."""
+    """Return the frames of one step of a tiny virtual rig with their records; stamps increase from step to step."""
     rows, columns = rig.projector_shape
     sequence = fringe_sequence(columns, rows, PITCHES, SHIFTS)
     count = len(sequence)
     frames = []
-    for index, projection in enumerate(sequence.projections):
+    for index, pattern in enumerate(sequence.patterns):
         stamp = (1000 * (step + 1) + index) * 10_000_000
-        record = FrameRecord(experiment, step, index, count, projection, stamp, exposure_time=0.005)
+        record = FrameRecord(experiment, step, index, count, pattern, stamp, exposure_time=0.005)
         frames.append((record, rig.expose(sequence.frame(index), position, frame=count * step + index)))
     return frames
 
 
 def white_step(rig: VirtualRig, position: float, experiment: str, step: int) -> list[Frame]:
-    """The one frame of a step in white light, with its record."""
+    """Return the one frame of a step in white light, with its record."""
     rows, columns = rig.projector_shape
-    projection = Projection(PatternKind.WHITE)
-    record = FrameRecord(experiment, step, 0, 1, projection, 1000 * (step + 1) * 10_000_000, exposure_time=0.005)
-    return [(record, rig.expose(render_pattern(projection, columns, rows), position, frame=step))]
+    pattern = ProjectedPattern(PatternKind.WHITE)
+    record = FrameRecord(experiment, step, 0, 1, pattern, 1000 * (step + 1) * 10_000_000, exposure_time=0.005)
+    return [(record, rig.expose(render_pattern(pattern, columns, rows), position, frame=step))]
 
 
 class Peer(Node):
-    """The other side of a test: publishes, serves and keeps what it hears; spun by the waiting test itself."""
+    """Counterpart of a tested node: publishes, serves and collects messages; the waiting test spins it."""
 
     def __init__(self, name: str = "peer") -> None:
         super().__init__(name)
@@ -117,7 +120,7 @@ class Peer(Node):
         self._executor.add_node(self)
 
     def listen(self, kind: type[Any], topic: str, qos: QoSProfile) -> list[Any]:
-        """Subscribe and return the list that what arrives is appended to."""
+        """Subscribe and return the list that collects the messages."""
         heard: list[Any] = []
         self._heard.append(heard)
         self.create_subscription(kind, topic, heard.append, qos)
@@ -128,7 +131,7 @@ class Peer(Node):
         self._executor.add_node(node)
 
     def forget(self) -> None:
-        """Empty all lists of what was heard."""
+        """Empty all lists of messages."""
         for heard in self._heard:
             heard.clear()
 
@@ -152,7 +155,7 @@ class Peer(Node):
 
 
 class Bench(Peer):
-    """Plays camera and experiment for one processing node, and hears its status.
+    """Camera and experiment node for one processing node; collects its status.
 
     Parameters
     ----------
@@ -171,7 +174,7 @@ class Bench(Peer):
         self.node_parameters = self.listen(NodeParameters, "node_parameters", LATCHED_BY_MANY)
 
     def connect(self) -> None:
-        """Wait until the node is there and every topic between it and this one is connected."""
+        """Wait until the node is present and every topic between it and this one is connected."""
         self.wait(lambda: self.count_publishers(f"{self._tested}/status"), f"the {self._tested} node")
         self.wait(self._set_parameters.service_is_ready, "its parameters")
         for publisher in self.publishers:
@@ -200,19 +203,19 @@ class Bench(Peer):
                 self._exposures.publish(exposure)
 
     def send_message(self, image: Image, record: FrameRecord) -> None:
-        """Publish one image message as it is, with a record."""
+        """Publish one image message unchanged, with a record."""
         self._images.publish(image)
         self._exposures.publish(exposure_message(record, frame_id="camera_optical_frame"))
 
     def abort(self, experiment: str, step: int, stamp: int = 0) -> None:
-        """Let the experiment end a step with an error."""
+        """End a step with an error of the experiment."""
         message = StepStatus(experiment=experiment, step=step, stage=StepStatus.ERROR)
         message.error_message = "the camera stopped"
         message.header.stamp = to_msg(stamp)
         self._steps.publish(message)
 
     def status_of(self, experiment: str, step: int) -> NodeStatus:
-        """The one status of a step; a second one would come at once."""
+        """Return the one status of a step; a second one would arrive at once."""
 
         def answers() -> list[NodeStatus]:
             return [each for each in self.statuses if (each.experiment, each.step) == (experiment, step)]
@@ -231,5 +234,5 @@ class Bench(Peer):
 
 
 def of_stamp(messages: list[Any], stamp: int) -> list[Any]:
-    """The messages with exactly this stamp [ns]."""
+    """Return the messages with exactly this stamp [ns]."""
     return [message for message in messages if to_nanoseconds(message.header.stamp) == stamp]

@@ -1,4 +1,4 @@
-"""The virtual rig as a node parameter: the section `virtual_rig` of a rig file, as YAML text."""
+"""The virtual rig as a node parameter: the section `virtual_rig` of a rig file as YAML text."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from typing import Annotated
 import yaml
 from pydantic import AfterValidator, Field
 
-from fringedic.errors import VirtualRigConfigurationError
+from fringedic.errors import VirtualRigError
 from fringedic.virtual_rig import VirtualRigConfiguration
 
 
 def virtual_configuration(text: str) -> VirtualRigConfiguration:
-    """Configuration that a YAML text such as `{preset: plate, size: small}` describes.
+    """Return the configuration that a YAML text such as `{preset: plate, size: small}` describes.
 
     Raises
     ------
-    VirtualRigConfigurationError
-        The text is no YAML mapping, or an entry is unknown or out of range.
+    VirtualRigError
+        The text is not a YAML mapping, or an entry is unknown or out of range.
     """
     try:
         values = yaml.safe_load(text)
     except yaml.YAMLError as error:
-        raise VirtualRigConfigurationError(f"virtual_rig is not YAML: {error}") from error
+        raise VirtualRigError(f"virtual_rig is not valid YAML: {error}") from error
     if not isinstance(values, dict):
-        raise VirtualRigConfigurationError(f"virtual_rig needs entries such as {{preset: plate}}, not {text!r}")
+        raise VirtualRigError(f"virtual_rig needs entries such as {{preset: plate}}, not {text!r}")
     return VirtualRigConfiguration.from_dict(values)
 
 
@@ -36,5 +36,5 @@ def _checked(text: str) -> str:
 VirtualRigText = Annotated[
     str,
     AfterValidator(_checked),
-    Field(description="The virtual rig as YAML text, like the section `virtual_rig` of a rig file."),
+    Field(description="The virtual rig as YAML text, as in the section `virtual_rig` of a rig file."),
 ]

@@ -1,7 +1,7 @@
-"""Waiting inside coroutines of a single-threaded executor: exact, without polling where an event exists, leak-free.
+"""Waiting inside coroutines of a single-threaded executor: exact, without leaks, and without polling for events.
 
-A coroutine keeps its callback group busy while it waits. Give every callback that waits a group of its own
-(`MutuallyExclusiveCallbackGroup` to serve one call after the other); the timers here bring their own.
+A coroutine occupies its callback group while it waits. Every callback that waits needs a group of its own
+(`MutuallyExclusiveCallbackGroup` to serve one call after the other); the timers here have their own groups.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _POLL_S = 0.01
 
 
 async def wait_for(node: Node, future: Future, timeout_s: float, what: str = "an answer") -> Any:
-    """Result of a future, which may be completed by any thread.
+    """Return the result of a future, which any thread may complete.
 
     Raises
     ------
     WaitTimeoutError
-        The future was not done after `timeout_s`; `what` names it in the message.
+        The future was not done within `timeout_s`; `what` names it in the message.
     """
     gate = Future()
     open_gate = _opener(node, gate)
@@ -47,7 +47,7 @@ async def wait_for(node: Node, future: Future, timeout_s: float, what: str = "an
 
 
 async def sleep(node: Node, seconds: float) -> None:
-    """Let other callbacks run for a time on the steady clock."""
+    """Wait for a time on the steady clock, while other callbacks run."""
     if seconds > 0:
         gate = Future()
         with _timer(node, seconds, _opener(node, gate)):
@@ -55,12 +55,12 @@ async def sleep(node: Node, seconds: float) -> None:
 
 
 async def until(node: Node, predicate: Callable[[], bool], timeout_s: float, what: str = "the condition") -> None:
-    """Wait for something that gives no event, such as the graph: looks every 10 ms.
+    """Wait for a condition without event, such as a change of the graph, which is checked every 10 ms.
 
     Raises
     ------
     WaitTimeoutError
-        The predicate was still false after `timeout_s`.
+        The predicate was false for `timeout_s`.
     """
     deadline = time.monotonic() + timeout_s
     gate = Future()
@@ -77,12 +77,12 @@ async def until(node: Node, predicate: Callable[[], bool], timeout_s: float, wha
 
 
 async def call(node: Node, client: Client, request: Any, timeout_s: float) -> Any:
-    """Response of a service; waits for the service to exist as well, both within `timeout_s`.
+    """Return the response of a service; waits for the service and for the response, both within `timeout_s`.
 
     Raises
     ------
     WaitTimeoutError
-        No such service, or no answer in time. The pending request is forgotten.
+        There is no such service, or no response in time; the pending request is removed.
     """
     deadline = time.monotonic() + timeout_s
     await until(node, client.service_is_ready, timeout_s, f"service {client.srv_name}")
@@ -97,14 +97,14 @@ async def call(node: Node, client: Client, request: Any, timeout_s: float) -> An
 
 
 class Condition:
-    """Something that callbacks change and coroutines wait for, like `asyncio.Condition` without its lock."""
+    """State that callbacks change and coroutines wait for, like `asyncio.Condition` without its lock."""
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self._changed = Future()
 
     def notify(self) -> None:
-        """Say that something changed: waiting coroutines look again. May be called from any thread."""
+        """Let waiting coroutines check their predicates again. May be called from any thread."""
         changed, self._changed = self._changed, Future()
         changed.set_result(None)
 
@@ -114,11 +114,11 @@ class Condition:
         Raises
         ------
         WaitTimeoutError
-            The predicate was still false after `timeout_s`.
+            The predicate was false for `timeout_s`.
         """
         deadline = time.monotonic() + timeout_s
         while True:
-            changed = self._changed  # taken before looking, so that no change falls between looking and waiting
+            changed = self._changed  # taken before the check, so that no change is missed between check and wait
             if predicate():
                 return
             try:
@@ -128,7 +128,7 @@ class Condition:
 
 
 def _opener(node: Node, gate: Future) -> Callable[..., None]:
-    def open_gate(*_: Any) -> None:
+    def open_gate(*_: object) -> None:
         if not gate.done():
             gate.set_result(None)
             # the executor may sleep while another thread completes the future
@@ -140,7 +140,7 @@ def _opener(node: Node, gate: Future) -> Callable[..., None]:
 
 @contextlib.contextmanager
 def _timer(node: Node, seconds: float, callback: Callable[[], None]) -> Iterator[None]:
-    # a group of its own: a shared one would block, and would remember every timer that ever was
+    # a group of its own: a shared one would block, and would keep a reference to every timer
     timer = node.create_timer(seconds, callback, callback_group=ReentrantCallbackGroup(), clock=_STEADY)
     try:
         yield

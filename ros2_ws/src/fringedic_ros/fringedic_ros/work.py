@@ -1,11 +1,10 @@
-"""One background thread for work that is too heavy for the executor's thread."""
+"""Background thread for work that is too heavy for the thread of the executor."""
 
 from __future__ import annotations
 
 import queue
 import threading
 from collections.abc import Callable
-from typing import Any
 
 from rclpy.node import Node
 from rclpy.task import Future
@@ -21,7 +20,7 @@ class Worker:
     node
         Its executor is woken when a future completes.
     on_error
-        Called in the worker's thread with the exception of a submitted job. By default the node logs it as an error.
+        Called in the background thread with the exception of a submitted job; by default, the node logs it as an error.
     """
 
     def __init__(self, node: Node, on_error: Callable[[Exception], None] | None = None) -> None:
@@ -31,7 +30,7 @@ class Worker:
         self._pending = 0
         self._lock = threading.Lock()
         self._stopped = False
-        # a daemon: a driver that hangs must not keep the process alive
+        # a daemon: a blocked driver must not keep the process alive
         self._thread = threading.Thread(target=self._run, name=f"{node.get_name()}-worker", daemon=True)
         self._thread.start()
 
@@ -40,8 +39,8 @@ class Worker:
         """Jobs that are queued or running."""
         return self._pending
 
-    def submit(self, function: Callable[..., Any], *arguments: Any) -> None:
-        """Queue a job whose result nobody waits for; its exception goes to `on_error`."""
+    def submit(self, function: Callable[..., object], *arguments: object) -> None:
+        """Queue a job without result; `on_error` receives its exception."""
 
         def job() -> None:
             try:
@@ -51,8 +50,8 @@ class Worker:
 
         self._put(job)
 
-    def run(self, function: Callable[..., Any], *arguments: Any) -> Future:
-        """Queue a job and return the future of its result; `wait_for` it."""
+    def run(self, function: Callable[..., object], *arguments: object) -> Future:
+        """Queue a job and return the future of its result, for `wait_for`."""
         future = Future()
 
         def job() -> None:
@@ -67,7 +66,7 @@ class Worker:
         return future
 
     def stop(self, timeout_s: float = 5.0) -> bool:
-        """Forget what is queued and wait for the running job; False when it still runs after `timeout_s`."""
+        """Discard the queued jobs and wait for the running one; return False when it still runs after `timeout_s`."""
         self._stopped = True
         self._jobs.put(None)
         self._thread.join(timeout_s)

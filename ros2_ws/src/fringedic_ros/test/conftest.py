@@ -19,7 +19,7 @@ def ros() -> Iterator[None]:
 
 
 @pytest.fixture
-def spinning(ros: None) -> Iterator[Spinning]:
+def spinning(ros: None) -> Iterator[Spinning]:  # noqa: ARG001 (the context comes first)
     """An executor in a thread; nodes are added to it."""
     with Spinning() as loop:
         yield loop

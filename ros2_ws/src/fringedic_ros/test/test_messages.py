@@ -11,8 +11,9 @@ import rclpy
 from rclpy.node import Node
 from sensor_msgs.msg import Image, PointCloud2
 
-from fringedic.errors import CloudMessageError, ImageMessageError
-from fringedic.sequence import FrameRecord, Orientation, PatternKind, Projection, frame_record
+from fringedic.errors import ImageError
+from fringedic.frames.records import FrameRecord, frame_record
+from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic_ros.clouds import cloud_arrays, cloud_message
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.qos import IMAGES
@@ -43,6 +44,7 @@ def pixels(dtype: type, *shape: int) -> np.ndarray:
     return values.astype(dtype)
 
 
+@pytest.mark.usefixtures("ros")
 @pytest.mark.parametrize(
     ("image", "encoding"),
     [
@@ -56,7 +58,7 @@ def pixels(dtype: type, *shape: int) -> np.ndarray:
         (pixels(np.uint8, 960, 1280), "mono8"),
     ],
 )
-def test_image_round_trip(ros: None, image: np.ndarray, encoding: str) -> None:
+def test_image_round_trip(image: np.ndarray, encoding: str) -> None:
     sent = image_message(image, stamp_ns=STAMP, frame_id="camera_optical_frame", encoding=encoding)
     message = through_dds(sent)
     assert (message.encoding, message.width, message.height) == (encoding, image.shape[1], image.shape[0])
@@ -66,7 +68,8 @@ def test_image_round_trip(ros: None, image: np.ndarray, encoding: str) -> None:
     np.testing.assert_array_equal(received, image)
 
 
-def test_nan_survives_and_views_are_read_only(ros: None) -> None:
+@pytest.mark.usefixtures("ros")
+def test_nan_survives_and_views_are_read_only() -> None:
     image = np.array([[1.5, np.nan]], dtype=np.float32)
     received = image_array(through_dds(image_message(image, stamp_ns=STAMP, frame_id="")))
     np.testing.assert_array_equal(received, image)
@@ -85,23 +88,24 @@ def test_bad_images_are_refused() -> None:
     good = image_message(pixels(np.uint8, 5, 7), stamp_ns=STAMP, frame_id="")
     for field, value, words in [
         ("encoding", "bayer_rggb8", "bayer_rggb8"),
-        ("encoding", "mono16", "7 x 5 pixels"),
-        ("width", 8, "8 x 5 pixels"),
-        ("height", 6, "7 x 6 pixels"),
+        ("encoding", "mono16", "7x5 px"),
+        ("width", 8, "8x5 px"),
+        ("height", 6, "7x6 px"),
         ("data", array.array("B", [0] * 34), "34 bytes"),
     ]:
         kept = getattr(good, field)
         setattr(good, field, value)
-        with pytest.raises(ImageMessageError, match=words):
+        with pytest.raises(ImageError, match=words):
             image_array(good)
         setattr(good, field, kept)
-    with pytest.raises(ImageMessageError, match="float64"):
+    with pytest.raises(ImageError, match="float64"):
         image_message(np.zeros((2, 2)), stamp_ns=0, frame_id="")
-    with pytest.raises(ImageMessageError, match="mono16"):
+    with pytest.raises(ImageError, match="mono16"):
         image_message(pixels(np.uint8, 5, 7), stamp_ns=0, frame_id="", encoding="mono16")
 
 
-def test_cloud_round_trip(ros: None) -> None:
+@pytest.mark.usefixtures("ros")
+def test_cloud_round_trip() -> None:
     fields = {name: pixels(np.float32, 4, 6) + i for i, name in enumerate("xyzw")}
     fields["w"][1, 2] = np.nan
     message = through_dds(cloud_message(fields, stamp_ns=STAMP, frame_id="reference_plane"))
@@ -113,13 +117,13 @@ def test_cloud_round_trip(ros: None) -> None:
 
 
 def test_bad_clouds_are_refused() -> None:
-    with pytest.raises(CloudMessageError, match="one shape"):
+    with pytest.raises(ImageError, match="one shape"):
         cloud_message({"x": np.zeros((2, 2)), "y": np.zeros((2, 3))}, stamp_ns=0, frame_id="")
-    with pytest.raises(CloudMessageError, match="none"):
+    with pytest.raises(ImageError, match="none"):
         cloud_message({}, stamp_ns=0, frame_id="")
     message = cloud_message({"x": np.zeros((2, 2))}, stamp_ns=0, frame_id="")
     message.height = 3
-    with pytest.raises(CloudMessageError, match="2 x 3 points"):
+    with pytest.raises(ImageError, match="2x3 points"):
         cloud_arrays(message)
 
 
@@ -129,7 +133,7 @@ def test_records_round_trip() -> None:
         step=3,
         index=5,
         count=20,
-        projection=Projection(PatternKind.FRINGES, Orientation.HORIZONTAL, 12.5, 2, 5),
+        pattern=ProjectedPattern(PatternKind.FRINGES, Orientation.HORIZONTAL, 12.5, 2, 5),
         stamp=STAMP,
         exposure_time=0.02,
         dropped=7,

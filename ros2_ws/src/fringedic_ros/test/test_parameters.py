@@ -11,7 +11,7 @@ from pydantic import BaseModel, Field, model_validator
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from fringedic.errors import ParameterError
+from fringedic.errors import ConfigurationError
 from fringedic_msgs.msg import NodeParameters
 from fringedic_ros.parameter_docs import documented
 from fringedic_ros.parameters import declare, parameter_table
@@ -44,7 +44,8 @@ def node_with(**overrides: object) -> Node:
     return Node("filter", parameter_overrides=[Parameter(name, value=value) for name, value in overrides.items()])
 
 
-def test_values_come_from_overrides_and_defaults(ros: None) -> None:
+@pytest.mark.usefixtures("ros")
+def test_values_come_from_overrides_and_defaults() -> None:
     node = node_with(rate_hz=30, pitches=[100, 10], method="zoi")
     value = declare(node, FilterParameters).value
     assert value == FilterParameters(rate_hz=30.0, pitches=[100.0, 10.0], method=Method.ZOI)
@@ -55,6 +56,7 @@ def test_values_come_from_overrides_and_defaults(ros: None) -> None:
     node.destroy_node()
 
 
+@pytest.mark.usefixtures("ros")
 @pytest.mark.parametrize(
     ("name", "value", "words"),
     [
@@ -71,9 +73,9 @@ def test_values_come_from_overrides_and_defaults(ros: None) -> None:
         ("low", 2.0, "low must be below high"),
     ],
 )
-def test_bad_value_is_refused_in_words(ros: None, name: str, value: object, words: str) -> None:
+def test_bad_value_is_refused_in_words(name: str, value: object, words: str) -> None:
     node = node_with(**{name: value})
-    with pytest.raises(ParameterError, match=r"^filter") as caught:
+    with pytest.raises(ConfigurationError, match=r"^filter") as caught:
         declare(node, FilterParameters)
     assert words in str(caught.value)
     node.destroy_node()
@@ -89,7 +91,8 @@ def test_bad_value_is_refused_in_words(ros: None, name: str, value: object, word
     node.destroy_node()
 
 
-def test_changes_are_taken_published_and_told(ros: None) -> None:
+@pytest.mark.usefixtures("ros")
+def test_changes_are_taken_published_and_told() -> None:
     node, reader = node_with(), Node("reader")
     told: list[FilterParameters] = []
     parameters = declare(node, FilterParameters, told.append)
@@ -131,5 +134,6 @@ def test_table_says_what_the_model_declares() -> None:
     new = documented(page)
     assert "old" not in new
     assert "`autostart`" in new
-    assert new.startswith("before\n") and new.endswith("\nafter")
+    assert new.startswith("before\n")
+    assert new.endswith("\nafter")
     assert documented(new) == new

@@ -1,4 +1,4 @@
-"""What every processing node promises: one status per step, bounded memory, named codes."""
+"""Every processing node publishes one status per step with a named code, and its memory is bounded."""
 
 from __future__ import annotations
 
@@ -9,15 +9,24 @@ import pytest
 import rclpy
 from pydantic import BaseModel
 
-from fringedic.errors import FrameMismatchError, InvalidSequenceError, NoCorrelationError
+from fringedic.errors import CorrelationError, ErrorCode, PhaseError, StepError
 from fringedic_msgs.msg import NodeStatus, StepStatus
-from fringedic_ros.processing import JOINED_STEPS, QUEUED_STEPS, Outcome, ProcessingNode, StampJoin
+from fringedic_ros.processing import JOINED_STEPS, QUEUED_STEPS, Outcome, ProcessingNode, StampJoin, StepId
 from fringedic_ros.qos import EVENTS
 from fringedic_ros.testing import Peer
 
 
 class NoParameters(BaseModel):
     """A node without parameters."""
+
+
+class TestedNode(ProcessingNode[NoParameters]):
+    """A node that joins no messages."""
+
+    __test__ = False
+
+    def abandon(self, _step: StepId) -> str:
+        return ""
 
 
 @pytest.fixture
@@ -31,7 +40,7 @@ def peer() -> Iterator[Peer]:
 
 @pytest.fixture
 def node(peer: Peer) -> Iterator[ProcessingNode[NoParameters]]:
-    node = ProcessingNode("tested", NoParameters)
+    node = TestedNode("tested", NoParameters)
     node.subscribe_to_steps()
     peer.serve_also(node)
     yield node
@@ -64,9 +73,9 @@ def test_join_in_any_order_and_bounded() -> None:
 @pytest.mark.parametrize(
     ("error", "code"),
     [
-        (FrameMismatchError("another size"), NodeStatus.FRAME_MISMATCH),
-        (InvalidSequenceError("another size"), NodeStatus.FRAME_MISMATCH),
-        (NoCorrelationError("another size"), NodeStatus.NO_CORRELATION),
+        (StepError("another size", code=ErrorCode.FRAME_MISMATCH), NodeStatus.FRAME_MISMATCH),
+        (PhaseError("another size", code=ErrorCode.INVALID_SEQUENCE), NodeStatus.FRAME_MISMATCH),
+        (CorrelationError("another size", code=ErrorCode.NO_CORRELATION), NodeStatus.NO_CORRELATION),
         (ZeroDivisionError("another size"), NodeStatus.FAILED),
     ],
 )
@@ -78,10 +87,11 @@ def test_exceptions_become_codes_and_the_next_step_works(
     def work() -> Outcome:
         raise error
 
-    node.measure("experiment", 0, 10, work)
-    node.measure("experiment", 1, 11, lambda: Outcome(0.5, 2.0, 3))
+    node.measure(StepId("experiment", 0, 10), work)
+    node.measure(StepId("experiment", 1, 11), lambda: Outcome(0.5, 2.0, 3))
     peer.wait(lambda: len(heard) == 2, "both statuses")
-    assert (heard[0].error_code, heard[0].frames) == (code, 0) and "another size" in heard[0].error_message
+    assert (heard[0].error_code, heard[0].frames) == (code, 0)
+    assert "another size" in heard[0].error_message
     assert (heard[1].error_code, heard[1].valid_fraction, heard[1].rms, heard[1].frames) == (0, 0.5, 2.0, 3)
 
 
@@ -95,9 +105,9 @@ def test_one_status_per_step_and_a_bounded_queue(peer: Peer, node: ProcessingNod
 
     steps = QUEUED_STEPS + 2
     for step in range(steps):
-        node.measure("experiment", step, step, work)
-        node.measure("experiment", step, step, work)
-        node.answer("experiment", step, step, NodeStatus.STEP_ABORTED)
+        node.measure(StepId("experiment", step, step), work)
+        node.measure(StepId("experiment", step, step), work)
+        node.answer(StepId("experiment", step, step), NodeStatus.STEP_ABORTED)
     ended = peer.create_publisher(StepStatus, "experiment/step", EVENTS)
     peer.wait(ended.get_subscription_count, "the node")
     for step in range(steps):

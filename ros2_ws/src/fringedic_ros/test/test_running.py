@@ -8,6 +8,9 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import IO
 
 import numpy as np
 import pytest
@@ -52,7 +55,6 @@ def test_waiting_is_exact_and_leaves_nothing(spinning: Spinning) -> None:
         return durations
 
     durations = spinning.run(wait_for_each)
-    print("durations [s], each 0.1 later:", durations)
     assert all(later >= 0.0999 * n for n, later in enumerate(durations, 1))
     assert len(list(node.timers)) == timers_before
 
@@ -210,7 +212,7 @@ import time
 import rclpy
 from rclpy.node import Node
 from std_msgs.msg import Empty
-from fringedic.errors import StartError
+from fringedic.errors import ProcessError
 from fringedic_ros.main import run
 
 class Minding(Node):
@@ -246,13 +248,24 @@ class Kept(Node):
         rclpy.try_shutdown = lambda: ctypes.PyDLL(None).sleep(60)
 
 def refuse():
-    raise StartError("there is no camera")
+    raise ProcessError("there is no camera")
 
 print("ready", flush=True)
 classes = {"failing": Failing, "kept": Kept, "minding": Minding, "slow": Slow}
 nodes = {"good": lambda: Node("good"), "refused": refuse, **classes}
 sys.exit(run(nodes[sys.argv[1]]))
 """
+
+
+@contextmanager
+def node_program(which: str) -> Iterator[tuple[subprocess.Popen[str], IO[str]]]:
+    """Run one node of the program above; yields its process and what it writes after its imports."""
+    with subprocess.Popen(
+        [sys.executable, "-c", NODE_PROGRAM, which], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        yield process, process.stdout
 
 
 @pytest.mark.parametrize(
@@ -262,18 +275,11 @@ sys.exit(run(nodes[sys.argv[1]]))
         ("good", signal.SIGTERM, 0, ""),
         ("kept", signal.SIGINT, -signal.SIGALRM, ""),
         ("failing", None, 1, "ZeroDivisionError: a bug"),
-        ("refused", None, 1, "StartError: there is no camera"),
+        ("refused", None, 1, "ProcessError: there is no camera"),
     ],
 )
 def test_process_ends_as_it_should(which: str, sent: signal.Signals | None, code: int, words: str) -> None:
-    with subprocess.Popen(
-        [sys.executable, "-c", NODE_PROGRAM, which],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
-        assert process.stdout is not None and process.stderr is not None
-        assert process.stdout.readline() == "ready\n"
+    with node_program(which) as (process, _):
         if sent is not None:
             time.sleep(1.0)
             process.send_signal(sent)
@@ -286,31 +292,23 @@ def test_process_ends_as_it_should(which: str, sent: signal.Signals | None, code
 
 def test_signals_tear_nothing() -> None:
     """One that comes while the node is being made, and one while it is being destroyed."""
-    with subprocess.Popen(
-        [sys.executable, "-c", NODE_PROGRAM, "slow"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n"
+    with node_program("slow") as (process, written):
         time.sleep(1.0)
         process.send_signal(signal.SIGINT)
         process.send_signal(signal.SIGINT)
-        assert process.stdout.readline() == "made\n"
-        assert process.stdout.readline() == "closing\n"
+        assert written.readline() == "made\n"
+        assert written.readline() == "closing\n"
         process.send_signal(signal.SIGINT)
         rest, log = process.communicate(timeout=20)
     assert (process.returncode, rest, log) == (0, "closed\n", "")
 
 
 def test_other_signals_do_not_end_a_node() -> None:
-    with subprocess.Popen(
-        [sys.executable, "-c", NODE_PROGRAM, "minding"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n"
-        assert process.stdout.readline() == "standing\n"
+    with node_program("minding") as (process, written):
+        assert written.readline() == "standing\n"
         for _ in range(2):
             process.send_signal(signal.SIGUSR1)
-            assert process.stdout.readline() == "minded\n"
+            assert written.readline() == "minded\n"
         process.send_signal(signal.SIGTERM)
         rest, log = process.communicate(timeout=20)
     assert (process.returncode, rest, log) == (0, "", "")

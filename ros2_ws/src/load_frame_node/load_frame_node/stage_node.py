@@ -1,4 +1,4 @@
-"""Turns and lifts the reference plane for a calibration. In this version the stage is that of the virtual rig."""
+"""Tilts and lifts the reference plane of the virtual rig for a calibration."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class StageParameters(HardwareParameters):
     """Parameters of the stage node."""
 
     maximum_angle_degree: float = Field(
-        40.0, ge=0, le=80, description="The stage turns from minus to plus this angle [degree]."
+        40.0, ge=0, le=80, description="Largest angle of the stage in both directions [degree]."
     )
     maximum_height_mm: float = Field(
-        30.0, ge=0, le=1000, description="The stage lifts from minus to plus this height [mm]."
+        30.0, ge=0, le=1000, description="Largest height of the stage in both directions [mm]."
     )
 
 
@@ -47,13 +47,13 @@ class StageNode(HardwareNode[StageParameters]):
         )
 
     def activate(self) -> None:
-        """Begin with the specimen in front of the camera."""
+        """Start with the specimen in front of the camera."""
         self._put(ReferencePlane.SPECIMEN, 0.0, 0.0)
 
     def _place(
         self, request: PlaceReferencePlane.Request, response: PlaceReferencePlane.Response
     ) -> PlaceReferencePlane.Response:
-        response.message = self._why_not(request)
+        response.message = self._reason_to_refuse(request)
         if response.message:
             self.get_logger().error(response.message)
             self.diagnostics.failure(response.message)
@@ -64,21 +64,23 @@ class StageNode(HardwareNode[StageParameters]):
         self.diagnostics.success()
         return response
 
-    def _why_not(self, request: PlaceReferencePlane.Request) -> str:
+    def _reason_to_refuse(self, request: PlaceReferencePlane.Request) -> str:
+        """Return why a request cannot be met; empty when it can."""
         parameters = self.parameters.value
         if not self.active:
             return "the stage is not active; configure and activate it"
         if request.kind not in _KINDS:
             return f"kind {request.kind} is unknown; use GRID, PLANE or SPECIMEN"
-        angle, height = math.degrees(request.angle), 1e3 * request.height
-        if not abs(angle) <= parameters.maximum_angle_degree * (1 + 1e-9):
-            return f"the stage turns to {parameters.maximum_angle_degree:g} degree at most, not to {angle:g}"
-        if not abs(height) <= parameters.maximum_height_mm * (1 + 1e-9):
-            return f"the stage lifts to {parameters.maximum_height_mm:g} mm at most, not to {height:g}"
+        for what, value, largest, unit in (
+            ("angle", math.degrees(request.angle), parameters.maximum_angle_degree, "degree"),
+            ("height", 1e3 * request.height, parameters.maximum_height_mm, "mm"),
+        ):
+            if not abs(value) <= largest * (1 + 1e-9):
+                return f"{what} {value:g} {unit} is outside the range of the stage, -{largest:g} to {largest:g} {unit}"
         return ""
 
     def _put(self, kind: int, angle: float, height: float) -> Time:
-        """Say where the plane stands now, and return the stamp of that."""
+        """Publish the new place of the plane and return its stamp."""
         state = ReferencePlane(kind=kind, angle=angle, height=height)
         state.header.stamp, state.header.frame_id = self.get_clock().now().to_msg(), FRAME_ID
         self._states.publish(state)

@@ -1,4 +1,4 @@
-"""A testing machine that speaks Modbus TCP, as a process: pymodbus's server before the simulated load frame.
+"""A testing machine with Modbus TCP, as a process: pymodbus's server before the simulated load frame.
 
 Registers, as the machine file of the tests names them: 0 force [N], 2 position [mm], 4 status, 6 time since the start
 [ms] by a clock that is 1 % too fast, 10 target [mm], 12 speed [mm/s]; coils: 0 starts a move, 1 holds, 2 breaks the
@@ -18,8 +18,8 @@ from pymodbus.server import ModbusTcpServer
 from pymodbus.simulator import DataType, SimData, SimDevice
 
 from fringedic.errors import CrossheadRangeError
-from fringedic.virtual_rig import LoadMode, SimulatedLoadFrame, VirtualRigConfiguration
-from load_frame_node.machines import SimulatedMachine
+from fringedic.virtual_rig import SimulatedLoadFrame, VirtualRigConfiguration
+from load_frame_node.machines import LoadMode, SimulatedMachine
 
 STATUS = {LoadMode.IDLE: 0, LoadMode.MOVING: 11, LoadMode.HOLD: 12}
 READ_HOLDING, WRITE_COIL = 3, 5
@@ -34,7 +34,13 @@ class Registers:
         self.started = time.monotonic()
 
     async def access(
-        self, function: int, start: int, address: int, count: int, current: list[int], new: list | None
+        self,
+        function: int,
+        start: int,  # noqa: ARG002 (the signature of pymodbus)
+        address: int,
+        count: int,  # noqa: ARG002
+        current: list[int],
+        new: list | None,
     ) -> ExcCodes | None:
         if function == READ_HOLDING:
             self.holding = current
@@ -80,7 +86,8 @@ async def serve(port: int) -> None:
     device = SimDevice(1, (bits, bits, numbers, numbers), action=registers.access)
     server = ModbusTcpServer(device, address=("127.0.0.1", port))
     await server.listen()
-    print(server.transport.sockets[0].getsockname()[1], flush=True)
+    sys.stdout.write(f"{server.transport.sockets[0].getsockname()[1]}\n")
+    sys.stdout.flush()
     await asyncio.Event().wait()
 
 

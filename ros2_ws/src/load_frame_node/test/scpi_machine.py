@@ -1,12 +1,12 @@
-"""A testing machine that speaks text commands, as a process: a TCP socket before the simulated load frame."""
+"""A testing machine with text commands, as a process: a TCP socket before the simulated load frame."""
 
 from __future__ import annotations
 
 import asyncio
 import sys
 
-from fringedic.virtual_rig import LoadMode, SimulatedLoadFrame, VirtualRigConfiguration
-from load_frame_node.machines import SimulatedMachine
+from fringedic.virtual_rig import SimulatedLoadFrame, VirtualRigConfiguration
+from load_frame_node.machines import LoadMode, SimulatedMachine
 
 WORDS = {LoadMode.IDLE: "IDLE", LoadMode.MOVING: "RUN", LoadMode.HOLD: "HOLD"}
 
@@ -53,7 +53,8 @@ class Conversation:
 
 async def main(port: int) -> None:
     server = await asyncio.start_server(Conversation().serve, "127.0.0.1", port)
-    print(server.sockets[0].getsockname()[1], flush=True)
+    sys.stdout.write(f"{server.sockets[0].getsockname()[1]}\n")
+    sys.stdout.flush()
     await server.serve_forever()
 
 

@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from fringedic.errors import CrossheadRangeError
-from fringedic.virtual_rig import LoadMode, SimulatedLoadFrame, VirtualRigConfiguration
-from load_frame_node.machines import Machine, Sample, SimulatedMachine
+from fringedic.virtual_rig import SimulatedLoadFrame, VirtualRigConfiguration
+from load_frame_node.machines import LoadMode, Machine, Sample, SimulatedMachine
 from load_frame_node.machines.machine import Motion
 
 PAGE = Path(__file__).parents[4] / "docs" / "machines.md"
@@ -32,7 +32,7 @@ class Card:
         sample = self.machine.sample()
         return sample.force / NEWTON_PER_VOLT if channel == 0 else sample.position / METRE_PER_VOLT
 
-    def write_volts(self, channel: int, volts: float) -> None:
+    def write_volts(self, _channel: int, volts: float) -> None:
         self.target = volts * METRE_PER_VOLT
 
     def write_line(self, line: int, on: bool) -> None:

@@ -1,4 +1,4 @@
-"""The stage: what it says, what it refuses, and that its answer names its message."""
+"""The stage: its state, the stamp in its answer, and refused requests."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Request = PlaceReferencePlane.Request
 
 
 class Rig:
-    """A stage, somebody who hears it, and somebody who has the plane placed."""
+    """A stage, a subscriber of its state, and a client of its service."""
 
     def __init__(self, spinning: Spinning) -> None:
         self.stage = spinning.add(StageNode.started())
@@ -61,7 +61,7 @@ def rig() -> Iterator[Rig]:
     rclpy.try_shutdown()
 
 
-def test_begins_with_the_specimen_and_says_where_the_plane_stands(rig: Rig) -> None:
+def test_begins_with_the_specimen_and_publishes_the_place_of_the_plane(rig: Rig) -> None:
     response = rig.place(kind=Request.PLANE, angle=0.2, height=-1e-3)
     assert (response.success, response.message, response.angle, response.height) == (True, "", 0.2, -1e-3)
     state = rig.heard(response)
@@ -79,11 +79,12 @@ def test_begins_with_the_specimen_and_says_where_the_plane_stands(rig: Rig) -> N
         ({"kind": Request.PLANE, "height": 0.05}, "30 mm"),
     ],
 )
-def test_refuses_what_it_cannot_do(rig: Rig, request_: dict[str, Any], words: str) -> None:
+def test_refuses_impossible_requests(rig: Rig, request_: dict[str, Any], words: str) -> None:
     rig.heard(rig.place(kind=Request.GRID))
     heard = len(rig.states)
     response = rig.place(**request_)
-    assert not response.success and words in response.message
+    assert not response.success
+    assert words in response.message
     assert len(rig.states) == heard
 
 
@@ -91,7 +92,8 @@ def test_an_inactive_stage_refuses(rig: Rig) -> None:
     rig.stage.trigger_deactivate()
     response = rig.place(kind=Request.PLANE)
     rig.stage.trigger_activate()
-    assert not response.success and "not active" in response.message
+    assert not response.success
+    assert "not active" in response.message
 
 
 def test_page_lists_the_parameters() -> None:

@@ -7,22 +7,23 @@ from functools import partial
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import Image
 
-from fringedic.chain import PhaseParameters, phase_step
-from fringedic.pictures import phase_preview
-from fringedic.sequence import PatternKind, Stack
+from fringedic.figures.previews import phase_preview
+from fringedic.frames.collector import Stack
+from fringedic.patterns.pattern import PatternKind
+from fringedic.steps.parameters import PhaseParameters
+from fringedic.steps.phase import phase_step
 from fringedic_msgs.msg import Exposure, NodeStatus
 from fringedic_ros.frame_steps import FrameSteps
 from fringedic_ros.images import image_message
 from fringedic_ros.main import run
-from fringedic_ros.processing import Outcome, ProcessingNode
+from fringedic_ros.processing import Outcome, ProcessingNode, StepId
 from fringedic_ros.qos import DERIVED, OVERRIDABLE
-from fringedic_ros.stamps import to_nanoseconds
 
 FRAME = "camera_optical_frame"
 
 
 class PhaseNode(ProcessingNode[PhaseParameters]):
-    """Collects the frames of a step and publishes what `phase_step` makes of them."""
+    """Collects the frames of a step and publishes the result of `phase_step`."""
 
     def __init__(self) -> None:
         super().__init__("phase", PhaseParameters)
@@ -40,21 +41,20 @@ class PhaseNode(ProcessingNode[PhaseParameters]):
     def _take_stack(self, stack: Stack) -> None:
         self.report_unjoined(self._frames.unpaired)
         work = partial(self._measure_phase, stack, self.parameters.value)
-        self.measure(stack.experiment, stack.step, stack.stamp, work)
+        self.measure(StepId(stack.experiment, stack.step, stack.stamp), work)
 
     def _take_other(self, exposure: Exposure) -> None:
         if exposure.kind == PatternKind.WHITE:  # there is no phase in a white step
-            stamp = to_nanoseconds(exposure.header.stamp)
-            self.answer(exposure.experiment, exposure.step, stamp, NodeStatus.NONE)
+            self.answer(StepId.of(exposure), NodeStatus.NONE)
 
-    def abandon(self, experiment: str, step: int, stamp: int) -> str:
-        """Forget the frames of a step."""
-        return self._frames.abandon(experiment, step)
+    def abandon(self, step: StepId) -> str:
+        """Drop the frames of a step."""
+        return self._frames.abandon(step.experiment, step.step)
 
     def _measure_phase(self, stack: Stack, parameters: PhaseParameters) -> Outcome:
         result = phase_step(stack, parameters)
         for publisher, array in (
-            (self._texture, result.texture),  # first: to be followed is what takes longest
+            (self._texture, result.texture),  # first: the dic node, which takes longest, waits for it
             (self._map, result.phase),
             (self._sigma, result.sigma),
             (self._modulation, result.modulation),

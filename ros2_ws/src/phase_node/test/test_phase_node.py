@@ -10,10 +10,13 @@ import pytest
 import rclpy
 from sensor_msgs.msg import Image
 
-from fringedic.chain import PhaseParameters, PhaseResult, phase_step
-from fringedic.patterns import one_image_sequence
-from fringedic.pictures import phase_preview
-from fringedic.sequence import FrameCollector, FrameRecord
+from fringedic.figures.previews import phase_preview
+from fringedic.frames.collector import FrameCollector
+from fringedic.frames.records import FrameRecord
+from fringedic.patterns.sequences import one_image_sequence
+from fringedic.steps.parameters import PhaseParameters
+from fringedic.steps.phase import phase_step
+from fringedic.steps.step_results import PhaseResult
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import NodeStatus
 from fringedic_ros.images import image_array, image_message
@@ -79,7 +82,8 @@ def test_maps_are_those_of_the_library_bit_by_bit(bench: PhaseBench, name: str) 
         assert (status.node, status.error_code, status.error_message) == ("phase", NodeStatus.NONE, "")
         assert to_nanoseconds(status.header.stamp) == frames[-1][0].stamp == result.stamp
         assert (status.valid_fraction, status.rms, status.frames) == (result.valid_fraction, result.rms, len(frames))
-        assert status.duration > 0 and result.valid_fraction > 0.5
+        assert status.duration > 0
+        assert result.valid_fraction > 0.5
         assert_identical(bench, result)
 
 
@@ -94,7 +98,7 @@ def test_parameters_change_from_the_next_step_on(bench: PhaseBench, name: str) -
     bench.change(read_noise_grey_level=PhaseParameters().read_noise_grey_level)
 
 
-def test_preview_for_whoever_looks(bench: PhaseBench, name: str) -> None:
+def test_preview_is_published_to_subscribers(bench: PhaseBench, name: str) -> None:
     previews: list[Image] = []
     viewer = bench.create_subscription(Image, "phase/preview", previews.append, DERIVED)
     bench.serve(1.0)
@@ -152,7 +156,8 @@ def test_bad_frames_end_their_step_and_the_next_one_works(
     bench.send(fault(fringe_step(bench.rig, 0.0, name, 0)))  # type: ignore[operator]
     status = bench.status_of(name, 0)
     assert (status.error_code, status.frames) == (code, 0)
-    assert words in status.error_message and "step 0" in status.error_message
+    assert words in status.error_message
+    assert "step 0" in status.error_message
     assert not bench.published(to_nanoseconds(status.header.stamp))
     after = fringe_step(bench.rig, 0.0, name, 1)
     bench.send(after)
@@ -169,7 +174,8 @@ def test_unreadable_image_ends_its_step(bench: PhaseBench, name: str) -> None:
     bench.send_message(message, record)
     bench.send(frames[4:])
     status = bench.status_of(name, 0)
-    assert status.error_code == NodeStatus.FRAME_MISMATCH and "yuv422" in status.error_message
+    assert status.error_code == NodeStatus.FRAME_MISMATCH
+    assert "yuv422" in status.error_message
     bench.send(fringe_step(bench.rig, 0.0, name, 1))
     assert bench.status_of(name, 1).error_code == NodeStatus.NONE
 
@@ -196,7 +202,7 @@ def overexposed(frames: Frames) -> Frames:
     ("fault", "code", "words"),
     [
         (swapped, NodeStatus.PATTERN_NOT_SEEN, "frames 9 and 10 are interchanged"),
-        (alien, NodeStatus.PATTERN_NOT_SEEN, "frame 5 does not show what it should"),
+        (alien, NodeStatus.PATTERN_NOT_SEEN, "frame 5 does not show its pattern"),
         (frozen, NodeStatus.PATTERN_NOT_SEEN, "the projector does not change its pattern"),
         (overexposed, NodeStatus.TOO_FEW_VALID, "100% of the image saturates: shorten the exposure"),
     ],
@@ -205,7 +211,8 @@ def test_faulty_stacks_are_named(bench: PhaseBench, name: str, fault: object, co
     bench.send(fault(fringe_step(bench.rig, 0.0, name, 0)))  # type: ignore[operator]
     status = bench.status_of(name, 0)
     assert status.error_code == code
-    assert words in status.error_message and "step 0" in status.error_message
+    assert words in status.error_message
+    assert "step 0" in status.error_message
 
 
 def test_one_image_is_measured_and_said_to_be_relative(bench: PhaseBench, name: str) -> None:
@@ -213,16 +220,18 @@ def test_one_image_is_measured_and_said_to_be_relative(bench: PhaseBench, name: 
     sequence = one_image_sequence(columns, rows, 10.0, grey=True)
     frames = [
         (
-            FrameRecord(name, 0, index, 2, projection, 77_000_000_000 + index, 0.005),
+            FrameRecord(name, 0, index, 2, pattern, 77_000_000_000 + index, 0.005),
             bench.rig.expose(sequence.frame(index), 0.0, frame=index),
         )
-        for index, projection in enumerate(sequence.projections)
+        for index, pattern in enumerate(sequence.patterns)
     ]
     bench.change(relative_phase="accept")
     bench.send(frames)
     status = bench.status_of(name, 0)
     bench.change(relative_phase="refuse")
-    assert status.error_code == NodeStatus.NONE and "is relative" in status.error_message and status.relative
+    assert status.error_code == NodeStatus.NONE
+    assert "is relative" in status.error_message
+    assert status.relative
     assert_identical(bench, expected(frames, PhaseParameters(relative_phase="accept")))
 
 
@@ -253,7 +262,8 @@ def test_steps_that_never_end_are_given_up(bench: PhaseBench, name: str) -> None
     for step in range(JOINED_STEPS + 1):
         bench.send(fringe_step(bench.rig, 0.0, name, step)[:1])
     status = bench.status_of(name, 0)
-    assert status.error_code == NodeStatus.FRAME_MISSING and "of 16 never arrived" in status.error_message
+    assert status.error_code == NodeStatus.FRAME_MISSING
+    assert "of 16 never arrived" in status.error_message
     assert len(bench.statuses) == 1
     for step in range(1, JOINED_STEPS + 1):
         bench.abort(name, step)
@@ -266,7 +276,8 @@ def test_abort_answers_an_unfinished_step_once(bench: PhaseBench, name: str) -> 
     bench.serve(0.3)
     bench.abort(name, 0)
     status = bench.status_of(name, 0)
-    assert status.error_code == NodeStatus.STEP_ABORTED and "the camera stopped" in status.error_message
+    assert status.error_code == NodeStatus.STEP_ABORTED
+    assert "the camera stopped" in status.error_message
     assert "frames 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15 of 16 never arrived" in status.error_message
     bench.send(frames[4:])
     bench.abort(name, 0)

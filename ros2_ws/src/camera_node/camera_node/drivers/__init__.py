@@ -1,6 +1,7 @@
-"""Camera drivers: each turns one call into one frame."""
+"""Camera drivers: each call returns one frame."""
 
-from camera_node.drivers.aravis import AravisDriver, AravisSettings, Trigger
+from camera_node.drivers.aravis import AravisDriver
+from camera_node.drivers.aravis_settings import AravisSettings, Trigger
 from camera_node.drivers.driver import Driver, Frame, PlacedPlane, Scene, ShownPattern, StreamingDriver
 from camera_node.drivers.files import FilesDriver
 from camera_node.drivers.stamp_of import StampOf

@@ -1,4 +1,4 @@
-"""What the camera node needs of a camera."""
+"""Interface of a camera, and the scene in front of a virtual one."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from fringedic.clocks import ClockEstimate
+from fringedic.recording.clocks import ClockEstimate
 
 
 @dataclass(frozen=True)
 class PlacedPlane:
-    """The reference plane that stands where the specimen would.
+    """The reference plane in the place of the specimen.
 
     Attributes
     ----------
     surface
         ``plain``, or with the printed ``grid`` on it.
     angle, height
-        Of the stage [rad, m].
+        Angle and height of the stage [rad, m].
     """
 
     surface: Literal["plain", "grid"]
@@ -30,14 +30,14 @@ class PlacedPlane:
 
 @dataclass(frozen=True)
 class ShownPattern:
-    """An image that the projector was given.
+    """An image on the screen of the projector.
 
     Attributes
     ----------
     image
         uint8, (row, column).
     shown_ns
-        When it was handed over [ns].
+        Time at which it was shown [ns].
     """
 
     image: np.ndarray
@@ -46,20 +46,20 @@ class ShownPattern:
 
 @dataclass(frozen=True)
 class Scene:
-    """What is in front of a virtual camera; real cameras see for themselves.
+    """Scene of an exposure; only a virtual camera needs it.
 
     Attributes
     ----------
     stamp_ns
         Middle of the exposure [ns].
     patterns
-        The latest images that the projector was given, oldest first; none: the projector is dark.
+        The latest images of the projector, oldest first; empty: the projector is dark.
     position
         Crosshead position [m].
     plane
-        What the stage holds; None: the specimen is there.
+        The plane on the stage; None: the specimen is in front of the camera.
     exposure_time
-        [s].
+        Exposure time [s].
     """
 
     stamp_ns: int
@@ -80,7 +80,7 @@ class Frame:
     stamp_ns
         Middle of the exposure [ns].
     exposure_time
-        That the camera really took [s].
+        Exposure time that the camera used [s].
     """
 
     image: np.ndarray
@@ -89,14 +89,14 @@ class Frame:
 
 
 class Driver(Protocol):
-    """A camera. Its methods are called in one background thread, one call at a time, and may block.
+    """A camera. One background thread calls its methods, which may block.
 
     Attributes
     ----------
     needs_scene
-        The camera is virtual: the scene has to be put together before the exposure.
+        The camera is virtual and needs the scene of each exposure.
     dropped
-        Frames that were exposed and did not arrive, or not completely, since the camera was opened.
+        Frames that were exposed and did not arrive completely, since the camera was opened.
     """
 
     needs_scene: bool
@@ -104,12 +104,12 @@ class Driver(Protocol):
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """What else the way from the camera is known to have done, such as packets lost; told in the diagnostics."""
+        """Further counts of the connection, such as lost packets; published in the diagnostics."""
         ...
 
     @property
     def clock(self) -> ClockEstimate | None:
-        """The clock of the camera's stamps against this computer's; None without such a clock or before a frame."""
+        """Clock of the camera relative to this computer; None without such a clock or before the first frame."""
         ...
 
     def expose(self, scene: Scene) -> Frame:
@@ -118,17 +118,17 @@ class Driver(Protocol):
         Raises
         ------
         FringedicError
-            There is no frame; the message says why. The next call may succeed.
+            There is no frame; the message gives the reason. The next call may succeed.
         """
         ...
 
     def close(self) -> None:
-        """Give the camera back."""
+        """Close the camera."""
         ...
 
 
 class LocalDriver:
-    """What files, videos and the digital twin have in common: no way on which frames get lost, and no other clock."""
+    """Base of files, videos and the digital twin: no frames get lost, and there is no other clock."""
 
     needs_scene = False
     dropped = 0
@@ -138,10 +138,10 @@ class LocalDriver:
 
 @runtime_checkable
 class StreamingDriver(Driver, Protocol):
-    """A camera that can expose by its own clock."""
+    """A camera that can expose at a rate by its own clock."""
 
     def start(self, rate_hz: float) -> None:
-        """Expose at a rate [Hz] from now on; `expose` then gives one frame after the other, as they come.
+        """Start to expose at a rate [Hz]; `expose` then returns one frame after the other.
 
         Raises
         ------
@@ -151,9 +151,9 @@ class StreamingDriver(Driver, Protocol):
         ...
 
     def interrupt(self) -> None:
-        """Let an `expose` that waits in another thread raise soon, as the stream is about to end."""
+        """End an `expose` that waits in another thread: the stream is about to end."""
         ...
 
     def stop(self) -> None:
-        """End what `start` began."""
+        """End the stream that `start` began."""
         ...

@@ -7,14 +7,12 @@ from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from camera_node.drivers.driver import Frame, LocalDriver, Scene
-from camera_node.drivers.grey import luminance
-from fringedic.errors import CameraError
+from fringedic.errors import CameraError, ImageError
+from fringedic.frames.files import IMAGE_SUFFIXES, read_grey
 
-SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
 _KEPT_IMAGES = 16  # of a source that repeats, so that a short series costs no reading
 
 
@@ -37,12 +35,12 @@ class FilesDriver(LocalDriver):
     def __init__(self, files: str, *, repeat: bool) -> None:
         place = Path(files)
         found = place.iterdir() if place.is_dir() else place.parent.glob(place.name)
-        self._paths = sorted(path for path in found if path.suffix.lower() in SUFFIXES)
+        self._paths = sorted(path for path in found if path.suffix.lower() in IMAGE_SUFFIXES)
         if not files or not self._paths:
-            raise CameraError(f"no images ({', '.join(SUFFIXES)}) at '{files}'; set files to a folder of images")
+            raise CameraError(f"no images ({', '.join(IMAGE_SUFFIXES)}) at '{files}'; set files to a folder of images")
         self._files = files
         self._repeat = repeat
-        self._read: Callable[[Path], np.ndarray] = lru_cache(_KEPT_IMAGES)(read_grey) if repeat else read_grey
+        self._read: Callable[[Path], np.ndarray] = lru_cache(_KEPT_IMAGES)(_read) if repeat else _read
         self._next = 0
 
     def expose(self, scene: Scene) -> Frame:
@@ -67,23 +65,9 @@ class FilesDriver(LocalDriver):
         """Nothing is kept open."""
 
 
-def read_grey(path: Path) -> np.ndarray:
-    """Grey levels of an image file, uint8 or uint16 (row, column); colours and palettes become their luminance.
-
-    Raises
-    ------
-    CameraError
-        The file is missing, no image, or of another pixel type.
-    """
+def _read(path: Path) -> np.ndarray:
+    """Return the grey levels of an image file."""
     try:
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    except OSError as error:
-        raise CameraError(f"{path} cannot be read: {error.strerror}") from error
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
-    if image is None:
-        raise CameraError(f"{path} is not an image that can be read")
-    if image.dtype not in (np.uint8, np.uint16):
-        raise CameraError(f"{path} has pixels of type {image.dtype}; 8 or 16 bits are needed")
-    if image.ndim == 2:
-        return image
-    return luminance(image)
+        return read_grey(path)
+    except ImageError as error:
+        raise CameraError(str(error)) from error

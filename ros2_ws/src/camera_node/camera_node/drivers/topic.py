@@ -1,4 +1,4 @@
-"""Images of another ROS 2 node: whatever driver the camera's maker or the community offers."""
+"""Images of another ROS 2 node: a driver of the manufacturer or of the community."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import Image
 
 from camera_node.drivers.driver import Frame, Scene
-from camera_node.drivers.grey import luminance
 from camera_node.drivers.stamp_of import StampOf
-from fringedic.clocks import ClockEstimate, DeviceClock
 from fringedic.errors import CameraError, CameraTimeoutError, ClockJumpError
+from fringedic.frames.grey import luminance
+from fringedic.recording.clocks import ClockEstimate, DeviceClock
 from fringedic_ros.images import image_array
 from fringedic_ros.stamps import to_nanoseconds
 
 _TYPE = "sensor_msgs/msg/Image"
-_WAITING = 8  # images that may wait in this process, and in the middleware
-_LOOK_S = 0.2  # between two looks at who publishes
-_AHEAD_NS = 5_000_000  # by which synchronised clocks of two computers may differ
+_WAITING = 8  # images that may wait in this process and in the middleware
+_LOOK_S = 0.2  # between two checks of the publishers
+_AHEAD_NS = 5_000_000  # largest difference of the synchronised clocks of two computers
 _SAME_AS = {"8UC1": "mono8", "16UC1": "mono16"}
-_COLOURS = {"bgr8": slice(None), "rgb8": slice(None, None, -1)}  # order of channels that makes them blue, green, red
+_COLOURS = {"bgr8": slice(None), "rgb8": slice(None, None, -1)}  # order of the channels for blue, green, red
 
 
 @dataclass(frozen=True)
 class TopicSettings:
-    """Whose images are taken, and what is known of them.
+    """Topic of the images, and their properties.
 
     Attributes
     ----------
     topic
         Name of the image topic.
     exposure_time
-        To which the camera is set there [s].
+        Exposure time set in that driver [s].
     stamp_of
-        Moment of the exposure that the images' stamps are of.
+        Moment of the exposure to which the stamps belong.
     timeout
-        How long to wait for an image beyond its exposure time [s].
+        Longest wait for an image beyond its exposure time [s].
     """
 
     topic: str
@@ -55,21 +55,21 @@ class TopicSettings:
 
 
 class TopicDriver:
-    """A camera that another node drives; it exposes by itself, and the first image that began late enough counts.
+    """A camera that another node drives; `expose` returns the first image whose exposure began after the request.
 
-    The subscription takes the reliability of whoever publishes, and follows when that changes.
+    The subscription uses the reliability of the publisher, and follows its changes.
 
     Parameters
     ----------
     node
-        Owner of the subscription; its executor must be spinning while `expose` waits in another thread.
+        Owner of the subscription; its executor must spin while `expose` waits in another thread.
     settings
-        Whose images.
+        Topic and properties of the images.
 
     Raises
     ------
     CameraError
-        The topic is this node's own.
+        The topic is published by this node itself.
     """
 
     needs_scene = False
@@ -81,7 +81,9 @@ class TopicDriver:
         self._settings = settings
         self._topic = node.resolve_topic_name(settings.topic)
         if any(publisher.topic_name == self._topic for publisher in node.publishers):
-            raise CameraError(f"{self._topic} is this node's own topic; give that of the camera's driver another name")
+            raise CameraError(
+                f"{self._topic} is a topic of this node itself; give the topic of the camera's driver another name"
+            )
         self._clock = DeviceClock("driver")
         self._jump: ClockJumpError | None = None
         self._last_stamp_ns = 0
@@ -97,21 +99,21 @@ class TopicDriver:
 
     @property
     def clock(self) -> ClockEstimate | None:
-        """The driver's clock against this computer's."""
+        """Clock of the driver relative to this computer."""
         return self._clock.estimate
 
-    def start(self, rate_hz: float) -> None:
-        """Keep every image from now on; their rate is the driver's own."""
+    def start(self, rate_hz: float) -> None:  # noqa: ARG002 (only the driver can change the rate)
+        """Keep every image from now on, at the rate of the driver."""
         self._streaming, self._interrupted = True, False
 
     def interrupt(self) -> None:
-        """Wait no longer: the executor, whose thread ends the stream, cannot deliver an image meanwhile."""
+        """End the wait for an image: the executor, whose thread ends the stream, cannot deliver one."""
         with self._arrived:
             self._interrupted = True
             self._arrived.notify()
 
     def stop(self) -> None:
-        """End what `start` began."""
+        """End the stream that `start` began."""
         self._streaming = self._interrupted = False
 
     def expose(self, scene: Scene) -> Frame:
@@ -120,15 +122,15 @@ class TopicDriver:
         Raises
         ------
         CameraTimeoutError
-            No such image came; the message says what did come.
+            No such image arrived; the message describes what did arrive.
         CameraError
-            The image or its stamp cannot be used, or another exposure time is asked for.
+            The image or its stamp cannot be used, or another exposure time is requested.
         """
         settings = self._settings
         if scene.exposure_time != settings.exposure_time:
             raise CameraError(
-                f"an exposure of {1e3 * scene.exposure_time:g} ms is asked for; the driver of {self._topic} exposes "
-                f"for {1e3 * settings.exposure_time:g} ms, which only it can change"
+                f"an exposure of {1e3 * scene.exposure_time:g} ms is requested; the driver of {self._topic} exposes "
+                f"for {1e3 * settings.exposure_time:g} ms; change the exposure time there"
             )
         asked = 0 if self._streaming else self._node.get_clock().now().nanoseconds
         deadline = time.monotonic() + settings.timeout + settings.exposure_time
@@ -150,14 +152,14 @@ class TopicDriver:
             passed_over, age = passed_over + 1, 1e-9 * (arrived - stamp)
 
     def close(self) -> None:
-        """Take no images any more."""
+        """Unsubscribe."""
         self._node.destroy_timer(self._timer)
         self._unsubscribe()
 
     # in the executor's thread
 
     def _look(self) -> None:
-        """Subscribe with the reliability that is offered."""
+        """Subscribe with the reliability of the publisher."""
         count = self._node.count_publishers(self._topic)
         matched = 0 if self._subscription is None else self._subscription.get_publisher_count()
         if count == matched == len(self._publishers):
@@ -165,7 +167,7 @@ class TopicDriver:
         self._publishers = self._node.get_publishers_info_by_topic(self._topic)
         offered = {each.qos_profile.reliability for each in self._publishers if each.topic_type == _TYPE}
         if not offered:
-            return  # a driver that is gone may come back as it was
+            return  # the driver may return with the same settings
         reliable = offered == {ReliabilityPolicy.RELIABLE}
         wanted = ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT
         if wanted == self._reliability:
@@ -189,7 +191,7 @@ class TopicDriver:
         arrived = self._node.get_clock().now().nanoseconds
         stamp = to_nanoseconds(message.header.stamp)
         if stamp == self._last_stamp_ns:
-            return  # the same image once more
+            return  # the same image again
         self._last_stamp_ns = stamp
         with self._arrived:
             try:
@@ -209,7 +211,7 @@ class TopicDriver:
     # in the thread that waits
 
     def _next(self, deadline: float) -> tuple[Image, int] | None:
-        """The next image and when it arrived [ns]; None when none comes before the deadline."""
+        """Return the next image and its time of arrival [ns]; None when none arrives before the deadline."""
         with self._arrived:
             self._arrived.wait_for(
                 lambda: self._images or self._jump or self._interrupted, max(deadline - time.monotonic(), 0.0)
@@ -221,48 +223,48 @@ class TopicDriver:
             return self._images.popleft() if self._images else None
 
     def _silence(self, passed_over: int, age: float) -> str:
-        """Why no image can be had."""
+        """Return the reason why there is no image."""
         settings, publishers = self._settings, self._publishers
         waited = f"within {settings.timeout + settings.exposure_time:.3g} s"
         images = [each for each in publishers if each.topic_type == _TYPE]
         if not publishers:
-            return f"nobody publishes {self._topic}; is the camera's driver running?"
+            return f"no node publishes {self._topic}; start the driver of the camera"
         if not images:
-            return f"{self._topic} carries {publishers[0].topic_type}; {_TYPE} is needed"
+            return f"{self._topic} has the type {publishers[0].topic_type}; {_TYPE} is needed"
         if not passed_over:
-            return f"{_names(images)} publishes {self._topic} but no image came {waited}; is its camera connected?"
+            return f"{_names(images)} publishes {self._topic} but no image arrived {waited}; check its camera"
         return (
-            f"{passed_over} images came on {self._topic} {waited}, the last {age:.3g} s after its stamp, and no "
-            "exposure began after it was asked for; synchronise the driver's clock with this computer's"
+            f"{passed_over} images arrived on {self._topic} {waited}, the last {age:.3g} s after its stamp, and no "
+            "exposure began after the request; synchronise the clock of the driver with this computer"
         )
 
     def _check_stamp(self, stamp_ns: int, arrived_ns: int) -> None:
         settings = self._settings
         if len(self._publishers) > 1:
-            raise CameraError(f"{_names(self._publishers)} publish {self._topic}; one camera is needed")
+            raise CameraError(f"{_names(self._publishers)} publish {self._topic}; only one camera may publish it")
         ended = settings.stamp_of.start_ns(stamp_ns, settings.exposure_time) + round(1e9 * settings.exposure_time)
         if ended > arrived_ns + _AHEAD_NS:
             raise CameraError(
                 f"an image of {self._topic} arrived {1e-9 * (ended - arrived_ns):.3g} s before the end of its exposure "
-                f"by its stamp; synchronise the driver's clock with this computer's, or correct exposure_time_s and "
+                f"by its stamp; synchronise the clock of the driver with this computer, or correct exposure_time_s and "
                 f"stamp_of ({settings.stamp_of})"
             )
 
     def _grey(self, message: Image) -> np.ndarray:
-        """Grey levels of an image message, uint8 or uint16 (row, column)."""
+        """Return the grey levels of an image message, uint8 or uint16 (row, column)."""
         message.encoding = _SAME_AS.get(message.encoding, message.encoding)
         if message.encoding in ("mono8", "mono16"):
             return image_array(message)
         if message.encoding not in _COLOURS:
             raise CameraError(
-                f"{self._topic} carries images of the encoding {message.encoding}; set the camera's driver to mono8 or "
+                f"{self._topic} has images of the encoding {message.encoding}; set the camera's driver to mono8 or "
                 "mono16"
             )
         if not self._converted:
             self._converted = True
             self._node.get_logger().warning(
-                f"{self._topic} carries colours ({message.encoding}); their luminance is taken, which is coarser and "
-                "noisier than the camera's grey: set its driver to mono8 or mono16 if it can"
+                f"{self._topic} has colours ({message.encoding}); their luminance is used, which is coarser and has "
+                "more noise than grey images: set the driver to mono8 or mono16 if possible"
             )
         return luminance(image_array(message)[:, :, _COLOURS[message.encoding]])
 

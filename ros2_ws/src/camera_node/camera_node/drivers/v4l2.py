@@ -1,4 +1,4 @@
-"""USB cameras (UVC) and other devices of Video4Linux: frames through OpenCV, controls by the kernel's own calls."""
+"""USB cameras (UVC) and other devices of Video4Linux: frames through OpenCV, controls by calls of the kernel."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ import numpy as np
 
 from camera_node.drivers.driver import Frame, Scene
 from camera_node.drivers.stamp_of import StampOf
-from fringedic.clocks import ClockEstimate
 from fringedic.errors import CameraError, CameraTimeoutError
+from fringedic.recording.clocks import ClockEstimate
 
 _GET, _SET = 0xC008561B, 0xC008561C  # VIDIOC_G_CTRL, VIDIOC_S_CTRL of linux/videodev2.h
 _CONTROL = struct.Struct("=Ii")  # identifier and value
@@ -25,30 +25,30 @@ _EXPOSURE_MODE = 0x009A0901  # V4L2_CID_EXPOSURE_AUTO
 _MANUAL = 1  # of it
 _EXPOSURE = 0x009A0902  # V4L2_CID_EXPOSURE_ABSOLUTE
 _EXPOSURE_UNIT_S = 1e-4  # of it
-_LARGEST_DEVIATION = 0.05  # of the exposure time that a camera takes from the one asked for
-_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 8.0  # between attempts to find a camera that is gone
-# formats of which the grey levels are what the sensor gave; of YUYV every other byte
+_LARGEST_DEVIATION = 0.05  # of the exposure time that a camera sets, relative to the requested one
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 8.0  # between two attempts to open a lost camera
+# formats with the grey levels of the sensor; in YUYV, every second byte
 _FORMATS = {"Mono8": ("GREY", "YUYV"), "Mono16": ("Y16 ",)}
 
 
 @dataclass(frozen=True)
 class V4l2Settings:
-    """How a device is to be used.
+    """Settings of a device.
 
     Attributes
     ----------
     device
-        Its path; those in /dev/v4l/by-id stay the same when it is plugged in again.
+        Path of the device; the paths in /dev/v4l/by-id do not change when it is plugged in again.
     exposure_time
-        [s], in units of 0.1 ms.
+        Exposure time [s], in units of 0.1 ms.
     size
-        (width, height) of its images [px]; None is what the device is set to.
+        (width, height) of the images [px]; None keeps the setting of the device.
     pixel_format
         "Mono8" or "Mono16".
     stamp_of
-        Moment of the exposure that the kernel's stamps are of.
+        Moment of the exposure to which the stamps of the kernel belong.
     timeout
-        How long to wait for a frame beyond its exposure time [s].
+        Longest wait for a frame beyond its exposure time [s].
     """
 
     device: str
@@ -60,27 +60,27 @@ class V4l2Settings:
 
 
 class V4l2Driver:
-    """A camera of Video4Linux; it exposes by itself, and the first frame that began late enough counts.
+    """A camera of Video4Linux; `expose` returns the first frame whose exposure began after the request.
 
-    Automatic exposure and gain are switched off, and an exposure is refused when one of them is found on; the gain
-    stays what the device is set to. What the device makes of a setting is read back. A camera that is lost fails the
-    exposures of that time and is looked for again at the next ones, with pauses that double up to 8 s.
+    Automatic exposure and gain are switched off, and an exposure fails when one of them is found on; the gain keeps the
+    setting of the device. Every setting is read back. While a camera is lost, exposures fail; the driver tries to open
+    it again at each exposure, with pauses that double up to 8 s.
 
     Parameters
     ----------
     settings
-        How the device is to be used.
+        Settings of the device.
 
     Raises
     ------
     CameraError
-        There is no such device, or it refuses a setting; the message says which.
+        There is no such device, or it refuses a setting; the message names it.
     """
 
     needs_scene = False
     dropped = 0
     counts: Mapping[str, int] = {}
-    clock: ClockEstimate | None = None  # the kernel stamps frames by this computer's steady clock
+    clock: ClockEstimate | None = None  # the kernel stamps frames by the steady clock of this computer
 
     def __init__(self, settings: V4l2Settings) -> None:
         if settings.pixel_format not in _FORMATS:
@@ -95,7 +95,7 @@ class V4l2Driver:
         self._video: cv2.VideoCapture | None = self._connect()
 
     def start(self, rate_hz: float) -> None:
-        """Give every frame from now on.
+        """Return every frame from now on.
 
         Raises
         ------
@@ -106,10 +106,10 @@ class V4l2Driver:
         self._rate = rate_hz
 
     def interrupt(self) -> None:
-        """Nothing: a frame is never long in coming."""
+        """Do nothing: `expose` returns soon."""
 
     def stop(self) -> None:
-        """End what `start` began."""
+        """End the stream that `start` began."""
         self._rate = None
 
     def expose(self, scene: Scene) -> Frame:
@@ -118,9 +118,9 @@ class V4l2Driver:
         Raises
         ------
         CameraTimeoutError
-            No such frame came.
+            No such frame arrived.
         CameraError
-            The camera is gone, or sets itself.
+            The camera is lost, or controls its exposure by itself.
         """
         video, controls = self._device()
         try:
@@ -137,16 +137,16 @@ class V4l2Driver:
             except cv2.error as error:
                 raise self._lost(error.err) from error
             if not read:
-                raise self._lost("it gives no frame")
-            # a device without stamps of its own: when its frame was here
+                raise self._lost("it returns no frame")
+            # without stamps of the device: the time of arrival
             stamp = round(1e6 * video.get(cv2.CAP_PROP_POS_MSEC)) or time.monotonic_ns()
             if self._settings.stamp_of.start_ns(stamp, self._exposure_time) >= asked:
                 middle = self._settings.stamp_of.middle_ns(stamp, self._exposure_time)
                 return Frame(self._grey(raw), middle + time.time_ns() - time.monotonic_ns(), self._exposure_time)
-        raise CameraTimeoutError(f"{self._path}: no frame began after it was asked for; is stamp_of right?")
+        raise CameraTimeoutError(f"{self._path}: no frame began after the request; check the parameter stamp_of")
 
     def close(self) -> None:
-        """Give the device back."""
+        """Close the device."""
         if self._video is not None:
             self._video.release()
             self._video = None
@@ -162,7 +162,7 @@ class V4l2Driver:
         video = cv2.VideoCapture(self._path, cv2.CAP_V4L2)
         try:
             if not video.isOpened():
-                raise CameraError(f"{self._path} gives no frames; does another program use it?")
+                raise CameraError(f"{self._path} returns no frames; check whether another program uses it")
             self._set_format(video)
             if settings.size is not None:
                 video.set(cv2.CAP_PROP_FRAME_WIDTH, settings.size[0])
@@ -185,11 +185,11 @@ class V4l2Driver:
         return video
 
     def _device(self) -> tuple[cv2.VideoCapture, _Controls]:
-        """The device, opened again when it was lost."""
+        """Return the device, opened again when it was lost."""
         if self._video is None:
             wait = self._next_attempt - time.monotonic()
             if wait > 0:
-                raise CameraError(f"{self._path} is gone; looking for it again in {wait:.1f} s")
+                raise CameraError(f"{self._path} is lost; the next attempt to open it is in {wait:.1f} s")
             try:
                 self._video = self._connect()
             except (CameraError, OSError) as error:
@@ -202,10 +202,10 @@ class V4l2Driver:
         self.close()
         self._next_attempt = time.monotonic() + self._pause
         self._pause = min(2 * self._pause, _LONGEST_PAUSE_S)
-        return CameraError(f"{self._path} is gone: {why}; check its cable")
+        return CameraError(f"{self._path} is lost: {why}; check its cable")
 
     def _set_format(self, video: cv2.VideoCapture) -> None:
-        """Ask for grey levels as the sensor gives them, not for colours made of them."""
+        """Select a format with the grey levels of the sensor, not colours computed from them."""
         video.set(cv2.CAP_PROP_CONVERT_RGB, 0)
         for code in _FORMATS[self._settings.pixel_format]:
             video.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*code))
@@ -214,40 +214,40 @@ class V4l2Driver:
                 return
         raise CameraError(
             f"{self._path} has none of the formats {', '.join(_FORMATS[self._settings.pixel_format])} of "
-            f"{self._settings.pixel_format}; compressed images are not measured in"
+            f"{self._settings.pixel_format}; compressed images cannot be measured"
         )
 
     def _set_exposure_time(self, controls: _Controls, wanted: float) -> None:
         controls.set(_EXPOSURE, round(wanted / _EXPOSURE_UNIT_S))
         taken = controls.get(_EXPOSURE) * _EXPOSURE_UNIT_S
         if abs(taken - wanted) > _LARGEST_DEVIATION * wanted:
-            raise CameraError(f"exposure time: {self._path} makes {1e3 * taken:g} ms of {1e3 * wanted:g} ms")
+            raise CameraError(f"exposure time: {self._path} sets {1e3 * taken:g} ms instead of {1e3 * wanted:g} ms")
         self._asked_exposure_time, self._exposure_time = wanted, taken
 
     def _set_rate(self, video: cv2.VideoCapture, rate_hz: float) -> None:
         video.set(cv2.CAP_PROP_FPS, rate_hz)
         given = video.get(cv2.CAP_PROP_FPS)
         if abs(given - rate_hz) > 0.01 * rate_hz:
-            raise CameraError(f"{self._path} does not give {rate_hz:g} frames/s, the nearest is {given:g}")
+            raise CameraError(f"{self._path} does not offer {rate_hz:g} frames/s, the nearest rate is {given:g}")
 
     def _grey(self, raw: np.ndarray) -> np.ndarray:
-        """Grey levels of an image as the device gave it, (row, column)."""
+        """Return the grey levels of an image of the device, (row, column)."""
         if self._format == "YUYV":
             return np.ascontiguousarray(raw[:, :, 0])
         return raw if raw.ndim == 2 else np.ascontiguousarray(raw[:, :, 0])
 
 
 class _Controls:
-    """Controls of a device, by its own file descriptor."""
+    """Controls of a device, through a file descriptor of their own."""
 
     def __init__(self, path: str) -> None:
         self._path = path
         try:
             self._descriptor = os.open(path, os.O_RDWR | os.O_NONBLOCK)
         except FileNotFoundError:
-            raise CameraError(f"there is no device {path}; those that are there: {_present()}") from None
+            raise CameraError(f"there is no device {path}; present devices: {_present()}") from None
         except OSError as error:
-            raise CameraError(f"{path}: {error.strerror}; this user may have to be in the group video") from error
+            raise CameraError(f"{path}: {error.strerror}; add this user to the group video") from error
         try:
             self._known(_EXPOSURE)
         except OSError as error:
@@ -255,16 +255,16 @@ class _Controls:
             raise CameraError(f"{path} is not a video device ({error.strerror})") from error
 
     def get(self, control: int) -> int:
-        """Value of a control."""
+        """Return the value of a control."""
         answer = fcntl.ioctl(self._descriptor, _GET, _CONTROL.pack(control, 0))
         return int(_CONTROL.unpack(answer)[1])
 
     def set(self, control: int, value: int) -> None:
-        """Set a control; OSError when the device has none or refuses."""
+        """Set a control; raises OSError when the device does not have it or refuses."""
         fcntl.ioctl(self._descriptor, _SET, _CONTROL.pack(control, value))
 
     def switch_automatic_off(self) -> None:
-        """Let the device set nothing by itself."""
+        """Switch automatic exposure and gain off."""
         for what, control, off in _AUTOMATIC:
             if self._known(control):
                 try:
@@ -276,7 +276,7 @@ class _Controls:
         self.refuse_automatic()
 
     def refuse_automatic(self) -> None:
-        """Raise a CameraError when the device sets itself."""
+        """Raise a CameraError when automatic exposure or gain is on."""
         for what, control, off in _AUTOMATIC:
             if self._known(control) and self.get(control) != off:
                 raise CameraError(
@@ -303,4 +303,4 @@ _AUTOMATIC = (("automatic exposure", _EXPOSURE_MODE, _MANUAL), ("automatic gain"
 
 def _present() -> str:
     devices = sorted(entry.path for entry in os.scandir("/dev") if entry.name.startswith("video"))
-    return ", ".join(devices) or "none; is the camera plugged in?"
+    return ", ".join(devices) or "none; connect the camera"

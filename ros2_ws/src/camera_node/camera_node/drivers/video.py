@@ -1,4 +1,4 @@
-"""A recorded video instead of a camera: each exposure takes the next frame."""
+"""Frames of a video file instead of a camera: each exposure reads the next frame."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from pathlib import Path
 import cv2
 
 from camera_node.drivers.driver import Frame, LocalDriver, Scene
-from camera_node.drivers.grey import luminance
 from fringedic.errors import CameraError
+from fringedic.frames.grey import luminance
 
-# codes of OpenCV for pixels of one grey level, 8 and 16 bits, which it gives as they are when asked to
+# codes of OpenCV for grey pixels of 8 and 16 bits, which it returns unchanged without CONVERT_RGB
 _GREY = {"Y800", "Y1\x00\x10"}
 _SAME_RATE = 0.01
 
@@ -19,15 +19,15 @@ _SAME_RATE = 0.01
 class VideoDriver(LocalDriver):
     """Camera that reads the frames of a video file in their order.
 
-    On request a frame is stamped with the time at which it is read. A free run plays the file at its own times.
+    A requested frame has the time of reading as its stamp. A free run plays the file at its own rate.
 
     Parameters
     ----------
     file
-        Any video that OpenCV's FFmpeg reads. Of lossless grey ones the levels are those that were recorded; of others
-        the luminance is taken.
+        A video that FFmpeg of OpenCV can read. Lossless grey videos keep their grey levels; others are converted to
+        luminance.
     repeat
-        Begin again after the last frame.
+        Start again after the last frame.
 
     Raises
     ------
@@ -39,12 +39,12 @@ class VideoDriver(LocalDriver):
         self._file = file
         self._repeat = repeat
         if not Path(file).is_file():
-            raise CameraError(f"there is no video '{file}'; set files to a video file")
+            raise CameraError(f"there is no video '{file}'; set the parameter files to a video file")
         self._open()
-        self._began_ns: int | None = None  # when a free run showed the time 0 of the file
+        self._began_ns: int | None = None  # time of the first frame of the file in a free run
 
     def start(self, rate_hz: float) -> None:
-        """Play the file from now on; `expose` then gives each frame at its time.
+        """Play the file from now on; `expose` then returns each frame at its time.
 
         Raises
         ------
@@ -57,10 +57,10 @@ class VideoDriver(LocalDriver):
         self._began_ns = time.time_ns() - round(1e6 * self._video.get(cv2.CAP_PROP_POS_MSEC))
 
     def interrupt(self) -> None:
-        """Nothing: a frame is never long in coming."""
+        """Do nothing: `expose` returns soon."""
 
     def stop(self) -> None:
-        """End what `start` began; the next frame is the one after the last."""
+        """End the playback that `start` began; the next frame follows the last one."""
         self._began_ns = None
 
     def expose(self, scene: Scene) -> Frame:
@@ -69,7 +69,7 @@ class VideoDriver(LocalDriver):
         Raises
         ------
         CameraError
-            All have been taken.
+            All frames have been read.
         """
         read, image = self._video.read()
         if not read and self._repeat and self._taken:
@@ -79,7 +79,7 @@ class VideoDriver(LocalDriver):
             read, image = self._video.read()
         if not read:
             raise CameraError(
-                f"all {self._taken} frames of '{self._file}' have been taken; set repeat to begin again"
+                f"all {self._taken} frames of '{self._file}' have been taken; set repeat to start again"
                 if self._taken
                 else f"'{self._file}' has no frame that can be read"
             )

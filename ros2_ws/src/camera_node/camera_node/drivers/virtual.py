@@ -1,21 +1,25 @@
-"""The camera of a virtual rig, and the truth behind what it sees."""
+"""Camera of the digital twin."""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from typing import Any
 
-import h5netcdf
 import numpy as np
-import xarray as xr
 
 from camera_node.drivers.driver import Frame, LocalDriver, PlacedPlane, Scene
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration, pattern_weights
 
 
 class VirtualDriver(LocalDriver):
-    """Camera of the digital twin. Frames are numbered from 0 on; the number and the rig's seed decide the noise."""
+    """Camera of the digital twin.
+
+    Frames are numbered from 0 on; the number and the seed of the rig determine the noise.
+
+    Parameters
+    ----------
+    configuration
+        The rig.
+    """
 
     needs_scene = True
 
@@ -23,11 +27,11 @@ class VirtualDriver(LocalDriver):
         self.rig = VirtualRig(configuration)
         self._plane: tuple[PlacedPlane, VirtualRig] | None = None
         self._frames = 0
-        # the first call compiles, or loads what was compiled: before the first frame is asked for
+        # the first call compiles or loads the compiled code: not during the first capture
         self.rig.expose(self._dark(), 0.0, 0)
 
     def expose(self, scene: Scene) -> Frame:
-        """Render what the camera sees of a scene."""
+        """Render a scene."""
         white = self.rig.configuration.sensor.exposure_ms
         image = self._rig_with(scene.plane).expose_parts(
             self._parts(scene),
@@ -39,10 +43,10 @@ class VirtualDriver(LocalDriver):
         return Frame(image, scene.stamp_ns, scene.exposure_time)
 
     def close(self) -> None:
-        """Nothing is kept open."""
+        """Do nothing: no device is open."""
 
     def _parts(self, scene: Scene) -> list[tuple[np.ndarray, float]]:
-        """What the projector's light during the exposure is made of."""
+        """Return the patterns on the screen during the exposure with their shares of the light."""
         if not scene.patterns:
             return [(self._dark(), 1.0)]
         projector = self.rig.configuration.projector
@@ -54,7 +58,7 @@ class VirtualDriver(LocalDriver):
         return [(pattern.image, float(weight)) for pattern, weight in zip(scene.patterns, weights, strict=True)]
 
     def _rig_with(self, plane: PlacedPlane | None) -> VirtualRig:
-        """The rig in front of the specimen, or of the reference plane; the latest place of that is kept."""
+        """Return the rig with the specimen, or with the reference plane, of which the latest place is cached."""
         if plane is None:
             return self.rig
         if self._plane is None or self._plane[0] != plane:
@@ -69,57 +73,3 @@ class VirtualDriver(LocalDriver):
 
     def _dark(self) -> np.ndarray:
         return np.zeros(self.rig.projector_shape, np.uint8)
-
-
-class TruthFile:
-    """Ground truth of one experiment, as NetCDF with the dimension `step`, which grows step by step.
-
-    Shape and displacement are those of `VirtualRig.truth`, against the position of the first step that is added.
-
-    Parameters
-    ----------
-    path
-        The file; an older one is replaced when the first step is added.
-    rig
-        The twin.
-    """
-
-    def __init__(self, path: Path, rig: VirtualRig) -> None:
-        self._path = path
-        self._rig = rig
-        self._reference_position: float | None = None
-
-    def add(self, step: int, position: float) -> None:
-        """Write the truth of a step at a crosshead position [m]; steps left out stay NaN, and invalid."""
-        first = self._reference_position is None
-        if self._reference_position is None:
-            self._reference_position = position
-        truth = self._rig.truth(position, self._reference_position)
-        if first:
-            self._create(truth)
-        with h5netcdf.File(self._path, "a") as file:
-            file.resize_dimension("step", max(step + 1, file.dimensions["step"].size))
-            for name in _of_step(truth):
-                file.variables[name][step] = truth[name].values
-            file.variables["position"][step] = position
-
-    def _create(self, truth: xr.Dataset) -> None:
-        """Write what belongs to the reference, and no step yet."""
-        empty = truth[_of_step(truth)].expand_dims(step=0)
-        file = xr.merge([truth.drop_vars(_of_step(truth)), empty], combine_attrs="drop")
-        file["position"] = ("step", np.empty(0), {"units": "m", "long_name": "crosshead position"})
-        file.attrs = {"reference_position_m": truth.attrs["reference_position_m"]}
-        encoding: dict[str, dict[str, Any]] = {}
-        for name, variable in file.data_vars.items():
-            if variable.ndim > 1:
-                flag = variable.dtype == bool
-                encoding[str(name)] = {"dtype": "i1"} if flag else {"dtype": "f4", "_FillValue": np.float32(np.nan)}
-                if "step" in variable.dims:
-                    encoding[str(name)]["chunksizes"] = (1, *self._rig.shape)
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        file.to_netcdf(self._path, engine="h5netcdf", encoding=encoding, unlimited_dims=["step"])
-
-
-def _of_step(truth: xr.Dataset) -> list[str]:
-    """Variables that change from step to step; the others are of the reference surface."""
-    return [str(name) for name in truth.data_vars if name not in ("x", "y", "z", "lit")]

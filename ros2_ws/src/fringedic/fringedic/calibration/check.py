@@ -1,39 +1,50 @@
-"""Self-test: does the rig still hold its calibration?
+"""Self-test of a rig: whether it still holds its calibration.
 
-A flat plate comes out flat only when camera and projector stand as they did; where it lies does not matter. A known
-distance checks the scale, which flatness does not see: two marks on the plate, or the plate lifted by a known height.
+A flat plate is measured as flat only when camera and projector are where they were during the calibration; the position
+of the plate does not matter. Flatness does not depend on the scale, which a known distance checks: two marks on the
+plate, or the plate lifted by a known height.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 import xarray as xr
 
-from fringedic.calibration.judgement import GOOD
+from fringedic.calibration.findings import CheckProblem, CheckWarning
+from fringedic.calibration.fit_results import GOOD
 from fringedic.calibration.planes import PlaneBlocks, reduce_plane, response_ripple
-from fringedic.errors import CalibrationPlanesError, ShapeMismatchError
-from fringedic.rig import RigModel
-from fringedic.sequence import Orientation
+from fringedic.camera.findings import Finding
+from fringedic.errors import CalibrationError, ImageError
+from fringedic.patterns.pattern import Orientation
+from fringedic.rig.model import RigModel
 
-SCALE_TOLERANCE = 2e-3  # relative error of a known distance up to which the scale holds
+SCALE_TOLERANCE = 2e-3  # relative error of a known distance up to which the scale holds; a gauge block is far better
 _OLD = 30 * 86400.0  # [s]
-_SIGMAS = 3.0
-_SEEN = 2.0  # times the noise of block means: a change that is there, whether it matters or not
+_SIGMAS = 3.0  # of the distance's noise
+_SEEN = 2.0  # times the noise of block means: a significant change, whether it matters or not
 
 
-@dataclass(frozen=True)
+class CheckVerdict(StrEnum):
+    """Whether a rig holds its calibration."""
+
+    HOLDS = "holds"
+    HOLDS_WITH_CHANGE = "holds with change"  # a change is significant, and below the noise of a pixel
+    FAILS = "fails"
+
+
+@dataclass(frozen=True, eq=False)
 class RigCheck:
-    """What a check of the rig found.
+    """Result of a check of the rig.
 
     Attributes
     ----------
-    holds, verdict
-        Whether the calibration can still be used, and the answer in words.
     flatness, flatness_noise
-        Root mean square distance of the block means from the best plane, and what noise alone would give [m].
+        Root mean square distance of the block means from the best plane, and its expectation for noise alone [m].
     noise
         Predicted noise of a pixel [m].
     tilt_x, tilt_y
@@ -43,20 +54,16 @@ class RigCheck:
     distance, expected
         The known distance as measured and as given [m]; NaN when none was given.
     response
-        Largest amplitude of the phase's ripple at three times the fringes' frequency and more, which the response of
-        projector and camera leaves [rad].
+        Largest amplitude of the phase's ripple at three times the fringes' frequency and more, due to the response of
+        projector and camera [rad].
     drift
-        Root mean square change of the plate against an earlier measurement, without noise [m]; NaN without one.
+        Root mean square change of the plate since an earlier measurement, without noise [m]; NaN without one.
     age
-        Age of the calibration [s]; NaN when not known.
+        Age of the calibration [s]; NaN when unknown.
     residual_map
         ``residual`` [m] of block means from the best plane (row, column).
-    warnings
-        Sentences.
     """
 
-    holds: bool
-    verdict: str
     flatness: float
     flatness_noise: float
     noise: float
@@ -69,10 +76,52 @@ class RigCheck:
     drift: float
     age: float
     residual_map: xr.Dataset
-    warnings: tuple[str, ...]
+
+    @property
+    def problems(self) -> tuple[Finding, ...]:
+        """Why the rig does not hold its calibration; empty when it does."""
+        return tuple(self._find_problems())
+
+    @property
+    def warnings(self) -> tuple[Finding, ...]:
+        """What should be better, as codes; `fringedic.report.calibration_sentences` makes sentences of them."""
+        return tuple(self._find_warnings())
+
+    @property
+    def verdict(self) -> CheckVerdict:
+        """Whether the calibration can still be used."""
+        if self.problems:
+            return CheckVerdict.FAILS
+        changed = self.flatness > _SEEN * self.flatness_noise
+        return CheckVerdict.HOLDS_WITH_CHANGE if changed else CheckVerdict.HOLDS
+
+    @property
+    def holds(self) -> bool:
+        """Whether the calibration can still be used."""
+        return self.verdict is not CheckVerdict.FAILS
+
+    @property
+    def scale_error(self) -> float:
+        """Error of the known distance [m]; NaN when none was given."""
+        return self.distance - self.expected
+
+    def _find_problems(self) -> Iterator[Finding]:
+        if self.flatness > GOOD * self.noise:
+            yield Finding(CheckProblem.BENT)
+        noise = self.flatness_noise / math.sqrt(self.residual_map["residual"].count())
+        if abs(self.scale_error) > SCALE_TOLERANCE * abs(self.expected) + _SIGMAS * noise:
+            yield Finding(CheckProblem.SCALE)
+
+    def _find_warnings(self) -> Iterator[Finding]:
+        if self.age > _OLD:
+            yield Finding(CheckWarning.OLD)
+        if self.drift > self.noise:
+            yield Finding(CheckWarning.DRIFT)
+        if math.isnan(self.expected):
+            yield Finding(CheckWarning.SCALE_NOT_CHECKED)
 
 
-def check_rig(
+def check_rig(  # noqa: PLR0913 - the public function: every keyword is one thing that a user may have measured
     rig: RigModel,
     phase: np.ndarray | xr.DataArray,
     sigma: np.ndarray | xr.DataArray | None = None,
@@ -92,7 +141,8 @@ def check_rig(
     rig
         The calibration in use.
     phase, sigma
-        Absolute phase of a flat plate anywhere in the calibrated volume, and its standard deviation [rad].
+        Absolute phase of a flat plate anywhere in the calibrated volume, and its standard deviation [rad], shape
+        (row, column), NaN where not measured.
     pitch, orientation
         Of the fringes [projector px].
     marks
@@ -102,53 +152,66 @@ def check_rig(
     lifted
         Phase of the same plate lifted by `distance` [rad].
     earlier
-        Phase of the plate at the same place some time before: tells the drift, such as that of a warming projector.
+        Phase of the plate at the same position some time before [rad]: gives the drift, for example of a projector that
+        warms up.
     age
         Of the calibration [s].
 
+    Returns
+    -------
+    RigCheck
+        ``holds`` is False when the rig has to be calibrated again; ``problems`` says why.
+
     Raises
     ------
-    CalibrationPlanesError
-        A distance without marks or lifted plate, or the other way round.
-    CalibrationPhaseError
-        Too little of the image is measured.
-    ShapeMismatchError
+    CalibrationError
+        A distance without marks or lifted plate, or the other way round; or too little of the image is measured.
+    ImageError
         Maps of different sizes.
+
+    Examples
+    --------
+    A plate at z = 1 mm, and the same plate lifted by 5 mm:
+
+    >>> import numpy as np
+    >>> import fringedic
+    >>> from fringedic.calibration import check_rig
+    >>> from fringedic.virtual_rig import VirtualRig
+    >>> rig = fringedic.RigModel(**VirtualRig.from_preset("plate", size="tiny").optics())
+    >>> column, row = np.meshgrid(np.arange(rig.camera_width), np.arange(rig.camera_height))
+    >>> noise = np.random.default_rng(0).normal(0.0, 0.01, column.shape)
+    >>> def plate(z):
+    ...     ray = rig.ray_matrix @ np.stack([column.ravel(), row.ravel(), np.ones(column.size)])
+    ...     x, y, _ = ray * (z - rig.camera_distance) / ray[2]
+    ...     return rig.phase(x, y, z, pitch=10.0).reshape(column.shape) + noise
+    >>> check = check_rig(rig, plate(1e-3), pitch=10.0, lifted=plate(6e-3), distance=5e-3)
+    >>> check.holds, round(1e3 * check.distance, 2)
+    (True, 5.0)
     """
     if (distance is None) != (marks is None and lifted is None) or (marks is not None and lifted is not None):
-        raise CalibrationPlanesError("a known distance needs either two marks or the phase of the lifted plate")
+        raise CalibrationError("a known distance needs either two marks or the phase of the lifted plate")
     for name, other in (("lifted", lifted), ("earlier", earlier), ("sigma", sigma)):
         if other is not None and np.shape(other) != np.shape(phase):
-            raise ShapeMismatchError(f"{name}: shape {np.shape(other)} for a phase of {np.shape(phase)}")
-    blocks = reduce_plane(phase, sigma, "the flat plate")
-    points, noise = _points(rig, blocks, pitch, orientation)
-    plane = _best_plane(points, noise)
-    upright = math.sqrt(1 + plane[1] ** 2 + plane[2] ** 2)
-    residual = (points[2] - _height(plane, points)) / upright
-    slope = float(np.nanmean(noise / blocks.sigma))
+            raise ImageError(f"{name}: shape {np.shape(other)} for a phase of {np.shape(phase)}")
+    fringes = _Fringes(rig, pitch, orientation)
+    plate = fringes.measure(reduce_plane(phase, sigma, "the flat plate"))
     measured = math.nan
     if marks is not None:
-        seen = [_on_plane(rig, plane, mark) for mark in marks]
+        seen = [_on_plane(rig, plate.plane, mark) for mark in marks]
         measured = float(np.linalg.norm(seen[1] - seen[0]))
     elif lifted is not None:
-        above, above_noise = _points(rig, reduce_plane(lifted, sigma, "the lifted plate"), pitch, orientation)
-        middle = np.array([np.nanmean(points[0]), np.nanmean(points[1])])
-        heights = [each[0] + each[1:] @ middle for each in (_best_plane(above, above_noise), plane)]
-        measured = float(heights[0] - heights[1]) / upright
+        measured = plate.distance_to(fringes.measure(reduce_plane(lifted, sigma, "the lifted plate")))
     drift = math.nan
     if earlier is not None:
-        before, _ = _points(rig, reduce_plane(earlier, sigma, "the earlier plate"), pitch, orientation)
-        square = float(np.nanmean((points[2] - before[2]) ** 2)) - 2 * float(np.nanmean(noise**2))
-        drift = math.sqrt(max(square, 0.0))
-    found = RigCheck(
-        holds=False,
-        verdict="",
+        drift = plate.drift_since(fringes.measure(reduce_plane(earlier, sigma, "the earlier plate")))
+    blocks, residual = plate.blocks, plate.residual
+    return RigCheck(
         flatness=math.sqrt(float(np.nanmean(residual**2))),
-        flatness_noise=math.sqrt(float(np.nanmean(noise**2))),
-        noise=blocks.noise * slope,
-        tilt_x=math.atan(plane[2]),
-        tilt_y=math.atan(plane[1]),
-        height=float(plane[0]),
+        flatness_noise=math.sqrt(float(np.nanmean(plate.noise**2))),
+        noise=blocks.noise * float(np.nanmean(plate.noise / blocks.sigma)),
+        tilt_x=math.atan(plate.plane[2]),
+        tilt_y=math.atan(plate.plane[1]),
+        height=float(plate.plane[0]),
         distance=measured,
         expected=math.nan if distance is None else distance,
         response=response_ripple(blocks.ripple),
@@ -158,18 +221,54 @@ def check_rig(
             {"residual": (("row", "column"), residual, {"units": "m", "long_name": "distance from the best plane"})},
             coords={"row": blocks.row, "column": blocks.column},
         ),
-        warnings=(),
     )
-    return _judged(found)
 
 
-def _points(
-    rig: RigModel, blocks: PlaneBlocks, pitch: float, orientation: Orientation
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return x, y, z of the blocks (3, n, m) and the noise of z (n, m) [m]."""
-    phase = xr.DataArray(blocks.phase, dims=("row", "column"), coords={"row": blocks.row, "column": blocks.column})
-    shape = rig.reconstruct(phase, pitch, blocks.sigma, orientation)
-    return np.stack([shape[name].to_numpy() for name in "xyz"]), shape["noise_z"].to_numpy()
+@dataclass(frozen=True, eq=False)
+class _Plate:
+    """A measured plate: points (3, n, m) and noise of z (n, m) of its blocks [m], and z = a + b x + c y."""
+
+    blocks: PlaneBlocks
+    points: np.ndarray
+    noise: np.ndarray
+    plane: np.ndarray
+
+    @property
+    def upright(self) -> float:
+        """Length of the normal (-b, -c, 1)."""
+        return math.sqrt(1 + self.plane[1] ** 2 + self.plane[2] ** 2)
+
+    @property
+    def residual(self) -> np.ndarray:
+        """Distance of the blocks from the plane along its normal [m], (n, m)."""
+        residual: np.ndarray = (self.points[2] - _height(self.plane, self.points)) / self.upright
+        return residual
+
+    def distance_to(self, other: _Plate) -> float:
+        """Return by how much another plate is above this one, along the normal in the middle of this one [m]."""
+        middle = np.array([np.nanmean(self.points[0]), np.nanmean(self.points[1])])
+        heights = [each[0] + each[1:] @ middle for each in (other.plane, self.plane)]
+        return float(heights[0] - heights[1]) / self.upright
+
+    def drift_since(self, earlier: _Plate) -> float:
+        """Return the RMS change of z since an earlier measurement, without noise [m]."""
+        change = float(np.nanmean((self.points[2] - earlier.points[2]) ** 2))
+        return math.sqrt(max(change - 2 * float(np.nanmean(self.noise**2)), 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Fringes:
+    """The rig and the fringes that a plate is measured with."""
+
+    rig: RigModel
+    pitch: float
+    orientation: Orientation
+
+    def measure(self, blocks: PlaneBlocks) -> _Plate:
+        """Reconstruct the blocks of a plate and fit its plane."""
+        shape = self.rig.reconstruct(blocks.as_phase_map(), self.pitch, blocks.sigma, self.orientation)
+        points, noise = np.stack([shape[name].to_numpy() for name in "xyz"]), shape["noise_z"].to_numpy()
+        return _Plate(blocks, points, noise, _best_plane(points, noise))
 
 
 def _best_plane(points: np.ndarray, noise: np.ndarray) -> np.ndarray:
@@ -188,7 +287,7 @@ def _height(plane: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _on_plane(rig: RigModel, plane: np.ndarray, pixel: tuple[float, float]) -> np.ndarray:
-    """Return where the line of sight of a pixel meets the plate [m]."""
+    """Return the point (3,) in which the line of sight of a pixel meets the plate [m]."""
     column, row = np.array([pixel[0]]), np.array([pixel[1]])
     if rig.camera_distortion is not None:
         column, row = rig.camera_distortion.ideal(column, row)
@@ -196,43 +295,3 @@ def _on_plane(rig: RigModel, plane: np.ndarray, pixel: tuple[float, float]) -> n
     along = (plane[0] - rig.camera_distance) / (ray[2] - plane[1] * ray[0] - plane[2] * ray[1])
     result: np.ndarray = along * ray + (0.0, 0.0, rig.camera_distance)
     return result
-
-
-def _judged(found: RigCheck) -> RigCheck:
-    """Return the check with its verdict."""
-    noise = f"the noise of a pixel is {1e6 * found.noise:.2g} µm"
-    flat = f"the plate comes out flat to {1e6 * found.flatness:.2g} µm ({noise})"
-    warnings = []
-    if found.age > _OLD:
-        warnings.append(f"The calibration is {found.age / 86400:.0f} days old.")
-    if found.drift > found.noise:
-        warnings.append(
-            f"The plate seems to have moved by {1e6 * found.drift:.2g} µm since it was measured before: wait until "
-            "projector and camera are warm."
-        )
-    if math.isnan(found.expected):
-        warnings.append("No known distance was measured: the scale is not checked.")
-    problems = []
-    if found.flatness > GOOD * found.noise:
-        problems.append(
-            f"a flat plate comes out bent by {1e6 * found.flatness:.2g} µm ({noise}): camera, projector or lens has "
-            "moved since the calibration, or the plate is not flat"
-        )
-    error = found.distance - found.expected
-    if abs(error) > SCALE_TOLERANCE * abs(found.expected) + _SIGMAS * found.flatness_noise / math.sqrt(
-        found.residual_map["residual"].count()
-    ):
-        problems.append(
-            f"a distance of {1e3 * found.expected:.4g} mm is measured as {1e3 * found.distance:.4g} mm "
-            f"({100 * error / found.expected:+.2f} %): the scale or the geometry has changed"
-        )
-    scale = ""
-    if not math.isnan(found.expected):
-        scale = f"; {1e3 * found.expected:.4g} mm are measured as {1e3 * found.distance:.5g} mm"
-    if problems:
-        verdict = f"The rig does not hold its calibration: {'; and '.join(problems)}. Calibrate again."
-    elif found.flatness > _SEEN * found.flatness_noise:
-        verdict = f"The rig holds its calibration, but a change is seen: {flat}{scale}."
-    else:
-        verdict = f"The rig holds its calibration: {flat}{scale}."
-    return replace(found, holds=not problems, verdict=verdict, warnings=tuple(warnings))

@@ -1,11 +1,12 @@
-"""Start of a calibration without starting values: the paper's six parameters from linear least squares.
+"""Start of a calibration without starting values: the six-parameter model from linear least squares.
 
-On a plane z = t x through the rotation axis the paper's model (eq. 10 with the signs corrected) reads, X being the
-position on the reference plane that a pixel looks at, measured from the axis,
+On a plane z = t x through the rotation axis the six-parameter model (Molimard, Boyer, Zahouani, eq. 10, with corrected
+signs; Breque et al. 2004) reads, X being the position on the reference plane that a pixel looks at, measured from the
+axis,
 
     phi - phi0 = A X / (1 + B X),   A = K (hp - t d) / L^2,   B = t / h0 - (d + t hp) / L^2,   L^2 = d^2 + hp^2,
 
-so that A and B grow linearly with t = tan(angle) and give K, hp, d and h0 in closed form. On planes z = c
+so that A and B are linear in t = tan(angle) and give K, hp, d and h0 in closed form. On planes z = c
 
     (phi - phi0)(X = 0) = -c K d / (L^2 - c hp),   B = -(1 - c / h0) d / (L^2 - c hp).
 """
@@ -17,13 +18,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fringedic.calibration.planes import FEWEST_PLANES, SMALLEST_MOVE, SMALLEST_TURN, PlaneBlocks
-from fringedic.errors import CalibrationAnglesError, CalibrationPhaseError, CalibrationPlanesError
+from fringedic.calibration.placement import FEWEST_PLANES, SMALLEST_MOVE, SMALLEST_TURN, Placement
+from fringedic.calibration.planes import PlaneBlocks
+from fringedic.errors import CalibrationError
 
 
 @dataclass(frozen=True)
-class PaperParameters:
-    """The six parameters of the paper's model.
+class SixParameters:
+    """The six parameters of the closed form (Molimard; Breque).
 
     Attributes
     ----------
@@ -46,13 +48,9 @@ class PaperParameters:
 
 
 def closed_form(
-    planes: Sequence[PlaneBlocks],
-    across: np.ndarray,
-    along: np.ndarray,
-    angles: np.ndarray,
-    heights: np.ndarray,
-) -> PaperParameters:
-    """Return the paper's parameters without any starting value.
+    planes: Sequence[PlaneBlocks], across: np.ndarray, along: np.ndarray, placement: Placement
+) -> SixParameters:
+    """Return the six parameters without any starting value.
 
     Parameters
     ----------
@@ -60,18 +58,16 @@ def closed_form(
         Phase maps.
     across, along
         Positions on the reference plane that the blocks look at, across the fringes and along them [m], (n, m).
-    angles, heights
-        Of the planes [rad], [m]. At least three angles at one height, or three heights at one angle.
+    placement
+        Of the planes: at least three angles at one height, or three heights at one angle.
 
     Raises
     ------
-    CalibrationPlanesError
-        When there are neither.
-    CalibrationAnglesError
-        When K, hp and h0 come out negative: the angles, or heights, have the wrong sign.
-    CalibrationPhaseError
-        When the phase runs against the coordinates, or is that of no plane.
+    CalibrationError
+        Too few angles or heights; K, hp and h0 come out negative, because angles or heights have the wrong sign; or the
+        phase runs against the coordinates, or is that of no plane.
     """
+    angles, heights = placement.angles, placement.heights
     turned = _at_one(heights, SMALLEST_MOVE)
     if _distinct(angles[turned], SMALLEST_TURN) >= FEWEST_PLANES:
         chosen = [planes[i] for i in turned]
@@ -79,7 +75,7 @@ def closed_form(
     else:
         lifted = _at_one(angles, SMALLEST_TURN)
         if _distinct(heights[lifted], SMALLEST_MOVE) < FEWEST_PLANES:
-            raise CalibrationPlanesError(
+            raise CalibrationError(
                 f"give at least {FEWEST_PLANES} angles at the same height, or {FEWEST_PLANES} heights at the same angle"
             )
         found = _from_heights([_rational(planes[i], across, along) for i in lifted], heights[lifted])
@@ -88,7 +84,7 @@ def closed_form(
 
 
 def _at_one(values: np.ndarray, apart: float) -> np.ndarray:
-    """Return the indices of the most values that are equal."""
+    """Return the indices of the largest group of equal values."""
     equal = np.abs(values[:, None] - values) <= apart
     result: np.ndarray = np.flatnonzero(equal[np.argmax(equal.sum(axis=1))])
     return result
@@ -111,10 +107,10 @@ def _rational(plane: PlaneBlocks, across: np.ndarray, along: np.ndarray) -> tupl
 
 def _from_angles(
     rational: Sequence[tuple[float, float, float]], slope: np.ndarray, across: np.ndarray
-) -> PaperParameters:
+) -> SixParameters:
     a0, a1, b = np.array(rational).T[:, :, None]
-    # All planes have the same phase on their common line, the axis, and where the phase does not depend on z. A rig
-    # that is of use has the latter outside its view, the axis nearer to the middle.
+    # All planes have the same phase on their common line, the axis, and where the phase does not depend on z. The
+    # latter is outside the view of a useful rig; the axis is nearer to the middle.
     candidates = np.linspace(1.5 * across.min(), 1.5 * across.max(), 6001)
     phases = (a0 + a1 * candidates) / (1 + b * candidates)
     variance = phases.var(axis=0)
@@ -130,7 +126,7 @@ def _from_angles(
     base = -1 / (b_level * (1 + ratio**2))
     projector = ratio * base
     squared = base**2 + projector**2
-    return PaperParameters(
+    return SixParameters(
         camera_distance=float(1 / (b_slope + projector / squared)),
         projector_distance=float(projector),
         base=float(base),
@@ -140,7 +136,7 @@ def _from_angles(
     )
 
 
-def _from_heights(rational: Sequence[tuple[float, float, float]], height: np.ndarray) -> PaperParameters:
+def _from_heights(rational: Sequence[tuple[float, float, float]], height: np.ndarray) -> SixParameters:
     phase, _, bend = np.array(rational).T
     # phi (1 - c v) = phi0 - c (u + phi0 v) with u = K d / L^2, v = hp / L^2
     matrix = np.stack([np.ones_like(height), -height, height * phase], axis=1)
@@ -150,7 +146,7 @@ def _from_heights(rational: Sequence[tuple[float, float, float]], height: np.nda
     line, level = np.polyfit(height, bend * (1 - height * v), 1)
     w = -level
     squared = 1 / (v**2 + w**2)
-    return PaperParameters(
+    return SixParameters(
         camera_distance=float(w / line),
         projector_distance=float(v * squared),
         base=float(w * squared),
@@ -160,31 +156,28 @@ def _from_heights(rational: Sequence[tuple[float, float, float]], height: np.nda
     )
 
 
-def _check_signs(found: PaperParameters) -> None:
+def _check_signs(found: SixParameters) -> None:
     values = (found.camera_distance, found.projector_distance, found.base, found.sensitivity)
     words = (
         f"h0 = {1e3 * found.camera_distance:.4g} mm, hp = {1e3 * found.projector_distance:.4g} mm, "
         f"d = {1e3 * found.base:.4g} mm, K = {found.sensitivity:.4g}"
     )
     if not np.all(np.isfinite(values)):
-        raise CalibrationPhaseError(f"the phase maps are those of no plane that turns: {words}")
-    h0, hp, _, k = (value > 0 for value in values)
-    if h0 and hp and k:
-        return
-    if not (h0 or hp or k):
-        raise CalibrationAnglesError(
-            f"the angles have the wrong sign ({words}): a positive angle raises the side of +x, right in the image "
-            "(that of +y, up in the image, with horizontal fringes), towards the camera"
-        )
-    if h0 and hp:
-        raise CalibrationPhaseError(
-            f"the phase falls where it should grow ({words}): the fringe frames are in reverse order, or the projector "
-            "shows a mirrored image"
-        )
-    if k:
-        raise CalibrationPhaseError(
-            f"the camera's image is mirrored, or both the fringes and the angles run the wrong way ({words})"
-        )
-    raise CalibrationPhaseError(
-        f"the phase maps do not belong to a plane at these angles ({words}): wrong angles, fringe orders or patterns"
-    )
+        raise CalibrationError(f"the phase maps are not those of a plane that turns: {words}")
+    signs = found.camera_distance > 0, found.projector_distance > 0, found.sensitivity > 0
+    if not all(signs):
+        raise CalibrationError(_SIGN_ERRORS.get(signs, _OTHER_SIGNS).format(words))
+
+
+# By the signs of h0, hp and K.
+_SIGN_ERRORS = {
+    (False, False, False): "the angles have the wrong sign ({}): a positive angle raises the side of +x, right in the "
+    "image (that of +y, up in the image, with horizontal fringes), towards the camera",
+    (True, True, False): "the phase falls where it should grow ({}): the fringe frames are in reverse order, or the "
+    "projector shows a mirrored image",
+    **dict.fromkeys(
+        ((True, False, True), (False, True, True), (False, False, True)),
+        "the camera's image is mirrored, or both the fringes and the angles run the wrong way ({})",
+    ),
+}
+_OTHER_SIGNS = "the phase maps do not belong to a plane at these angles ({}): wrong angles, fringe orders or patterns"

@@ -1,9 +1,9 @@
-"""Weighted least squares of the phases of planes, and the choice of the model that the data ask for.
+"""Weighted least squares of the phases of planes, and the information criterion that compares models.
 
-Every residual is divided by the standard deviation that the phase's own noise predicts, so that the covariance is the
-inverse of the normal matrix, scaled by nothing. Errors of angles and heights are parameters of their own, held by what
-is known of the stage. Models are compared by the Bayesian information criterion, chi^2 / s^2 + parameters ln(blocks);
-s^2 is 1, or more when even the richest model leaves more than noise.
+Every residual is divided by the standard deviation that the noise of the phase predicts, so that the covariance is the
+inverse of the normal matrix without scaling. Errors of angles and heights are parameters with priors, the standard
+uncertainty of the stage. Models are compared by the Bayesian information criterion (Schwarz 1978), chi^2 / s^2 +
+parameters ln(blocks); s^2 is 1, or larger when even the best model leaves more than noise.
 """
 
 from __future__ import annotations
@@ -18,33 +18,50 @@ from scipy.optimize import least_squares
 from fringedic.calibration.geometry import (
     AXIS,
     GENERAL,
-    PAPER,
     SCALES,
+    SIX_PARAMETERS,
     Camera,
-    Placement,
-    angle_error,
-    height_error,
     pin_hole_deviation,
     predict,
 )
+from fringedic.calibration.placement import Placement, angle_error, height_error
 from fringedic.calibration.planes import PlaneBlocks
-from fringedic.errors import InvalidCalibrationError
+from fringedic.calibration.variants import ModelVariant
+from fringedic.errors import CalibrationError
 
-_STEP = 1e-5  # of a scale, for central differences: 1e-10 of the derivative
-_OUT_OF_REACH = 1e6  # residual of parameters that mean no rig
-_TOLERANCE = 1e-10
-_MOST_STEPS = 60
+_STEP = 1e-5  # of a scale, for central differences: relative error of the derivative about 1e-10
+_OUT_OF_REACH = 1e6  # standard deviations; residual of parameters that are not those of a rig
+_TOLERANCE = 1e-10  # relative, of parameters and chi square: far below every standard deviation
+_MOST_STEPS = 60  # evaluations of the residuals
 
 
 @dataclass(frozen=True)
 class Prior:
-    """What is known of a parameter before the fit: its value and the standard deviation of that."""
+    """Prior knowledge of a parameter: its value and standard deviation."""
 
     value: float
     sigma: float
 
 
 @dataclass(frozen=True)
+class StageUncertainty:
+    """Standard uncertainty of single angles [rad] and heights [m] of the stage; 0 for exact ones."""
+
+    angle: float = 0.0
+    height: float = 0.0
+
+    def priors(self, planes: Sequence[int]) -> dict[str, Prior]:
+        """Return the priors of the errors of angles [rad] and heights [m] of these planes."""
+        priors = {}
+        for plane in planes:
+            if self.angle > 0:
+                priors[angle_error(plane)] = Prior(0.0, self.angle)
+            if self.height > 0:
+                priors[height_error(plane)] = Prior(0.0, self.height)
+        return priors
+
+
+@dataclass(frozen=True, eq=False)
 class Observations:
     """The phases that a fit explains.
 
@@ -67,7 +84,7 @@ class Observations:
         return sum(len(phase) for phase in self.phases)
 
     def only(self, planes: Sequence[int], skip: int = 1) -> Observations:
-        """Return those of some planes, every `skip`-th block."""
+        """Return the observations of some planes, every `skip`-th block."""
         chosen = [self.planes.index(plane) for plane in planes]
         return Observations(
             tuple(planes),
@@ -77,7 +94,7 @@ class Observations:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Solution:
     """A fitted model.
 
@@ -103,12 +120,17 @@ class Solution:
 
     @property
     def freedom(self) -> int:
-        """Blocks beyond parameters."""
+        """Number of blocks minus number of parameters."""
         return max(1, self.count - len(self.names))
+
+    @property
+    def reduced_chi_square(self) -> float:
+        """Chi square per degree of freedom."""
+        return self.chi_square / self.freedom
 
 
 def observe(camera: Camera, planes: Sequence[PlaneBlocks]) -> Observations:
-    """Return the blocks of all planes that are measured."""
+    """Return the measured blocks of all planes."""
     pixels, phases, sigmas = [], [], []
     for plane in planes:
         column, row = np.meshgrid(plane.column, plane.row)
@@ -128,15 +150,19 @@ def fit(
     free: Sequence[str],
     priors: Mapping[str, Prior],
 ) -> Solution:
-    """Fit the free parameters, from a start that names all parameters.
+    """Fit the free parameters by Levenberg-Marquardt.
 
     Parameters
     ----------
+    camera, placement, observations
+        The known part of the rig, the stated positions of the planes, and the phases to be explained.
+    start
+        Values of all parameters (SI, px).
     free
-        Parameters to be found; the others of `start` stay as they are.
+        Parameters to be fitted; the others keep their value of `start`.
     priors
-        Of free parameters. What is known of the pin-hole by grids on the turned plane is added where the camera's tilt
-        is free.
+        Of free parameters. The pin-hole that grids on the tilted plane located is added as an observation where the
+        camera's tilt is free.
     """
     names = tuple(free)
     fixed = dict(start)
@@ -149,12 +175,14 @@ def fit(
         values = {**fixed, **dict(zip(names, (scaled * scales).tolist(), strict=True))}
         try:
             seen = predict(camera, values, placement, observations.planes, observations.pixels)
-        except InvalidCalibrationError:
+        except CalibrationError:
             seen = np.full_like(phases, np.nan)
         known = [(scaled[i] * scales[i] - prior.value) / prior.sigma for i, prior in held]
         if pin_hole is not None:
             known += pin_hole_deviation(camera, pin_hole, values).tolist()
-        return np.nan_to_num(np.concatenate([(seen - phases) / sigmas, known]), nan=_OUT_OF_REACH)
+        deviations: np.ndarray = np.concatenate([(seen - phases) / sigmas, known])
+        residual: np.ndarray = np.nan_to_num(deviations, nan=_OUT_OF_REACH)
+        return residual
 
     def jacobian(scaled: np.ndarray) -> np.ndarray:
         columns = []
@@ -195,42 +223,30 @@ def information_criterion(solution: Solution, scatter: float) -> float:
 
 
 def parameters_of(
-    model: str, *, turned: bool, tilts: bool, principal: bool, stage_errors: Sequence[str] = ()
+    variant: ModelVariant, *, turned: bool, tilts: bool, principal: bool, stage_errors: Sequence[str] = ()
 ) -> tuple[str, ...]:
     """Return the free parameters of a model.
 
     Parameters
     ----------
-    model
-        "paper"; "general"; "general + k1"; "general + k1 + y": the projector's position along the fringes, which shifts
-        the centre of its distortion.
+    variant
+        The model.
     turned
-        Planes stand at several angles: the axis is sought.
+        The planes have several angles: the rotation axis is fitted.
     tilts, principal
-        The camera's tilts and the projector's principal point are sought, by the general model.
+        The camera's tilts and the projector's principal point are fitted, by the general model.
     stage_errors
         Names of errors of angles and heights.
     """
-    if model == "paper":
-        names = PAPER if turned else tuple(name for name in PAPER if name != "axis_position")
+    if variant is ModelVariant.SIX_PARAMETER:
+        names = tuple(name for name in SIX_PARAMETERS if turned or name != "axis_position")
         return (*names, *stage_errors)
     names = GENERAL + (AXIS if turned else ())
     names += ("camera_tilt_x", "camera_tilt_y") if tilts else ()
     names += ("projector_principal",) if principal else ()
-    names += ("projector_k1",) if "k1" in model else ()
-    names += ("projector_along",) if model.endswith("y") else ()
+    names += ("projector_k1",) if variant.has_k1 else ()
+    names += ("projector_along",) if variant.has_centre else ()
     return (*names, *stage_errors)
-
-
-def stage_priors(planes: Sequence[int], sigma_angle: float, sigma_height: float) -> dict[str, Prior]:
-    """Return the priors of the errors of angles [rad] and heights [m] of these planes."""
-    priors = {}
-    for plane in planes:
-        if sigma_angle > 0:
-            priors[angle_error(plane)] = Prior(0.0, sigma_angle)
-        if sigma_height > 0:
-            priors[height_error(plane)] = Prior(0.0, sigma_height)
-    return priors
 
 
 def _scale(name: str) -> float:

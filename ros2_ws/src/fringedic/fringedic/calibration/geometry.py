@@ -1,9 +1,9 @@
-"""The phases that a rig sees on turned and lifted planes, as a function of the parameters that a calibration seeks.
+"""The phases that a rig sees on tilted and translated planes, as a function of the parameters of a calibration.
 
-Camera and projector are a `RigModel`; what is added here are the planes. The reference plane z = 0 is where the plane
-stands at angle 0 and height 0. It turns about an axis that is free in space (position and direction, four parameters),
-nearly along the fringes, and moves along z. Names are those "across" the fringes, along the base of the rig, and
-"along" them, so that both directions of fringes share one description.
+Camera and projector are a `RigModel`; this module adds the planes. The reference plane z = 0 is the plane at angle 0
+and height 0. It turns about an axis that is free in space (position and direction, four parameters), nearly along the
+fringes, and moves along z. Directions are called "across" the fringes (along the base of the rig) and "along" them, so
+that both directions of fringes share one description.
 """
 
 from __future__ import annotations
@@ -14,13 +14,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fringedic.calibration.closed_form import PaperParameters
-from fringedic.camera import DistortionMap
-from fringedic.camera.plane_view import PinHole, PlaneView
-from fringedic.rig import RigModel
-from fringedic.sequence import Orientation
+from fringedic.calibration.closed_form import SixParameters
+from fringedic.calibration.placement import Placement
+from fringedic.camera.distortion import DistortionMap
+from fringedic.camera.plane_homography import PinHole, PlaneHomography
+from fringedic.patterns.pattern import Orientation
+from fringedic.rig.geometry import GENERAL as GENERAL_MODEL
+from fringedic.rig.geometry import SIX_PARAMETER
+from fringedic.rig.model import RigModel
 
-# Names of parameters, how far each may sensibly change at once, and what people call it.
+# Parameters with the change that scales each in the fit: about the size of its usual deviations.
 _LENGTH, _ANGLE = 1e-2, 1e-2
 SCALES: dict[str, float] = {
     "camera_distance": _LENGTH,
@@ -43,7 +46,7 @@ SCALES: dict[str, float] = {
     "camera_tilt_y": _ANGLE,
     "pixel_size": 1e-7,
 }
-PAPER = (
+SIX_PARAMETERS = (
     "camera_distance",
     "projector_height",
     "projector_across",
@@ -65,7 +68,7 @@ AXIS = ("axis_across", "axis_height", "axis_skew", "axis_slope")
 
 @dataclass(frozen=True)
 class Camera:
-    """What is known of the camera and of the projector's image before the fit.
+    """What is known of the camera and of the projector before the fit.
 
     Attributes
     ----------
@@ -78,8 +81,8 @@ class Camera:
     distortion
         From pixels of the image to ideal ones.
     plane
-        How the camera sees the reference plane; None when no grid was seen there. Tilts are parameters then, and when a
-        grid on the turned plane told more of them than a plane alone can.
+        Homography of the reference plane; None when no grid was seen there. The tilts of the camera are free parameters
+        without it, and also when grids on the tilted plane have located the pin-hole.
     projector_width, projector_height
         Size of the projector's image [px].
     pitch
@@ -95,7 +98,7 @@ class Camera:
     principal_column: float
     principal_row: float
     distortion: DistortionMap | None
-    plane: PlaneView | None
+    plane: PlaneHomography | None
     projector_width: int
     projector_height: int
     pitch: float
@@ -103,40 +106,35 @@ class Camera:
 
     @property
     def vertical(self) -> bool:
-        """Fringes are vertical: across them is x."""
+        """Whether the fringes are vertical, so that x is across them."""
         return self.orientation == Orientation.VERTICAL
-
-    @property
-    def projector_centre(self) -> float:
-        """Middle of the projector's image across the fringes [px]."""
-        return ((self.projector_width if self.vertical else self.projector_height) - 1) / 2
 
     def ideal(self, column: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return ideal pixels of pixels of the image."""
         return (column, row) if self.distortion is None else self.distortion.ideal(column, row)
 
     def on_reference(self, column: np.ndarray, row: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return where ideal pixels of an upright camera look on the reference plane [m] (across, along)."""
+        """Return where the lines of sight of an untilted camera meet the reference plane [m] (across, along)."""
         x = self.pixel_size / self.pixel_aspect * (column - self.principal_column)
         y = -self.pixel_size * (row - self.principal_row)
         return (x, y) if self.vertical else (y, x)
 
 
 def rig_model(camera: Camera, values: Mapping[str, float]) -> RigModel:
-    """Return the rig with these parameters; those that are not given are 0 or known."""
-    paper = "phase_offset" in values
+    """Return the rig with these parameters; parameters that are missing are 0 or known."""
+    six_parameter = "phase_offset" in values
     distance = values["camera_distance"]
     tilts = (values.get("camera_tilt_x", 0.0), values.get("camera_tilt_y", 0.0))
     pixel_size, pixel_aspect = values.get("pixel_size", camera.pixel_size), camera.pixel_aspect
     principal = [camera.principal_column, camera.principal_row]
-    if paper:
-        # the camera stands above the rotation axis: the principal point is where the axis is seen
+    if six_parameter:
+        # the camera is above the rotation axis: the principal point is where the axis is seen
         if camera.vertical:
             principal[0] += values["axis_position"] / (pixel_size / pixel_aspect)
         else:
             principal[1] -= values["axis_position"] / pixel_size
     elif camera.plane is not None:
-        # the grid's pitch may be wrong by a factor, which leaves the angles of a smaller or larger rig as they are
+        # an error of the grid's pitch scales all lengths of the rig and leaves its angles unchanged
         scale = pixel_size / camera.pixel_size
         seen = camera.plane.camera(distance / scale, None if camera.plane.pin_hole is None else tilts)
         pixel_size, pixel_aspect = scale * seen["pixel_size"], seen["pixel_aspect"]
@@ -170,13 +168,13 @@ def rig_model(camera: Camera, values: Mapping[str, float]) -> RigModel:
         projector_principal_column=columns[0],
         projector_principal_row=columns[1],
         projector_k1=values.get("projector_k1", 0.0),
-        model="paper" if paper else "general",
+        model=SIX_PARAMETER if six_parameter else GENERAL_MODEL,
     )
 
 
 def pin_hole_deviation(camera: Camera, pin_hole: PinHole, values: Mapping[str, float]) -> np.ndarray:
-    """Return by how many standard deviations a rig's camera stands beside the pin-hole that grids told, (3,)."""
-    # a grid of another pitch tells the same angles of a larger or smaller rig
+    """Return the deviation of a rig's camera from the pin-hole that grids located, in standard deviations, (3,)."""
+    # a grid of another pitch gives the same angles of a larger or smaller rig
     scale = values.get("pixel_size", camera.pixel_size) / camera.pixel_size
     return pin_hole.deviation(values["camera_distance"] / scale, values["camera_tilt_x"], values["camera_tilt_y"])
 
@@ -193,40 +191,9 @@ def place_plane(camera: Camera, values: Mapping[str, float], angle: float, heigh
     c, s = math.cos(turn), math.sin(turn)
     # Rodrigues' rotation of the direction (0, 0, 1) about k
     turned = np.array([s * k[1], -s * k[0], c]) + (1 - c) * k[2] * k
-    # the point of the axis keeps its distance from the plane, which was its height
+    # the point of the axis keeps its distance from the plane, which is its height at angle 0
     offset = turned @ point - up + height * turned[2]
     return turned, float(offset)
-
-
-@dataclass(frozen=True)
-class Placement:
-    """Where the planes stand, as far as it is known.
-
-    Attributes
-    ----------
-    angles, heights : (plane,)
-        As given [rad], [m].
-    """
-
-    angles: np.ndarray
-    heights: np.ndarray
-
-    def of(self, plane: int, values: Mapping[str, float]) -> tuple[float, float]:
-        """Return angle [rad] and height [m] of a plane with its errors among the parameters."""
-        return (
-            float(self.angles[plane]) + values.get(angle_error(plane), 0.0),
-            float(self.heights[plane]) + values.get(height_error(plane), 0.0),
-        )
-
-
-def angle_error(plane: int) -> str:
-    """Return the name of the parameter that is the error of a plane's angle [rad]."""
-    return f"angle_error_{plane + 1}"
-
-
-def height_error(plane: int) -> str:
-    """Return the name of the parameter that is the error of a plane's height [m]."""
-    return f"height_error_{plane + 1}"
 
 
 def predict(
@@ -236,10 +203,12 @@ def predict(
     planes: Sequence[int],
     pixels: Sequence[np.ndarray],
 ) -> np.ndarray:
-    """Return the phases [rad] that pixels see on planes.
+    """Return the phases that pixels see on planes.
 
     Parameters
     ----------
+    camera, values, placement
+        The known part of the rig, all parameters by name (SI, px), and the stated positions of the planes.
     planes
         Indices of planes.
     pixels
@@ -247,8 +216,8 @@ def predict(
 
     Returns
     -------
-    (n1 + n2 + ...,)
-        One plane after the other.
+    ndarray
+        Phases [rad], float64, shape (n1 + n2 + ...,): one plane after the other.
     """
     rig = rig_model(camera, values)
     matrix, points = rig.ray_matrix, []
@@ -263,8 +232,8 @@ def predict(
     return rig.phase(x, y, z, camera.pitch, camera.orientation)
 
 
-def paper_start(found: PaperParameters, camera: Camera) -> dict[str, float]:
-    """Return the closed form as parameters of the paper's model."""
+def six_parameter_start(found: SixParameters, camera: Camera) -> dict[str, float]:
+    """Return the closed form as start of the six-parameter model."""
     return {
         "camera_distance": found.camera_distance,
         "projector_height": found.projector_distance,
@@ -275,21 +244,22 @@ def paper_start(found: PaperParameters, camera: Camera) -> dict[str, float]:
     }
 
 
-def general_start(paper: Mapping[str, float], camera: Camera, turned: bool) -> dict[str, float]:
-    """Return parameters of the general model near those of the paper's: turned so that the phase on the axis agrees.
+def general_start(six: Mapping[str, float], camera: Camera, turned: bool) -> dict[str, float]:
+    """Return parameters of the general model near those of the six-parameter model.
 
-    The paper's frame begins at the rotation axis, the general one below the camera's pin-hole.
+    The origin of the six-parameter model is on the rotation axis, that of the general model below the camera's
+    pin-hole. The projector is turned so that the phase on the axis agrees.
     """
     start = dict.fromkeys(GENERAL + (AXIS if turned else ()), 0.0)
     for name in ("camera_distance", "projector_height", "projector_focal_length"):
-        start[name] = paper[name]
-    start["projector_across"] = paper["projector_across"] + paper["axis_position"]
+        start[name] = six[name]
+    start["projector_across"] = six["projector_across"] + six["axis_position"]
     if turned:
-        start["axis_across"] = paper["axis_position"]
-    axis = (paper["axis_position"], 0.0) if camera.vertical else (0.0, paper["axis_position"])
+        start["axis_across"] = six["axis_position"]
+    axis = (six["axis_position"], 0.0) if camera.vertical else (0.0, six["axis_position"])
     rig = rig_model(camera, start)
-    missing = paper["phase_offset"] - float(rig.phase(*axis, 0.0, camera.pitch, camera.orientation))
-    # a turn to its left moves everything to the right in the projector's image, one upwards everything down
-    sensitivity = 2 * math.pi * paper["projector_focal_length"] / camera.pitch
+    missing = six["phase_offset"] - float(rig.phase(*axis, 0.0, camera.pitch, camera.orientation))
+    # a turn of the projector to its left moves the scene to the right in its image, a turn upwards moves it down
+    sensitivity = 2 * math.pi * six["projector_focal_length"] / camera.pitch
     start["projector_turn"] = math.atan(missing / sensitivity) * (1 if camera.vertical else -1)
     return start

@@ -1,4 +1,4 @@
-"""Checks of a calibration, kept beside its files: reports of later experiments tell how it held."""
+"""Checks of a calibration, kept beside its files; reports of later experiments contain the latest."""
 
 from __future__ import annotations
 
@@ -11,27 +11,36 @@ import yaml
 from pydantic import ValidationError
 
 from fringedic.calibration.check import RigCheck
-from fringedic.errors import CalibrationFileError
-from fringedic.facts import CheckFacts
+from fringedic.errors import CalibrationError
+from fringedic.metadata import CheckMetadata
 
 CHECKS_FILE = "calibration_checks.yaml"
 _UM, _MM, _FRINGE = 1e6, 1e3, 2 * math.pi
 
 
-def record_check(folder: str | Path, check: RigCheck, when: datetime) -> CheckFacts:
+def record_check(folder: str | Path, check: RigCheck, when: datetime, *, verdict: str) -> CheckMetadata:
     """Add a check to those of the calibration in a folder, in ``calibration_checks.yaml``.
+
+    Parameters
+    ----------
+    folder
+        Of the calibration's files.
+    check, when
+        The check and its time.
+    verdict
+        Its result in words, stored for people; `fringedic.report.calibration_sentences.check_in_words`.
 
     Raises
     ------
-    CalibrationFileError
-        The file that is there holds no checks.
+    CalibrationError
+        The existing file does not contain checks.
     OSError
         The folder cannot be written.
     """
-    facts = CheckFacts(
+    metadata = CheckMetadata(
         created=when.isoformat(timespec="seconds"),
         holds=check.holds,
-        verdict=" ".join([check.verdict, *check.warnings]),
+        verdict=verdict,
         flatness_um=_known(_UM * check.flatness),
         noise_um=_known(_UM * check.noise),
         expected_mm=_known(_MM * check.expected),
@@ -39,31 +48,31 @@ def record_check(folder: str | Path, check: RigCheck, when: datetime) -> CheckFa
         drift_um=_known(_UM * check.drift),
         response_fringe=_known(check.response / _FRINGE),
     )
-    entries = [each.model_dump(exclude_defaults=True) for each in [*recorded_checks(folder), facts]]
+    entries = [each.model_dump(exclude_defaults=True) for each in [*recorded_checks(folder), metadata]]
     file = Path(folder) / CHECKS_FILE
     written = file.with_suffix(".part")
     written.write_text(yaml.safe_dump(entries, sort_keys=False, allow_unicode=True, width=120), encoding="utf-8")
     os.replace(written, file)
-    return facts
+    return metadata
 
 
-def recorded_checks(folder: str | Path) -> list[CheckFacts]:
-    """Return the checks of the calibration in a folder, the oldest first; none where it was never checked.
+def recorded_checks(folder: str | Path) -> list[CheckMetadata]:
+    """Return the checks of the calibration in a folder, the oldest first; none when it was never checked.
 
     Raises
     ------
-    CalibrationFileError
-        The file that is there holds no checks.
+    CalibrationError
+        The existing file does not contain checks.
     """
     file = Path(folder) / CHECKS_FILE
     try:
-        return [CheckFacts.model_validate(each) for each in yaml.safe_load(file.read_text(encoding="utf-8")) or []]
+        return [CheckMetadata.model_validate(each) for each in yaml.safe_load(file.read_text(encoding="utf-8")) or []]
     except FileNotFoundError:
         return []
     except (OSError, yaml.YAMLError, UnicodeDecodeError, TypeError, ValidationError) as error:
-        raise CalibrationFileError(f"{file} does not hold checks of a calibration: {error}") from error
+        raise CalibrationError(f"{file} does not contain checks of a calibration: {error}") from error
 
 
 def _known(value: float) -> float | None:
-    """Return a number as people write it, None for what was not measured."""
+    """Return a number with six digits, None for NaN."""
     return None if math.isnan(value) else float(f"{value:.6g}")

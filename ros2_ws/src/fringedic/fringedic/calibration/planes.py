@@ -1,8 +1,8 @@
-"""Phase maps of the reference plane: what is checked before a fit, and their reduction to a grid of block means.
+"""Phase maps of the reference plane, reduced to a grid of block means.
 
-A fit of a dozen parameters needs no million pixels. Each map becomes some thousand blocks; the phase of a block is that
-at its centre, so that neither the curvature of the phase nor missing pixels shift it, and its standard deviation is
-that of the mean of its pixels.
+A fit of a dozen parameters does not need a million pixels. Each map is reduced to about a thousand blocks. The phase of
+a block is the phase at its centre, so that neither the curvature of the phase nor missing pixels shift it; its standard
+deviation is that of the mean of its pixels.
 """
 
 from __future__ import annotations
@@ -15,23 +15,22 @@ import numpy as np
 import xarray as xr
 from numpy.polynomial import chebyshev
 
-from fringedic.errors import CalibrationAnglesError, CalibrationPhaseError, CalibrationPlanesError, ShapeMismatchError
-from fringedic.rig import pixel_positions
+from fringedic.calibration.placement import Placement
+from fringedic.errors import CalibrationError, ImageError
+from fringedic.rig.reconstruction import pixel_positions
 
-BLOCKS = 1200  # about as many for each plane
+BLOCKS = 1200  # approximate number for each plane
 LEAST_VALID = 0.1  # of the pixels of a block, and of the blocks of a map
-FEWEST_PLANES = 3
-LARGEST_ANGLE = math.radians(70)  # no camera looks at a plane turned further
-SMALLEST_TURN = math.radians(0.05)  # planes closer to each other than this tell nothing
-SMALLEST_MOVE = 20e-6  # the same for translated planes [m]
-HARMONICS = (1, 2, 3, 4, 5, 6)  # of the fringes, looked for in the residual
-_ORDER = 6  # of the polynomial that carries the phase's curvature
+HARMONICS = (1, 2, 3, 4, 5, 6)  # of the fringes, fitted to the residual
+_ORDER = 6  # of the polynomial that models the curvature of the phase
 _OUTLIER = 6.0  # standard deviations
+_SAME = 3.0  # standard deviations (RMS) below which two maps show the same plane; noise alone gives 1
 _SAMPLES = 15_000  # pixels for the polynomial
 _RIPPLE_SAMPLES = 40_000
+_TO_SIGMA = 1.4826  # from the median absolute deviation to the standard deviation of a normal distribution
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PlaneBlocks:
     """One phase map as a grid of blocks.
 
@@ -44,11 +43,11 @@ class PlaneBlocks:
     noise
         Root mean square of the pixels' standard deviation as predicted [rad].
     scatter
-        Mean square of the pixels around their block, in units of the predicted variance: 1 when it is noise alone.
+        Mean square of the pixels about their block mean, in units of the predicted variance: 1 for noise alone.
     valid, outliers
-        Share of the image that is measured, and of the measured pixels that contradict their surroundings.
+        Share of the image that is measured, and share of the measured pixels that contradict their surroundings.
     ripple
-        Amplitude [rad] of the residual at 1, 2, ... 6 times the fringes' frequency.
+        Amplitude [rad] of the residual at 1, 2, ... 6 times the frequency of the fringes.
     """
 
     row: np.ndarray
@@ -61,132 +60,132 @@ class PlaneBlocks:
     outliers: float
     ripple: tuple[float, ...]
 
+    def as_phase_map(self) -> xr.DataArray:
+        """Return the phase with the positions of the block centres, as `RigModel.reconstruct` takes it."""
+        return xr.DataArray(self.phase, dims=("row", "column"), coords={"row": self.row, "column": self.column})
 
-def check_planes(
-    phases: Sequence[np.ndarray | xr.DataArray],
-    angles: Sequence[float] | None,
-    heights: Sequence[float] | None,
-    sigma: Sequence[np.ndarray | xr.DataArray] | None,
-    held_out: Sequence[int],
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return angles [rad], heights [m] and which planes are fitted, after checks that need no look at the phase.
 
-    Raises
-    ------
-    CalibrationPlanesError
-        Too few planes, no difference between them, or an index that does not exist.
-    CalibrationAnglesError
-        Angles that cannot be radians.
-    ShapeMismatchError
-        Maps of different sizes, or lists of different lengths.
+@dataclass(frozen=True, eq=False)
+class CalibrationPlanes:
+    """All planes of a calibration.
+
+    Attributes
+    ----------
+    placement
+        Their stated angles and heights.
+    blocks
+        Their phase maps, reduced.
+    fitted, held_out
+        Indices of the planes for the fit, and of those that test its result.
     """
-    count = len(phases)
-    turn = np.zeros(count) if angles is None else np.asarray(angles, float)
-    lift = np.zeros(count) if heights is None else np.asarray(heights, float)
-    for name, values in (("angles", turn), ("heights", lift)):
-        if values.shape != (count,):
-            raise ShapeMismatchError(f"{values.size} {name} for {count} phase maps: give one for each")
-        if not np.isfinite(values).all():
-            raise CalibrationAnglesError(f"{name} are {values}: they have to be finite numbers")
-    if sigma is not None and len(sigma) != count:
-        raise ShapeMismatchError(f"{len(sigma)} maps of sigma for {count} phase maps: give one for each")
+
+    placement: Placement
+    blocks: tuple[PlaneBlocks, ...]
+    fitted: tuple[int, ...]
+    held_out: tuple[int, ...]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the images for people."""
+        return [self.placement.name(index) for index in range(len(self.blocks))]
+
+    @classmethod
+    def reduce(
+        cls,
+        phases: Sequence[np.ndarray | xr.DataArray],
+        sigma: Sequence[np.ndarray | xr.DataArray] | None,
+        placement: Placement,
+        held_out: Sequence[int],
+    ) -> CalibrationPlanes:
+        """Check and reduce the phase maps [rad] and their standard deviations, images (row, column).
+
+        Raises
+        ------
+        CalibrationError
+            Too few planes, planes at the same position, an index that does not exist, a map without data, or a plane
+            that was not moved.
+        ImageError
+            Maps of different sizes, or another number of sigma maps.
+        """
+        _check_maps(phases, sigma, placement)
+        for index in held_out:
+            if not 0 <= index < len(phases):
+                raise CalibrationError(f"held_out names plane {index}, there are planes 0 to {len(phases) - 1}")
+        fitted = tuple(index for index in range(len(phases)) if index not in held_out)
+        placement.check_positions(fitted)
+        blocks = tuple(
+            reduce_plane(phase, None if sigma is None else sigma[index], placement.name(index))
+            for index, phase in enumerate(phases)
+        )
+        check_different(blocks, placement)
+        return cls(placement, blocks, fitted, tuple(sorted(set(held_out))))
+
+
+def _check_maps(
+    phases: Sequence[np.ndarray | xr.DataArray],
+    sigma: Sequence[np.ndarray | xr.DataArray] | None,
+    placement: Placement,
+) -> None:
+    if sigma is not None and len(sigma) != len(phases):
+        raise ImageError(f"{len(sigma)} maps of sigma for {len(phases)} phase maps: give one for each")
     shapes = [np.shape(phase) for phase in phases]
     for index, shape in enumerate(shapes):
         if len(shape) != 2:
-            raise ShapeMismatchError(f"{plane_name(index, turn, lift)}: shape {shape} is no image (row, column)")
+            raise ImageError(f"{placement.name(index)}: shape {shape} is no image (row, column)")
         if shape != shapes[0]:
-            raise ShapeMismatchError(f"{plane_name(index, turn, lift)}: {shape} rows and columns, image 1: {shapes[0]}")
+            raise ImageError(f"{placement.name(index)}: {shape} rows and columns, image 1: {shapes[0]}")
         if sigma is not None and np.shape(sigma[index]) != shape:
-            raise ShapeMismatchError(
-                f"{plane_name(index, turn, lift)}: sigma of shape {np.shape(sigma[index])} for a phase of {shape}"
-            )
-    if count and np.abs(turn).max() > LARGEST_ANGLE:
-        largest = turn[np.argmax(np.abs(turn))]
-        raise CalibrationAnglesError(
-            f"an angle of {largest:g} rad is {math.degrees(largest):.0f} degree; the camera does not see such a plane. "
-            "Angles are expected in radian: were they given in degree?"
-        )
-    fitted = np.ones(count, bool)
-    for index in held_out:
-        if not 0 <= index < count:
-            raise CalibrationPlanesError(f"held_out names plane {index}, there are planes 0 to {count - 1}")
-        fitted[index] = False
-    if fitted.sum() < FEWEST_PLANES:
-        raise CalibrationPlanesError(
-            f"{fitted.sum()} planes to fit: at least {FEWEST_PLANES} at different angles are needed, better 7"
-        )
-    different = max(_different(turn[fitted], SMALLEST_TURN), _different(lift[fitted], SMALLEST_MOVE))
-    if different < FEWEST_PLANES:
-        raise CalibrationPlanesError(
-            f"the planes stand at {different} different positions only: at least {FEWEST_PLANES} angles "
-            f"(more than {math.degrees(SMALLEST_TURN):g} degree apart) or as many heights are needed"
-        )
-    return turn, lift, fitted
+            raise ImageError(f"{placement.name(index)}: sigma of shape {np.shape(sigma[index])} for a phase of {shape}")
 
 
 def response_ripple(ripple: Sequence[float]) -> float:
-    """Return the largest amplitude at three times the fringes' frequency and more [rad].
+    """Return the largest amplitude at three times the fringes' frequency and more [rad], NaN when unknown.
 
-    Light and motion ripple once and twice per fringe, a response that is no straight line more often.
+    Flicker and motion cause one and two periods per fringe, a nonlinear response curve more.
     """
     known = [size for size in ripple[2:] if not math.isnan(size)]
     return max(known, default=math.nan)
 
 
-def plane_name(index: int, angles: np.ndarray, heights: np.ndarray) -> str:
-    """Return the name of a plane for people: "image 3 (angle +5 degree)"."""
-    height = f", height {1e3 * heights[index]:+g} mm" if np.any(heights) else ""
-    return f"image {index + 1} (angle {math.degrees(angles[index]):+.4g} degree{height})"
-
-
 def reduce_plane(phase: np.ndarray | xr.DataArray, sigma: np.ndarray | xr.DataArray | None, name: str) -> PlaneBlocks:
-    """Reduce a phase map [rad] to blocks.
+    """Reduce a phase map to blocks.
 
     Parameters
     ----------
     phase, sigma
         Absolute phase and its standard deviation [rad], shape (row, column), NaN where not measured. Without sigma the
-        noise is taken from the scatter of the pixels inside the blocks.
+        noise is estimated from the scatter of the pixels inside the blocks.
     name
         Of this plane, for messages.
 
     Raises
     ------
-    CalibrationPhaseError
-        When too little of the image is measured.
+    CalibrationError
+        Too little of the image is measured, or sigma is not positive.
     """
     image = np.asarray(phase, float)
     rows, columns = pixel_positions(phase, image.shape)
     measured = np.isfinite(image)
     valid = float(measured.mean())
     if valid < LEAST_VALID:
-        raise CalibrationPhaseError(
+        raise CalibrationError(
             f"{name}: only {100 * valid:.0f} % of the image is measured; is the plane lit, in view and not saturated?"
         )
     coefficients = _curvature(image, measured)
     residual = image - _evaluate(coefficients, *(np.linspace(-1, 1, n) for n in image.shape))
-    spread = 1.4826 * float(np.nanmedian(np.abs(residual)))
+    spread = _TO_SIGMA * float(np.nanmedian(np.abs(residual)))
     noise = np.full(image.shape, spread) if sigma is None else np.asarray(sigma, float)
     if sigma is not None and not np.any(noise[measured] > 0):
-        raise CalibrationPhaseError(f"{name}: sigma is nowhere above 0; leave it out when the noise is not known")
+        raise CalibrationError(f"{name}: sigma is nowhere above 0; leave it out when the noise is not known")
     kept = measured & (np.abs(residual) < _OUTLIER * np.maximum(noise, spread)) & (noise > 0)
-    outliers = 1 - float(kept.sum()) / float(measured.sum())
     size = max(1, round(math.sqrt(image.size / BLOCKS)))
-    weight = _blocks(np.where(kept, 1 / np.where(kept, noise, 1.0) ** 2, 0.0), size)
-    values = _blocks(np.where(kept, residual, 0.0), size)
-    count = (weight > 0).sum(axis=-1)
-    full = count >= max(1, LEAST_VALID * size**2)
-    total = np.where(full, weight.sum(axis=-1), np.nan)
-    mean = (weight * values).sum(axis=-1) / total
-    squares = np.where(full, (weight * (values - mean[..., None]) ** 2).sum(axis=-1), 0.0)
-    freedom = float(np.where(full, count - 1, 0).sum())
-    scatter = float(squares.sum()) / freedom if freedom else math.nan
-    if sigma is None and freedom:
-        # the noise is what the pixels of a block differ by, whatever the polynomial leaves
+    mean, total, scatter = _block_means(residual, noise, kept, size)
+    if sigma is None and not math.isnan(scatter):
+        # the noise is the scatter inside the blocks, which is free of what the polynomial leaves
         noise, total, scatter = noise * math.sqrt(scatter), total / scatter, 1.0
-    if full.mean() < LEAST_VALID:
-        raise CalibrationPhaseError(f"{name}: what is measured is scattered over single pixels")
-    centre = [(np.arange(n) + 0.5) * size - 0.5 for n in full.shape]
+    if (~np.isnan(total)).mean() < LEAST_VALID:
+        raise CalibrationError(f"{name}: what is measured is scattered over single pixels")
+    centre = [(np.arange(n) + 0.5) * size - 0.5 for n in total.shape]
     normalised = [2 * c / (n - 1) - 1 for c, n in zip(centre, image.shape, strict=True)]
     return PlaneBlocks(
         row=rows[0] + centre[0] * (rows[1] - rows[0]),
@@ -196,41 +195,48 @@ def reduce_plane(phase: np.ndarray | xr.DataArray, sigma: np.ndarray | xr.DataAr
         noise=float(np.sqrt(np.mean(noise[kept] ** 2))),
         scatter=scatter,
         valid=valid,
-        outliers=outliers,
+        outliers=1 - float(kept.sum()) / float(measured.sum()),
         ripple=_ripple(image, residual, kept),
     )
 
 
-def check_different(planes: Sequence[PlaneBlocks], angles: np.ndarray, heights: np.ndarray) -> None:
+def _block_means(
+    residual: np.ndarray, noise: np.ndarray, kept: np.ndarray, size: int
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return mean and total weight of every block, NaN without data, and the scatter inside the blocks."""
+    weight = _blocks(np.where(kept, 1 / np.where(kept, noise, 1.0) ** 2, 0.0), size)
+    values = _blocks(np.where(kept, residual, 0.0), size)
+    count = (weight > 0).sum(axis=-1)
+    full = count >= max(1, LEAST_VALID * size**2)
+    total = np.where(full, weight.sum(axis=-1), np.nan)
+    mean = (weight * values).sum(axis=-1) / total
+    squares = np.where(full, (weight * (values - mean[..., None]) ** 2).sum(axis=-1), 0.0)
+    freedom = float(np.where(full, count - 1, 0).sum())
+    return mean, total, float(squares.sum()) / freedom if freedom else math.nan
+
+
+def check_different(blocks: Sequence[PlaneBlocks], placement: Placement) -> None:
     """Raise an error when two planes at different positions have the same phase: the plane was not moved.
 
     Raises
     ------
-    CalibrationPlanesError
-        Names both planes.
+    CalibrationError
+        The message names both planes.
     """
-    for first in range(len(planes)):
-        for second in range(first + 1, len(planes)):
-            apart = abs(angles[first] - angles[second]) > SMALLEST_TURN or abs(heights[first] - heights[second]) > (
-                SMALLEST_MOVE
-            )
-            difference = planes[first].phase - planes[second].phase
-            noise = np.hypot(planes[first].sigma, planes[second].sigma)
-            both = np.isfinite(difference)
-            if apart and both.any() and np.sqrt(np.mean((difference[both] / noise[both]) ** 2)) < _OUTLIER / 2:
-                raise CalibrationPlanesError(
-                    f"{plane_name(first, angles, heights)} and {plane_name(second, angles, heights)} show the same "
-                    "plane: it was not moved between them, or one image was taken for both"
+    for first in range(len(blocks)):
+        for second in range(first + 1, len(blocks)):
+            if placement.apart(first, second) and _show_the_same(blocks[first], blocks[second]):
+                raise CalibrationError(
+                    f"{placement.name(first)} and {placement.name(second)} show the same plane: it was not moved "
+                    "between them, or one image was taken for both"
                 )
 
 
-def _different(values: np.ndarray, apart: float) -> int:
-    """Return how many values differ from each other by more than `apart`."""
-    count, last = 0, -math.inf
-    for value in np.sort(values):
-        if value - last > apart:
-            count, last = count + 1, value
-    return count
+def _show_the_same(first: PlaneBlocks, second: PlaneBlocks) -> bool:
+    difference = first.phase - second.phase
+    noise = np.hypot(first.sigma, second.sigma)
+    both = np.isfinite(difference)
+    return bool(both.any() and np.sqrt(np.mean((difference[both] / noise[both]) ** 2)) < _SAME)
 
 
 def _curvature(image: np.ndarray, measured: np.ndarray) -> np.ndarray:
@@ -246,17 +252,17 @@ def _curvature(image: np.ndarray, measured: np.ndarray) -> np.ndarray:
         * chebyshev.chebvander(b, order)[:, [j for _, j in terms]]
     )
     kept = np.ones(len(values), bool)
-    for _ in range(4):  # wrong orders pull the first fits
+    for _ in range(4):  # wrong fringe orders bias the first fits
         solution = _least_squares(vander[kept], values[kept])
         residual = np.abs(values - vander @ solution)
-        kept = residual <= max(_OUTLIER * 1.4826 * float(np.median(residual)), 1e-9)
+        kept = residual <= max(_OUTLIER * _TO_SIGMA * float(np.median(residual)), 1e-9)
     coefficients = np.zeros((_ORDER + 1, _ORDER + 1))
     coefficients[tuple(np.transpose(terms))] = solution
     return coefficients
 
 
 def _least_squares(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Solve for nearly orthogonal columns, whose normal equations lose nothing and are many times faster."""
+    """Solve by normal equations: many times faster, and accurate for the nearly orthogonal columns used here."""
     result: np.ndarray = np.linalg.lstsq(matrix.T @ matrix, matrix.T @ values, rcond=None)[0]
     return result
 
@@ -274,10 +280,10 @@ def _blocks(image: np.ndarray, size: int) -> np.ndarray:
 
 
 def _ripple(phase: np.ndarray, residual: np.ndarray, kept: np.ndarray) -> tuple[float, ...]:
-    """Return the amplitudes of the residual at whole multiples of the fringes' frequency.
+    """Return the amplitudes of the residual at integer multiples of the fringes' frequency [rad].
 
-    A plane that turns while its frames are taken ripples with opposite signs on both sides of the axis: the amplitudes
-    may change linearly over the image; their root mean square is returned.
+    A plane that turns while its frames are taken causes ripples of opposite signs on both sides of the axis. The
+    amplitudes may therefore vary linearly over the image; their root mean square is returned.
     """
     skip = max(1, math.isqrt(phase.size // _RIPPLE_SAMPLES))
     part = (slice(None, None, skip), slice(None, None, skip))

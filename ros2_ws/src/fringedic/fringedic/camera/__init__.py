@@ -1,9 +1,5 @@
-"""The camera's lens: what it does to the image, measured by the grid method and corrected in coordinates (2.4).
+"""The camera's lens: its distortion, measured by the grid method (2.4) and corrected in coordinates."""
 
-`measure_distortion` lives in `fringedic.camera.grid`, the printed grid in `fringedic.camera.target`: nodes that only
-correct a distortion need not load them.
-"""
+import lazy_loader
 
-from fringedic.camera.distortion import BrownModel, DistortionMap
-
-__all__ = ["BrownModel", "DistortionMap"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

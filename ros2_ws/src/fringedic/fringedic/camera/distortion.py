@@ -1,9 +1,9 @@
 """Distortion of a camera as two polynomials over its image, without a lens model.
 
-An ideal camera sees straight lines as straight lines. The distortion is the field U(p) = p_u - p [px]: what is seen at
-the pixel p of the image would be seen at p_u by the ideal camera. The other direction is D(p_u) = p - p_u, the method's
-D: an ideal camera's point at q is seen at q + D(q), and D(p_u) = -U(p). Images are not resampled for measurements; a
-pixel p looks along the line of sight of its ideal pixel p_u.
+An ideal camera images straight lines as straight lines. The distortion is the field U(p) = p_u - p [px]: a point that
+is seen at the pixel p of the image would be seen at p_u by the ideal camera. The other direction is D(p_u) = p - p_u,
+the D of section 2.4: a point at q in the ideal camera is seen at q + D(q), and D(p_u) = -U(p). Images are not resampled
+for measurements; a pixel p has the line of sight of its ideal pixel p_u.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ import yaml
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
-from fringedic.errors import InvalidDistortionError, ShapeMismatchError
+from fringedic.errors import GridError, ImageError
 
-_INVERSE_STEPS = 60  # a field that grows by less than 0.6 px per pixel is inverted to 1e-12 px
+_INVERSE_STEPS = 60  # a field with a gradient below 0.6 px per pixel is inverted to 1e-12 px
 _CONVERGED = 1e-10  # [px]
-_BROWN_POINTS = (25, 33)
+_BROWN_POINTS = (25, 33)  # rows and columns of the grid that a Brown model is fitted to
 
 
 class BrownModel(NamedTuple):
@@ -38,7 +38,11 @@ class BrownModel(NamedTuple):
     ideal_camera_matrix : (3, 3)
         From normalised undistorted coordinates to ideal pixels.
     residual
-        Root mean square over the image of what this model leaves [px].
+        Root mean square residual of this model over the image [px].
+
+    References
+    ----------
+    D. C. Brown, "Close-range camera calibration", Photogrammetric Engineering 37 (1971) 855-866.
     """
 
     coefficients: tuple[float, float, float, float, float]
@@ -51,8 +55,8 @@ class BrownModel(NamedTuple):
 class DistortionMap:
     """Field U(p) = p_u - p [px] from the pixels of an image to those of an ideal camera.
 
-    Any homography of the ideal camera is as ideal; this class takes p_u as it is given. `fringedic.measure_distortion`
-    chooses the one that leaves the image's centre and its surroundings (the first derivatives) in place.
+    An ideal camera after any homography is ideal as well; this class takes p_u as given. `fringedic.measure_distortion`
+    chooses the homography for which value and first derivatives of U are zero at the centre of the image.
 
     Attributes
     ----------
@@ -64,8 +68,24 @@ class DistortionMap:
 
     Raises
     ------
-    InvalidDistortionError
-        When the coefficients are no finite square arrays of equal size, or the image is smaller than 2 x 2 px.
+    GridError
+        The coefficients are not finite square arrays of equal size, or the image is smaller than 2 x 2 px.
+
+    Examples
+    --------
+    A field that shifts the upper left corner of the image by 0.5 px to the right and keeps the opposite corner:
+
+    >>> import numpy as np
+    >>> from fringedic.camera import DistortionMap
+    >>> coefficients = np.zeros((2, 2))
+    >>> coefficients[0, 0], coefficients[0, 1] = 0.25, -0.25
+    >>> lens = DistortionMap(640, 480, coefficients, np.zeros((2, 2)))
+    >>> column, row = lens.ideal(0.0, 0.0)
+    >>> float(column), float(row)
+    (0.5, 0.0)
+    >>> column, row = lens.seen(column, row)
+    >>> bool(abs(column) < 1e-9)
+    True
     """
 
     width: int
@@ -75,18 +95,16 @@ class DistortionMap:
 
     def __post_init__(self) -> None:
         if min(self.width, self.height) < 2:
-            raise InvalidDistortionError(f"an image of {self.width} x {self.height} px has no distortion")
+            raise GridError(f"an image of {self.width} x {self.height} px has no distortion")
         for name in ("columns", "rows"):
             values = np.array(getattr(self, name), float)
             values.setflags(write=False)
             object.__setattr__(self, name, values)
         shape = self.columns.shape
         if len(shape) != 2 or shape[0] != shape[1] or shape[0] == 0 or self.rows.shape != shape:
-            raise InvalidDistortionError(
-                f"coefficients of shapes {shape} and {self.rows.shape}: two equal square arrays are needed"
-            )
+            raise GridError(f"coefficients of shapes {shape} and {self.rows.shape}: two equal square arrays are needed")
         if not (np.isfinite(self.columns).all() and np.isfinite(self.rows).all()):
-            raise InvalidDistortionError("a coefficient of the distortion is not a finite number")
+            raise GridError("a coefficient of the distortion is not a finite number")
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, DistortionMap) and self._key == other._key
@@ -101,19 +119,19 @@ class DistortionMap:
 
     @property
     def order(self) -> int:
-        """Highest degree along one direction."""
+        """Highest degree along one direction of the image."""
         return len(self.columns) - 1
 
     def ideal(self, column: ArrayLike, row: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Return column and row [px] at which an ideal camera sees what the camera sees at (column, row)."""
+        """Return the ideal pixels [px] of the pixels (column, row), float64 in their shape."""
         column, row = np.broadcast_arrays(np.asarray(column, float), np.asarray(row, float))
         a, b = 2 * column / (self.width - 1) - 1, 2 * row / (self.height - 1) - 1
         return column + chebyshev.chebval2d(b, a, self.columns), row + chebyshev.chebval2d(b, a, self.rows)
 
     def seen(self, column: ArrayLike, row: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Return column and row [px] at which the camera sees what an ideal camera sees at (column, row).
+        """Return the pixels [px] of the ideal pixels (column, row), float64 in their shape.
 
-        The inverse of `ideal`; NaN where there is none, far outside of the image.
+        The inverse of `ideal`; NaN where there is no inverse, far outside the image.
         """
         column, row = np.broadcast_arrays(np.asarray(column, float), np.asarray(row, float))
         seen_column, seen_row = column.copy(), row.copy()
@@ -128,12 +146,13 @@ class DistortionMap:
         return np.where(lost, np.nan, seen_column), np.where(lost, np.nan, seen_row)
 
     def field(self, rows: ArrayLike | None = None, columns: ArrayLike | None = None) -> np.ndarray:
-        """Return U at the crossings of `rows` and `columns` [px], without them at every pixel.
+        """Return U on the grid of `rows` and `columns` [px]; by default at every pixel.
 
         Returns
         -------
-        float32 (2, rows, columns)
-            U along columns and along rows [px]; read-only, and kept for the next call with the same pixels.
+        ndarray
+            float32 (2, rows, columns): components of U along x (right) and along y (down) [px]; read-only, and cached
+            for the next call with the same pixels.
         """
         rows = np.arange(self.height, dtype=float) if rows is None else np.asarray(rows, float)
         columns = np.arange(self.width, dtype=float) if columns is None else np.asarray(columns, float)
@@ -141,7 +160,7 @@ class DistortionMap:
         kept = self.__dict__.get("_kept_field")
         if kept is None or kept[0] != key:
             a, b = 2 * columns / (self.width - 1) - 1, 2 * rows / (self.height - 1) - 1
-            # elementwise sums: the same bits on any number of threads, which a matrix product does not promise
+            # elementwise sums give the same bits with any number of threads, matrix products may not
             values = np.stack(
                 [chebyshev.chebgrid2d(b, a, each) for each in (self.columns, self.rows)], dtype=np.float32
             )
@@ -153,7 +172,7 @@ class DistortionMap:
     def followed_by(self, homography: np.ndarray) -> Self:
         """Return the same lens for an ideal camera whose pixels are those of this one mapped by a homography (3, 3).
 
-        A product with a perspective is no polynomial; for tilts of a degree two more orders hold it to 1e-6 px.
+        The result is not a polynomial; for tilts of a degree two additional orders approximate it within 1e-6 px.
         """
         order = max(self.order, 2) + 2
         nodes = np.cos(np.pi * (np.arange(order + 1) + 0.5) / (order + 1))
@@ -165,7 +184,7 @@ class DistortionMap:
         return type(self)(self.width, self.height, *fields)
 
     def undistort(self, image: np.ndarray) -> np.ndarray:
-        """Return the image that an ideal camera would have taken, for people to look at (cubic splines).
+        """Return the image that an ideal camera would have taken, for display (cubic splines).
 
         Parameters
         ----------
@@ -174,18 +193,18 @@ class DistortionMap:
 
         Returns
         -------
-        float32 (row, column)
-            ``undistorted(q) = image(q + D(q))``, NaN where q + D(q) is outside of the image.
+        ndarray
+            float32 (row, column): ``undistorted(q) = image(q + D(q))``, NaN where q + D(q) is outside the image.
 
         Raises
         ------
-        ShapeMismatchError
-            When the image has another size.
+        ImageError
+            The image has another size.
         """
         from scipy.ndimage import map_coordinates
 
         if np.shape(image) != (self.height, self.width):
-            raise ShapeMismatchError(
+            raise ImageError(
                 f"image of shape {np.shape(image)} for the distortion of {self.height} rows and {self.width} columns"
             )
         row, column = np.mgrid[: self.height, : self.width]
@@ -195,18 +214,22 @@ class DistortionMap:
         )
 
     def brown(self, ideal_camera_matrix: ArrayLike | None = None) -> BrownModel:
-        """Return the nearest model of Brown and Conrady, for tools that know no other.
+        """Return the nearest model of Brown and Conrady, for other programs.
 
         Parameters
         ----------
         ideal_camera_matrix : (3, 3)
-            From normalised coordinates to ideal pixels. The coefficients scale with its focal length; without, the
-            focal length is taken to be the width of the image and the principal point its centre.
+            From normalised coordinates to ideal pixels. The coefficients scale with its focal length; by default the
+            focal length is the width of the image and the principal point its centre.
 
         Returns
         -------
         BrownModel
-            Fitted by least squares over the image, focal lengths and principal point of the distorted image included.
+            Fitted by least squares over the image, including focal lengths and principal point of the distorted image.
+
+        References
+        ----------
+        D. C. Brown, "Close-range camera calibration", Photogrammetric Engineering 37 (1971) 855-866.
         """
         from scipy.optimize import least_squares
 
@@ -221,7 +244,7 @@ class DistortionMap:
         )
         ideal_column, ideal_row = self.ideal(column, row)
         x, y = (ideal_column - matrix[0, 2]) / matrix[0, 0], (ideal_row - matrix[1, 2]) / matrix[1, 1]
-        # normalised to the image's corner, all nine parameters move pixels by similar amounts
+        # normalised to the corner of the image, so that all nine parameters have similar effects
         reach = float(np.sqrt(np.max(x**2 + y**2)))
         x, y = x / reach, y / reach
         scale = np.array([matrix[0, 0] * reach, matrix[1, 1] * reach])
@@ -258,8 +281,8 @@ class DistortionMap:
 
         Raises
         ------
-        InvalidDistortionError
-            When an entry is missing or has no meaning.
+        GridError
+            An entry is missing or not allowed.
         """
         try:
             return cls(
@@ -269,9 +292,9 @@ class DistortionMap:
                 np.array(content["rows_px"], float),
             )
         except KeyError as error:
-            raise InvalidDistortionError(f"{error.args[0]} is missing") from None
+            raise GridError(f"{error.args[0]} is missing") from None
         except (TypeError, ValueError) as error:
-            raise InvalidDistortionError(f"this is not the distortion of a camera: {error}") from None
+            raise GridError(f"this is not the distortion of a camera: {error}") from None
 
     def save(self, path: str | Path) -> None:
         """Write the field as YAML."""
@@ -280,17 +303,17 @@ class DistortionMap:
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
-        """Read a file that `save` wrote, or a rig's calibration that holds a distortion.
+        """Read a file that `save` wrote, or the calibration of a rig with a distortion.
 
         Raises
         ------
-        InvalidDistortionError
-            When the file holds no distortion.
+        GridError
+            The file contains no distortion.
         """
         try:
             content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
             return cls.from_dict(content["camera_distortion"])
-        except InvalidDistortionError as error:
-            raise InvalidDistortionError(f"{path}: {error}") from None
+        except GridError as error:
+            raise GridError(f"{path}: {error}") from None
         except (yaml.YAMLError, KeyError, TypeError) as error:
-            raise InvalidDistortionError(f"{path} holds no distortion of a camera: {error}") from None
+            raise GridError(f"{path} contains no distortion of a camera: {error}") from None

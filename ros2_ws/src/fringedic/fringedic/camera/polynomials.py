@@ -7,18 +7,18 @@ from numpy.polynomial import chebyshev
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.linalg.lapack import dpotrf
 
-HIGHEST_ORDER = 18
+HIGHEST_ORDER = 18  # of the comparison
 _POINTS_PER_TERM = 10
-_OWN = 1e-4  # of a term's square that the terms before it must leave
+_OWN = 1e-4  # share of a term's square that is independent of the terms before it
 _FOLDS = 5
-_SAMPLES = (30, 40)
+_SAMPLES = (30, 40)  # rows and columns at which the noise of a field is evaluated
 
 
 class Basis:
     """Products T_i(b) T_j(a), i + j <= order, over the normalised rows b and columns a of an image.
 
     They are sorted by total degree: the basis of a lower order is the beginning of that of a higher one. On points that
-    cover the image they are nearly orthogonal, so that normal equations lose nothing.
+    cover the image they are nearly orthogonal, so that normal equations are accurate.
 
     Parameters
     ----------
@@ -27,8 +27,8 @@ class Basis:
     shape
         Rows and columns of the image.
     highest
-        Highest order; lower when the points are too few for it, or leave such a hole that its terms cannot be told
-        apart.
+        Highest order; lower when the points are too few for it, or leave such a hole that its terms are not
+        independent.
     """
 
     def __init__(self, points: np.ndarray, shape: tuple[int, int], highest: int = HIGHEST_ORDER) -> None:
@@ -46,7 +46,8 @@ class Basis:
 
     def evaluate(self, coefficients: np.ndarray) -> np.ndarray:
         """Return the polynomials at the points, (points, components)."""
-        return self.matrix[:, : len(coefficients)] @ coefficients
+        values: np.ndarray = self.matrix[:, : len(coefficients)] @ coefficients
+        return values
 
     def uncertainty(self, order: int, weights: np.ndarray) -> float:
         """Return the noise of the fitted field, root mean square over the image, where weight 1 means noise 1."""
@@ -75,11 +76,12 @@ def square(coefficients: np.ndarray, order: int) -> np.ndarray:
 def least_squares(matrix: np.ndarray, values: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Return the coefficients that fit `values` by weighted least squares, from the normal equations."""
     weighted = matrix.T * weights
-    return cho_solve(cho_factor(weighted @ matrix), weighted @ values)
+    coefficients: np.ndarray = cho_solve(cho_factor(weighted @ matrix), weighted @ values)
+    return coefficients
 
 
 def _carried(matrix: np.ndarray, highest: int) -> int:
-    """Return the highest order whose terms are told apart: what is left of each beside those before it."""
+    """Return the highest order whose terms are independent of those before them."""
     gram = matrix.T @ matrix
     factor, failed = dpotrf(gram, lower=1)
     count = failed - 1 if failed > 0 else len(gram)
@@ -96,16 +98,16 @@ def choose_order(
 ) -> tuple[int, tuple[int, ...], tuple[float, ...]]:
     """Return the lowest order that predicts left-out points as well as the best one.
 
-    The best of many orders is often too high by chance, and what it adds is noise. Another one is as good when the sum
-    of its squares exceeds that of the best by at most one standard deviation of this difference, which is known from
-    the differences in the blocks.
+    The best of many orders is often too high by chance, and its additional terms are noise. Another order is as good
+    when its sum of squares exceeds that of the best by at most one standard deviation of this difference, which follows
+    from the differences in the blocks (the one-standard-error rule).
 
     Parameters
     ----------
     basis
-        Of the points.
+        Polynomials at the points.
     values : (points, components)
-        What is to be fitted.
+        Values to be fitted.
     weights : (points,)
         Of the points, inverse variances.
     block
@@ -113,8 +115,17 @@ def choose_order(
 
     Returns
     -------
-    order, orders, errors
-        The chosen order, all that were tried, and the weighted root mean square error of each at the left-out points.
+    order : int
+        The chosen order.
+    orders : tuple of int
+        All orders that were compared.
+    errors : tuple of float
+        Weighted root mean square error of each at the left-out points.
+
+    References
+    ----------
+    T. Hastie, R. Tibshirani, J. Friedman, "The elements of statistical learning", 2nd edition (2009), section 7.10:
+    cross-validation and the one-standard-error rule.
     """
     place = np.floor(basis.points / block).astype(int)
     fold = (place[:, 0] + 2 * place[:, 1]) % _FOLDS
@@ -145,7 +156,7 @@ def choose_order(
 
 
 def _degrees(order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Degrees along the rows and along the columns of each product."""
+    """Return the degrees along the rows and along the columns of each product."""
     pairs = [(i, total - i) for total in range(order + 1) for i in range(total + 1)]
     by_row, by_column = np.array(pairs).T
     return by_row, by_column

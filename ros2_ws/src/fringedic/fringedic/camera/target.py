@@ -1,6 +1,6 @@
-"""The printable grid for `fringedic.measure_distortion`: lines of exact pitch, a ruler to check the printer's scale.
+"""The printable grid for `fringedic.measure_distortion`: lines of exact pitch, and a ruler to check the scale.
 
-Drawn as rectangles, without a drawing library: the file holds the geometry in millimetre, and nothing rounds it.
+It is written as rectangles, without a drawing library: the file contains the geometry in millimetre without rounding.
 """
 
 from __future__ import annotations
@@ -9,15 +9,15 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from fringedic.errors import TargetError
+from fringedic.errors import GridError
 
 PAGES = {"A4": (297.0, 210.0), "A3": (420.0, 297.0)}  # width and height [mm], landscape
-_MARGIN = 12.0  # [mm] printers leave the paper's edge white
+_MARGIN = 12.0  # [mm] printers do not print on the edge of the paper
 _FOOT = 20.0  # [mm] under the grid, for ruler and text
 _RULER = 100.0  # [mm]
-_CROSS = 8.0  # [mm] length of the marks that point at the grid's centre
-_FINEST = 0.2  # [mm] a line of 0.1 mm is 2.4 dots of a printer of 600 dots per inch
-_FEWEST = 12
+_CROSS = 8.0  # [mm] length of the marks at the centre lines of the grid
+_FINEST = 0.2  # [mm] a line of 0.1 mm is 2.4 dots of a printer with 600 dots per inch
+_FEWEST = 12  # periods along the shorter side; `find_carriers` needs as many
 _POINTS_PER_MM = 72 / 25.4
 _TEXT_MM = 3.2
 
@@ -44,13 +44,20 @@ class Target:
     page
         "A4" or "A3", landscape.
     turn
-        Turn of the grid on the page [rad], counter-clockwise: a sheet laid straight in front of the camera is then not
-        in step with its pixels.
+        Turn of the grid on the page [rad], counter-clockwise, so that the period of a sheet that is parallel to the
+        camera is not a multiple of the pixel.
 
     Raises
     ------
-    TargetError
-        When the page is unknown, or the pitch too fine to be printed or too coarse for the page.
+    GridError
+        The page is unknown, or the pitch is too fine to be printed or too coarse for the page.
+
+    Examples
+    --------
+    >>> from fringedic.camera.target import Target
+    >>> target = Target(pitch=0.5e-3, page="A4")
+    >>> target.area
+    (12.0, 32.0, 273.0, 166.0)
     """
 
     pitch: float
@@ -59,15 +66,15 @@ class Target:
 
     def __post_init__(self) -> None:
         if self.page not in PAGES:
-            raise TargetError(f"page {self.page!r} is unknown; choose from {', '.join(PAGES)}")
+            raise GridError(f"page {self.page!r} is unknown; choose from {', '.join(PAGES)}")
         if not abs(self.turn) <= math.pi / 4:
-            raise TargetError(f"the grid cannot be turned by {math.degrees(self.turn):g} degree; 45 are the most")
+            raise GridError(f"the grid cannot be turned by {math.degrees(self.turn):g} degree; 45 are the most")
         _, _, width, height = self.area
         pitch = 1e3 * self.pitch
         if not pitch >= _FINEST:
-            raise TargetError(f"lines of {pitch:g} mm pitch cannot be printed; {_FINEST} mm is the finest")
+            raise GridError(f"lines of {pitch:g} mm pitch cannot be printed; {_FINEST} mm is the finest")
         if pitch > min(width, height) / _FEWEST:
-            raise TargetError(f"a pitch of {pitch:g} mm is too coarse for {self.page}: fewer than {_FEWEST} periods")
+            raise GridError(f"a pitch of {pitch:g} mm is too coarse for {self.page}: fewer than {_FEWEST} periods")
 
     @property
     def area(self) -> tuple[float, float, float, float]:
@@ -76,10 +83,10 @@ class Target:
         return _MARGIN, _MARGIN + _FOOT, width - 2 * _MARGIN, height - 2 * _MARGIN - _FOOT
 
     def rectangles(self) -> list[Rectangle]:
-        """Return everything black but the text.
+        """Return the black rectangles, without the text.
 
-        Turned ones are given before the turn about the centre of the area, to whose outline they are cut: first the
-        lines along y, then those along x, one of either through the centre.
+        Turned rectangles are given before the rotation about the centre of the area, which clips them: first the lines
+        along y, then those along x, one of each through the centre.
         """
         x, y, width, height = self.area
         centre_x, centre_y = x + width / 2, y + height / 2
@@ -92,7 +99,7 @@ class Target:
         black += [
             Rectangle(centre_x - reach, centre_y + offset, 2 * reach, pitch / 2, turned=True) for offset in offsets
         ]
-        # beside the grid, not in it: a mark inside would disturb its phase
+        # outside the grid, because a mark inside would disturb its phase
         thin = 0.3
         black += [
             Rectangle(centre_x - thin / 2, y - _CROSS - 1, thin, _CROSS),
@@ -117,17 +124,17 @@ class Target:
         return x, _MARGIN + 7.0, words
 
     def save(self, path: str | Path) -> None:
-        """Write the page as PDF or SVG, by the ending of the name.
+        """Write the page as PDF or SVG, depending on the ending of the name.
 
         Raises
         ------
-        TargetError
-            When the name ends otherwise.
+        GridError
+            The name has another ending.
         """
         path = Path(path)
         formats = {".pdf": self._pdf, ".svg": self._svg}
         if path.suffix.lower() not in formats:
-            raise TargetError(f"{path}: the grid is written as .pdf or .svg")
+            raise GridError(f"{path}: the grid is written as .pdf or .svg")
         path.write_bytes(formats[path.suffix.lower()]())
 
     def _svg(self) -> bytes:
@@ -161,7 +168,7 @@ class Target:
         return "\n".join(lines).encode()
 
     def _pdf(self) -> bytes:
-        """One page; the content is in millimetre, scaled to points as a whole."""
+        """Return one page; the content is in millimetre, scaled to points as a whole."""
         width, height = PAGES[self.page]
         x, y, area_width, area_height = self.area
         centre_x, centre_y = x + area_width / 2, y + area_height / 2
@@ -179,7 +186,7 @@ class Target:
                 "q",
                 f"{x:g} {y:g} {area_width:g} {area_height:g} re W n",
                 f"{c:.9f} {s:.9f} {-s:.9f} {c:.9f} {shift_x:.9f} {shift_y:.9f} cm",
-                # one path would leave the crossings white or black by its winding: lines along y, then those along x
+                # separate paths: in one path the winding rule would decide on the colour of the crossings
                 *(f"{drawn(each)} f" for each in black if each.turned),
                 "Q",
                 *(f"{drawn(each)} f" for each in black if not each.turned),

@@ -1,5 +1,10 @@
-"""In-plane displacement of a textured surface between two images (section 2 of the paper)."""
+"""In-plane displacement of a textured surface between images (Molimard et al., section 2).
 
-from fringedic.correlation.measure import Reference, measure_displacement
+`measure` is the public function. `dense` and `zoi` are the two methods, `transfer` their transfer function, `agreement`
+the validity and the uncertainty of the dense one, `start` its global search, `increments` composes displacements and
+`extensometer` follows two gauge subsets. Modules named `*_kernels` contain the compiled loops.
+"""
 
-__all__ = ["Reference", "measure_displacement"]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,13 +1,16 @@
-"""The interpolation of grey levels: a kernel of six pixels whose error is smallest where textures have their contrast.
+"""Interpolation of grey levels by a kernel of six pixels with the smallest error where textures have their contrast.
 
 The kernel is made of the quintic B-spline b and its derivatives, phi = b + 2 b'' / K^2 + b'''' / K^4. Its spectrum
-sinc^6(k / 2) (1 - k^2 / K^2)^2 keeps the B-spline's order of approximation and has a zero at K: a frequency k appears
-falsely at k - 2 pi, and with K = 5 rad/px what speckles show around k = 1.3 rad/px does not appear at all. The error of
-interpolation is what pulls displacements without noise; it falls by 9 (spots of radius 1.4 px), 40 (1.2) and 5.5 (1.0).
+sinc^6(k / 2) (1 - k^2 / K^2)^2 keeps the order of approximation of the B-spline and has a zero at K. A frequency k has
+an alias at k - 2 pi: with K = 5 rad/px the contrast of speckles around k = 1.3 rad/px has none. The interpolation error
+causes the bias of displacements without noise; compared with the quintic B-spline it is smaller by a factor of 9 for
+spots of radius 1.4 px, 40 (1.2 px) and 5.5 (1.0 px).
 
-M. Unser, A. Aldroubi, M. Eden, "B-spline signal processing", IEEE Trans. Signal Processing 41 (1993), for splines with
-a prefilter; T. Blu, P. Thevenaz, M. Unser, "MOMS: maximal-order interpolation of minimal support", IEEE Trans. Image
-Processing 10 (2001), for kernels made of a B-spline and its derivatives.
+References
+----------
+M. Unser, A. Aldroubi, M. Eden (1993), IEEE Trans. Signal Processing 41, for splines with a prefilter.
+T. Blu, P. Thevenaz, M. Unser (2001), IEEE Trans. Image Processing 10, for kernels made of a B-spline and its
+derivatives.
 """
 
 from __future__ import annotations
@@ -18,12 +21,12 @@ import numpy as np
 
 f4 = np.float32
 
-ZERO = 5.0  # K [rad/px]
+ZERO = 5.0  # K [rad/px], see above
 REACH = 12  # taps of the prefilter on either side
-BAND = 2.4  # [rad/px] up to which it is exact to 5e-5
+BAND = 2.4  # [rad/px] up to which the prefilter is exact to 5e-5
 
 
-def _pieces() -> np.ndarray:
+def _derive_pieces() -> np.ndarray:
     """Kernel weights of the six pixels around a point as polynomials (6, power) of s, its distance from their middle.
 
     The B-spline of degree 5 is the sum of (-1)^k C(6, k) (x + 3 - k)_+^5 / 120.
@@ -37,38 +40,45 @@ def _pieces() -> np.ndarray:
     return out
 
 
-PIECES = _pieces()
+PIECES = _derive_pieces()
 # Of the first three pixels; the others mirror them: even powers are equal, odd ones change their sign.
 WEIGHTS = PIECES[:3].astype(f4)
 
 
-def weights(t: np.ndarray) -> np.ndarray:
-    """Weights (..., 6) of the pixels -2 ... 3 of a point at t, 0 <= t <= 1."""
-    return ((np.asarray(t, dtype=float) - 0.5)[..., None, None] ** np.arange(6) * PIECES).sum(axis=-1)
+def evaluate_kernel(t: np.ndarray) -> np.ndarray:
+    """Return the weights (..., 6) of the pixels -2 ... 3 for a point at t, 0 <= t <= 1."""
+    powers = (np.asarray(t, dtype=float) - 0.5)[..., None, None] ** np.arange(6)
+    return np.asarray((powers * PIECES).sum(axis=-1))
 
 
-def _inverse() -> np.ndarray:
+def _invert_kernel() -> np.ndarray:
     """Taps of the prefilter, the inverse of the sampled kernel, from the centre on.
 
-    The exact inverse falls by .54 per pixel only. What is cut off is made up for in the least-squares sense where
-    textures have their contrast; a symmetric filter moves nothing, and errs in amplitude by 1 % beyond BAND.
+    The exact inverse decreases by .54 per pixel only. The truncated taps are fitted by least squares where textures
+    have their contrast. A symmetric filter causes no displacement; its amplitude error is 1 % beyond BAND.
     """
     waves = np.cos(np.outer(np.linspace(0, np.pi, 1001), np.arange(REACH + 1)))
     waves[:, 1:] *= 2
-    sampled = waves[:, :3] @ weights(np.array(0.0))[2:5]
+    sampled = waves[:, :3] @ evaluate_kernel(np.array(0.0))[2:5]
     importance = np.where(np.linspace(0, np.pi, 1001) < BAND, 1.0, 0.01)
-    importance[0] = 1e3  # a uniform grey stays what it is
+    importance[0] = 1e3  # a uniform grey level is not changed
     taps = np.linalg.lstsq(waves * (sampled * importance)[:, None], importance, rcond=None)[0]
     return np.asarray(taps, dtype=f4)
 
 
-INVERSE = _inverse()
+INVERSE = _invert_kernel()
 
 
-def noise_kept(positions: int = 64) -> np.ndarray:
-    """Variance of white noise of unit variance after interpolation along one axis at k / positions, k = 0...positions.
+def tabulate_noise_gain(positions: int = 64) -> np.ndarray:
+    """Return the variance of white noise after interpolation along one axis over that before it.
 
-    Interpolation averages noise between pixels; what it averages away lies at frequencies without texture.
+    Interpolation averages noise between pixels; the noise that it removes is at frequencies without texture.
+
+    Returns
+    -------
+    ndarray
+        Shape (positions + 1,): at the fractions k / positions of a pixel, k = 0...positions.
     """
     inverse = np.concatenate([INVERSE[:0:-1], INVERSE]).astype(float)
-    return np.array([np.sum(np.convolve(row, inverse) ** 2) for row in weights(np.linspace(0, 1, positions + 1))])
+    rows = evaluate_kernel(np.linspace(0, 1, positions + 1))
+    return np.array([np.sum(np.convolve(row, inverse) ** 2) for row in rows])

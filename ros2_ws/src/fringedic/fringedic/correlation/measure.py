@@ -1,4 +1,4 @@
-"""The public function: checks, the two methods, and the labelled result."""
+"""Displacement between two images: input checks, the two methods, and the labelled result."""
 
 from __future__ import annotations
 
@@ -8,17 +8,24 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from fringedic.correlation import dense, kernels, pyramid, zoi
-from fringedic.correlation.images import checked_image, checked_mask, checked_window, grey_range, saturation
-from fringedic.errors import CorrelationMethodError, ShapeMismatchError
+from fringedic.correlation import dense, image_kernels, pyramid, resampling_kernels, zoi
+from fringedic.correlation.agreement import assess, count_textured_cells
+from fringedic.correlation.images import (
+    Photometry,
+    measure_grey_range,
+    measure_photometry,
+    require_image,
+    require_mask,
+    require_window,
+)
+from fringedic.correlation.window import design_window
+from fringedic.errors import CorrelationError, ImageError
 
 f4 = np.float32
 
-CUT = 0.5  # standard deviations of the grey levels next to a saturated one: its neighbours are interpolated wrongly
-
 
 class Reference:
-    """A reference image prepared once for many deformed images.
+    """A reference image that is prepared once for many deformed images.
 
     Parameters
     ----------
@@ -27,32 +34,52 @@ class Reference:
     window, spacing, mask
         As in `measure_displacement`.
 
+    Attributes
+    ----------
+    shape
+        Rows and columns of the image.
+    window, spacing
+        [px]
+    rows, columns : (row,), (column,) int
+        Pixel positions of the points of the result.
+
     Raises
     ------
-    ColourImageError, ImageTypeError, ImageSizeError, TexturelessImageError, WindowError, ShapeMismatchError,
-    EmptyMaskError
+    ImageError
+        The image is not a grey image of at least 8 x 8 pixels, or the mask does not fit it.
+    CorrelationError
+        The image is constant or not measured anywhere, or window or spacing do not fit it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> texture = np.random.default_rng(1).normal(size=(64, 64)).astype(np.float32)
+    >>> reference = Reference(texture, window=16, spacing=4)
+    >>> fields = [measure_displacement(reference, np.roll(texture, moved, axis=1)) for moved in (1, 2)]
+    >>> [round(float(field.displacement_x.median()), 2) for field in fields]
+    [1.0, 2.0]
     """
 
     def __init__(self, image: ArrayLike, *, window: int = 32, spacing: int = 1, mask: ArrayLike | None = None) -> None:
-        array = checked_image(image, "reference")
+        array = require_image(image, "reference")
         self.shape: tuple[int, int] = (array.shape[0], array.shape[1])
-        self.window, self.spacing = checked_window(window, spacing, self.shape)
-        excluded = checked_mask(mask, self.shape)
-        self.mean, self.deviation = grey_range(array, "reference")
-        values = self.normalised(array)
-        if excluded is not None:
-            values[~excluded] = np.nan
+        self.window, self.spacing = require_window(window, spacing, self.shape)
+        measured = require_mask(mask, self.shape)
+        self.mean, self.deviation = measure_grey_range(array, "reference")
+        values = self.normalise(array)
+        if measured is not None:
+            values[~measured] = np.nan
         self.values = values
-        self.images = pyramid.pyramid_of(values)
-        self.levels = [pyramid.reference_level(level) for level in self.images]
-        self.textured = dense.textured_cells(self.levels[0], dense.window_of(self.window).cell)
+        self.images = pyramid.build_pyramid(values)
+        self.levels = [pyramid.prepare_level(level) for level in self.images]
+        self.textured = count_textured_cells(self.levels[0], design_window(self.window).cell)
         self.rows = np.arange(0, self.shape[0], self.spacing)
         self.columns = np.arange(0, self.shape[1], self.spacing)
 
-    def normalised(self, image: np.ndarray) -> np.ndarray:
-        """Grey levels as float32 in standard deviations of the reference from its mean; infinities become NaN."""
+    def normalise(self, image: np.ndarray) -> np.ndarray:
+        """Return grey levels in standard deviations of the reference from its mean, float32; infinities become NaN."""
         out = np.empty(image.shape, f4)
-        kernels.normalised(image, self.mean, 1 / self.deviation, out)
+        image_kernels.normalise(image, self.mean, 1 / self.deviation, out)
         if image.dtype == np.float32:
             out[~np.isfinite(out)] = np.nan
         return out
@@ -78,41 +105,39 @@ def measure_displacement(
         Grey images (row, column) of the same shape, 8 to 16 bits or real numbers; NaN where not measured. A `Reference`
         keeps the preparation, the window, the spacing and the mask for many deformed images.
     window
-        Width [px] of the bi-triangular window with the same noise.
+        Width [px] of the bi-triangular window with the same noise. `fringedic.correlation.transfer` contains the
+        attenuation of short waves for it.
     spacing
-        Distance [px] of the points; 1 measures at every pixel.
+        Distance [px] of the points (step size); 1 measures at every pixel.
     mask
         Booleans (row, column), True where the surface is to be measured in the reference; all of it by default.
     initial
-        Displacement expected at the same points, (d_x, d_y) or the result of an earlier call, known to a few pixels;
-        NaN where unknown. Without it the search is global.
+        Expected displacement at the same points [px], (d_x, d_y) or the result of an earlier call, wrong by a few
+        pixels at most; NaN where unknown. Without it the search is global.
     method
-        "dense" (one least-squares phase fit per pixel) or "zoi" (the paper's zones, one by one).
+        "dense" (one least-squares phase fit per point) or "zoi" (the zones of Molimard et al., one by one).
 
     Returns
     -------
     xarray.Dataset
-        `displacement_x` (along columns), `displacement_y` (along rows, downwards) [px], their standard uncertainties
-        `sigma_x`, `sigma_y` [px] and `valid`, over (row, column), whose coordinates are pixel positions in the
-        reference. NaN where not valid.
+        `displacement_x` (to the right), `displacement_y` (down) [px], their standard uncertainties `sigma_x`, `sigma_y`
+        [px], float32, and `valid`, bool, over (row, column), whose coordinates are pixel positions in the reference.
+        NaN where not valid. Attributes `method`, `window_px`, `spacing_px`.
 
     Raises
     ------
-    ColourImageError, ImageTypeError, ImageSizeError
-        An image is not a grey image of at least 8 x 8 pixels.
-    ShapeMismatchError
-        The images, the mask or the initial displacement differ in shape.
-    TexturelessImageError
-        An image is constant or not measured anywhere.
-    WindowError, EmptyMaskError, CorrelationMethodError
-        A setting does not fit the image, or is unknown.
-    NoCorrelationError
-        The images do not show the same surface.
+    ImageError
+        An image is not a grey image of at least 8 x 8 pixels, or images, mask and initial displacement differ in shape.
+    CorrelationError
+        An image is constant or not measured anywhere, a setting does not fit the image or is unknown, or the images do
+        not show the same surface (code NO_CORRELATION).
 
     References
     ----------
     J. Molimard, G. Boyer, H. Zahouani, "Frequency-based image analysis of random patterns: an alternative way to
     classical stereocorrelation", section 2.
+    B. D. Lucas, T. Kanade (1981), An iterative image registration technique with an application to stereo vision,
+    IJCAI, 674-679.
 
     Examples
     --------
@@ -123,28 +148,31 @@ def measure_displacement(
     2.0
     """
     if method not in ("dense", "zoi"):
-        raise CorrelationMethodError(f"method = {method!r} is unknown: it must be 'dense' or 'zoi'")
+        raise CorrelationError(f"method = {method!r} is unknown: it must be 'dense' or 'zoi'")
     if not isinstance(reference, Reference):
         reference = Reference(reference, window=window, spacing=spacing, mask=mask)
-    array = checked_image(deformed, "deformed")
+    array = require_image(deformed, "deformed")
     if array.shape != reference.shape:
-        raise ShapeMismatchError(
+        raise ImageError(
             f"the deformed image has the shape {array.shape}, the reference {reference.shape}: they must be equal"
         )
-    mean, deviation = grey_range(array, "deformed")
-    values = reference.normalised(array)
-    brightness = (reference.deviation / deviation, (reference.mean - mean) / deviation)
-    lowest, highest = ((end - reference.mean) / reference.deviation for end in saturation(array))
-    ends = (lowest + CUT, highest - CUT)
-    start = None if initial is None else _initial(initial, reference)
+    photometry = measure_photometry(array, reference.mean, reference.deviation)
+    values = reference.normalise(array)
+    start = None if initial is None else _take_initial(initial, reference)
     if method == "zoi":
-        displacement, sigma = zoi.displacement_zones(
+        displacement, sigma = zoi.measure_zones(
             reference.values, values, reference.window, reference.rows, reference.columns, start
         )
         valid = np.isfinite(displacement[0])
     else:
-        displacement, sigma, valid = _dense(reference, values, start, brightness, ends)
-    coordinates = {"row": reference.rows, "column": reference.columns}
+        displacement, sigma, valid = _measure_dense(reference, values, start, photometry)
+    return _label(displacement, sigma, valid, reference, method)
+
+
+def _label(
+    displacement: np.ndarray, sigma: np.ndarray, valid: np.ndarray, reference: Reference, method: str
+) -> xr.Dataset:
+    """Return displacement and standard uncertainty (2, row, column) [px] and validity as a dataset."""
     dimensions = ("row", "column")
     pixels = {"units": "px"}
     return xr.Dataset(
@@ -155,50 +183,44 @@ def measure_displacement(
             "sigma_y": (dimensions, sigma[1], {**pixels, "long_name": "standard uncertainty of displacement_y"}),
             "valid": (dimensions, valid, {"long_name": "measured"}),
         },
-        coordinates,
+        {"row": reference.rows, "column": reference.columns},
         {"method": method, "window_px": reference.window, "spacing_px": reference.spacing},
     )
 
 
-def _initial(initial: Sequence[ArrayLike] | xr.Dataset, reference: Reference) -> np.ndarray:
-    """Initial displacement (2, row, column) on the points of the result."""
+def _take_initial(initial: Sequence[ArrayLike] | xr.Dataset, reference: Reference) -> np.ndarray:
+    """Return the initial displacement (2, row, column) on the points of the result."""
     if isinstance(initial, xr.Dataset):
         initial = (initial["displacement_x"].to_numpy(), initial["displacement_y"].to_numpy())
     shape = (reference.rows.size, reference.columns.size)
     if len(initial) != 2 or any(np.shape(part) != shape for part in initial):
-        raise ShapeMismatchError(
-            f"the initial displacement must be two arrays (d_x, d_y) of the shape {shape} of the result"
-        )
+        raise ImageError(f"the initial displacement must be two arrays (d_x, d_y) of the shape {shape} of the result")
     start = np.array([np.asarray(part, dtype=f4) for part in initial])
     start[:, ~np.isfinite(start).all(axis=0)] = np.nan
     return start
 
 
-def _dense(
-    reference: Reference,
-    values: np.ndarray,
-    start: np.ndarray | None,
-    brightness: tuple[float, float],
-    ends: tuple[float, float],
+def _measure_dense(
+    reference: Reference, values: np.ndarray, start: np.ndarray | None, photometry: Photometry
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Displacement, its uncertainty (2, row, column) and validity at the points of the result."""
-    window = dense.window_of(reference.window)
+    """Return displacement and uncertainty (2, row, column) [px] and validity at the points of the result."""
+    window = design_window(reference.window)
     initial = None
     if start is not None and np.isfinite(start).any():
-        initial = pyramid.initial_nodes(start, reference.shape, window.cell, reference.spacing)
-    field = dense.displacement_nodes(
-        reference.levels, reference.images, pyramid.pyramid_of(values), reference.window, initial, brightness, ends
+        initial = pyramid.sample_initial(start, reference.shape, window.cell, reference.spacing)
+    field = dense.estimate_nodes(
+        reference.levels, reference.images, pyramid.build_pyramid(values), reference.window, initial, photometry
     )
-    nodes = dense.judged(field, window, reference.textured)
+    nodes = assess(field, window, reference.textured)
     centre = 0.5 * (window.cell - 1)
     rows, columns = (reference.rows - centre) / window.cell, (reference.columns - centre) / window.cell
     node_rows = np.clip(np.rint(rows).astype(np.intp), 0, nodes.valid.shape[0] - 1)
     node_columns = np.clip(np.rint(columns).astype(np.intp), 0, nodes.valid.shape[1] - 1)
     lines = np.empty((4, nodes.valid.shape[0] + 4, reference.shape[1]), f4)
-    kernels.spread_out(np.concatenate([nodes.displacement, nodes.sigma]), window.cell, lines)
+    resampling_kernels.upsample_nodes(np.concatenate([nodes.displacement, nodes.sigma]), window.cell, lines)
     lines = np.ascontiguousarray(lines[:, :, :: reference.spacing])
     fields = np.empty((4, rows.size, columns.size), f4)
     valid = np.empty((rows.size, columns.size), np.bool_)
     measured = np.ascontiguousarray(reference.values[:: reference.spacing, :: reference.spacing])
-    kernels.points(lines, rows, nodes.valid, node_rows, node_columns, measured, fields, valid)
+    resampling_kernels.evaluate_points(lines, rows, nodes.valid, node_rows, node_columns, measured, fields, valid)
     return fields[:2], fields[2:], valid

@@ -1,6 +1,6 @@
-"""Compiled loops over the nodes of the dense correlation: filters, the fixed point, brightness and judgement.
+"""Compiled loops over the nodes of the dense correlation: filters, fixed point, brightness, uncertainty and agreement.
 
-Node arrays are float32 (channel, node row, node column). Bands of rows are worked on side by side and nothing is summed
+Node arrays are float32 (channel, node row, node column). Bands of rows are processed in parallel and nothing is summed
 across them, so results do not depend on the number of threads.
 """
 
@@ -9,11 +9,12 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from fringedic.correlation.kernels import GXE, GXX, GXY, GYE, GYY, SEEN, WE, WEE, WEF, WF, WFF, W
+from fringedic.correlation.cell_kernels import GXE, GXX, GXY, GYE, GYY, SEEN, WE, WEE, WEF, WF, WFF, W
+from fringedic.correlation.transfer import ORDER
 
 f4 = np.float32
 
-# Taps on either side of the centre of a filter of nodes, and of the narrower one of the fixed point.
+# Taps on either side of the centre of a window, and of the narrower filter of the predictor.
 REACH = 6
 NARROW_REACH = 4
 # Node rows of a band.
@@ -21,10 +22,10 @@ BAND = 32
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _smoothed(padded: np.ndarray, taps: np.ndarray, line: np.ndarray, r: int, out: np.ndarray) -> None:
-    """Row r of the separable symmetric filter of an array that has REACH rows of zeros above and below.
+def _smooth_wide(padded: np.ndarray, taps: np.ndarray, line: np.ndarray, r: int, out: np.ndarray) -> None:
+    """Compute row r of the separable symmetric filter of an array with REACH rows of zeros above and below.
 
-    `line` is a scratch of REACH zeros at either end. Loops over a few rows at a time are what compilers vectorise.
+    `line` is a work array with REACH zeros at either end. Compilers vectorise loops over a few rows at a time.
     """
     columns = out.size
     body = line[REACH : REACH + columns]
@@ -51,8 +52,8 @@ def _smoothed(padded: np.ndarray, taps: np.ndarray, line: np.ndarray, r: int, ou
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _softened(padded: np.ndarray, taps: np.ndarray, line: np.ndarray, r: int, out: np.ndarray) -> None:
-    """`_smoothed` with NARROW_REACH taps and as many zeros at either end of `line`; the array has REACH as before."""
+def _smooth_narrow(padded: np.ndarray, taps: np.ndarray, line: np.ndarray, r: int, out: np.ndarray) -> None:
+    """Do as `_smooth_wide` with NARROW_REACH taps and as many zeros at either end of `line`."""
     columns = out.size
     body = line[NARROW_REACH : NARROW_REACH + columns]
     t0, t1, t2, t3, t4 = taps[0], taps[1], taps[2], taps[3], taps[4]
@@ -72,10 +73,10 @@ def _softened(padded: np.ndarray, taps: np.ndarray, line: np.ndarray, r: int, ou
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def windowed(nodes: np.ndarray, taps: np.ndarray, out: np.ndarray) -> None:
-    """Separable symmetric filter of node arrays (channel, node row, node column), zero outside.
+def apply_window(nodes: np.ndarray, taps: np.ndarray, out: np.ndarray) -> None:
+    """Filter node arrays (channel, node row, node column) by a separable symmetric window, zero outside.
 
-    `taps` are REACH + 1 from the centre on; as many channels are filtered as `out` has.
+    `taps` are REACH + 1 from the centre on. As many channels are filtered as `out` has.
     """
     channels, rows, columns = out.shape
     bands = -(-rows // BAND)
@@ -86,14 +87,14 @@ def windowed(nodes: np.ndarray, taps: np.ndarray, out: np.ndarray) -> None:
         for r in range(max(first - REACH, 0), min(first + size + REACH, rows)):
             padded[r - first + REACH] = nodes[channel, r]
         for r in range(size):
-            _smoothed(padded, taps, line, r, out[channel, first + r])
+            _smooth_wide(padded, taps, line, r, out[channel, first + r])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def planes(field: np.ndarray, weight: np.ndarray, out: np.ndarray) -> None:
-    """Weighted least-squares planes a + b column + c row through every fourth node of each channel, out (channel, 3).
+def fit_planes(field: np.ndarray, weight: np.ndarray, out: np.ndarray) -> None:
+    """Fit weighted planes a + b column + c row to every fourth node of each channel, out (channel, 3).
 
-    Where the weights leave a slope open it is zero.
+    A slope that the weights do not determine is zero.
     """
     channels, rows, columns = field.shape
     total, x0, y0 = 1e-30, 0.0, 0.0
@@ -132,10 +133,10 @@ def planes(field: np.ndarray, weight: np.ndarray, out: np.ndarray) -> None:
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _around(plane: np.ndarray, r: int, column: np.ndarray, out: np.ndarray) -> None:
-    """Add the mean over 3 x 3 cells of a plane (node row, node column) to row r, `out`. `column` is a scratch.
+def _add_neighbours(plane: np.ndarray, r: int, column: np.ndarray, out: np.ndarray) -> None:
+    """Add the mean over 3 x 3 cells of a plane (node row, node column) to row r, `out`. `column` is a work array.
 
-    The neighbourhood is sharply bounded: a window's far end must not lend its texture to a bare middle.
+    The neighbourhood has sharp limits: texture at the far end of a window must not count for its bare centre.
     """
     rows, columns = plane.shape
     column[:] = f4(0)
@@ -149,36 +150,36 @@ def _around(plane: np.ndarray, r: int, column: np.ndarray, out: np.ndarray) -> N
 
 
 @njit(nogil=True, error_model="numpy")
-def _gradient_energy(cells: np.ndarray, r: int, column: np.ndarray, out: np.ndarray) -> None:
-    """Sum of (df/dx)^2 + (df/dy)^2 per cell, averaged over 3 x 3 cells: row r."""
+def _average_gradient_energy(cells: np.ndarray, r: int, column: np.ndarray, out: np.ndarray) -> None:
+    """Average the sum of (df/dx)^2 + (df/dy)^2 per cell over 3 x 3 cells, in row r."""
     out[:] = f4(0)
-    _around(cells[GXX], r, column, out)
-    _around(cells[GYY], r, column, out)
+    _add_neighbours(cells[GXX], r, column, out)
+    _add_neighbours(cells[GYY], r, column, out)
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def gradient_energy(cells: np.ndarray, out: np.ndarray) -> None:
-    """Sum of (df/dx)^2 + (df/dy)^2 per cell, averaged over 3 x 3 cells, out (node row, node column)."""
+def average_gradient_energy(cells: np.ndarray, out: np.ndarray) -> None:
+    """Average the sum of (df/dx)^2 + (df/dy)^2 per cell over 3 x 3 cells, out (node row, node column)."""
     for r in prange(out.shape[0]):
         column = np.empty(out.shape[1] + 2, f4)
-        _gradient_energy(cells, r, column, out[r])
+        _average_gradient_energy(cells, r, column, out[r])
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def textured(cells: np.ndarray, least: float, factor: float, floor: float, out: np.ndarray) -> None:
-    """floor + factor times the weight of the cells whose gradient energy is above `least`, out (node row, column)."""
+def weigh_texture(cells: np.ndarray, least: float, factor: float, floor: float, out: np.ndarray) -> None:
+    """Set out to floor, plus factor times the weight of the cells whose gradient energy is above `least`."""
     low, scale, add = f4(least), f4(factor), f4(floor)
     for r in prange(out.shape[0]):
         columns = out.shape[1]
         column, energy = np.empty(columns + 2, f4), np.empty(columns, f4)
-        _gradient_energy(cells, r, column, energy)
+        _average_gradient_energy(cells, r, column, energy)
         weight, target = cells[W, r], out[r]
         for c in range(columns):
             target[c] = add + (scale * weight[c] if energy[c] > low else f4(0))
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _times(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
+def _multiply(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
     for c in range(out.size):
         out[c] = a[c] * b[c]
 
@@ -187,7 +188,7 @@ def _times(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
 def _move(
     filtered: np.ndarray, inverse: np.ndarray, seen: np.ndarray, total: np.ndarray, left: np.ndarray, out: np.ndarray
 ) -> None:
-    """Move filtered * inverse from `left` to `total`; `out` is what is left times `seen`."""
+    """Move filtered * inverse from `left` to `total`; `out` is the rest times `seen`."""
     for c in range(filtered.size):
         value = filtered[c] * inverse[c]
         total[c] += value
@@ -197,7 +198,7 @@ def _move(
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _explained(
+def _subtract_explained(
     ge: np.ndarray,
     gx: np.ndarray,
     gy: np.ndarray,
@@ -207,24 +208,26 @@ def _explained(
     v0: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Sums of gradient times residual after a displacement (u, v) in the place of (u0, v0)."""
+    """Subtract from the sums of gradient times residual the part that the change from (u0, v0) to (u, v) explains."""
     for c in range(out.size):
         out[c] = ge[c] - gx[c] * (u[c] - u0[c]) - gy[c] * (v[c] - v0[c])
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _stepped(
+def _relax(
     own: np.ndarray,
     other: np.ndarray,
-    own_h: np.ndarray,
-    cross_h: np.ndarray,
-    other_h: np.ndarray,
+    energies: tuple[np.ndarray, np.ndarray, np.ndarray],
     tau: np.float32,
     smooth: np.ndarray,
     relaxation: np.float32,
     out: np.ndarray,
 ) -> None:
-    """One component of smooth + H^-1 (own, other), steps limited to a pixel; `out` moves there by `relaxation`."""
+    """Move `out`, one component, towards smooth + H^-1 (own, other) by the share `relaxation`.
+
+    `energies` are the entries of H: own, mixed and other. The steps are limited to one pixel.
+    """
+    own_h, cross_h, other_h = energies
     for c in range(out.size):
         first, cross, second = own_h[c] + tau, cross_h[c], other_h[c] + tau
         step = (second * own[c] - cross * other[c]) / (first * second - cross * cross)
@@ -233,71 +236,105 @@ def _stepped(
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def fixed_point(
+def _invert_coverage(padded: np.ndarray, taps: np.ndarray, inverse: np.ndarray) -> None:
+    """Set `inverse` to 1 over the narrow filter of weights that have REACH rows of zeros above and below."""
+    rows, columns = inverse.shape
+    for band in prange(-(-rows // BAND)):
+        line = np.zeros(columns + 2 * NARROW_REACH, f4)
+        for r in range(band * BAND, min(band * BAND + BAND, rows)):
+            _smooth_narrow(padded, taps, line, r, inverse[r])
+            for c in range(columns):
+                inverse[r, c] = f4(1) / inverse[r, c]
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def _predict(
+    field: np.ndarray,
+    seen: np.ndarray,
+    inverse: np.ndarray,
+    taps: np.ndarray,
+    weighted: np.ndarray,
+    rest: np.ndarray,
+    smooth: np.ndarray,
+) -> None:
+    """Set `smooth` to S field with S = 1 - (1 - V)^ORDER; V is the narrow filter, normalised by the weights `seen`.
+
+    `weighted` (2, 2, REACH + node row + REACH, node column), with zeros at the ends, and `rest` are work arrays.
+    """
+    _, rows, columns = field.shape
+    for channel in prange(2):
+        line, filtered = np.zeros(columns + 2 * NARROW_REACH, f4), np.empty(columns, f4)
+        smooth[channel] = f4(0)
+        for r in range(rows):
+            rest[channel, r] = field[channel, r]
+            _multiply(seen[r], rest[channel, r], weighted[channel, 0, r + REACH])
+        for n in range(ORDER):
+            source, target = weighted[channel, n % 2], weighted[channel, 1 - n % 2]
+            for r in range(rows):
+                _smooth_narrow(source, taps, line, r, filtered)
+                _move(filtered, inverse[r], seen[r], smooth[channel, r], rest[channel, r], target[r + REACH])
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def _correct(
+    right: np.ndarray,
+    sums: np.ndarray,
+    taps: np.ndarray,
+    tau: np.float32,
+    smooth: np.ndarray,
+    relaxation: np.float32,
+    out: np.ndarray,
+) -> None:
+    """Move `out` towards smooth + H^-1 W * right; `right` has REACH rows of zeros above and below."""
+    _, rows, columns = out.shape
+    for band in prange(-(-rows // BAND)):
+        line = np.zeros(columns + 2 * REACH, f4)
+        along_x, along_y = np.empty(columns, f4), np.empty(columns, f4)
+        for r in range(band * BAND, min(band * BAND + BAND, rows)):
+            _smooth_wide(right[0], taps, line, r, along_x)
+            _smooth_wide(right[1], taps, line, r, along_y)
+            xx, xy, yy = sums[GXX, r], sums[GXY, r], sums[GYY, r]
+            _relax(along_x, along_y, (xx, xy, yy), tau, smooth[0, r], relaxation, out[0, r])
+            _relax(along_y, along_x, (yy, xy, xx), tau, smooth[1, r], relaxation, out[1, r])
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def iterate_fixed_point(
     cells: np.ndarray,
     sums: np.ndarray,
     seen: np.ndarray,
     start: np.ndarray,
-    taps: np.ndarray,
-    smoothing: np.ndarray,
+    filters: tuple[np.ndarray, np.ndarray],
     tau: float,
-    order: int,
     relaxations: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """u = S u + H^-1 W * (grad f (e - grad f . (S u - start))) on the nodes; `out` holds the first u (2, row, column).
+    """Iterate u = S u + H^-1 W * (grad f (e - grad f . (S u - start))) on the nodes; `out` (2, ...) is the first u.
 
-    S = 1 - (1 - V)^order with V, the filter of the taps `smoothing`, normalised by the weights `seen`; W has `taps`.
-    Step k goes the `relaxations[k]`-fold of the way.
+    `filters` are the taps of W and of V, see `_predict` for S. Step k moves by the share `relaxations[k]`.
     """
+    window, narrow = filters
     _, rows, columns = start.shape
-    bands = -(-rows // BAND)
     smooth, rest = np.empty((2, rows, columns), f4), np.empty((2, rows, columns), f4)
-    # Both lie between rows of zeros.
     weighted = np.zeros((2, 2, rows + 2 * REACH, columns), f4)
     right = np.zeros((2, rows + 2 * REACH, columns), f4)
     inverse = np.empty((rows, columns), f4)
     right[0, REACH : REACH + rows] = seen
-    for band in prange(bands):
-        line = np.zeros(columns + 2 * NARROW_REACH, f4)
-        for r in range(band * BAND, min(band * BAND + BAND, rows)):
-            _softened(right[0], smoothing, line, r, inverse[r])
-            for c in range(columns):
-                inverse[r, c] = f4(1) / inverse[r, c]
-    add = f4(tau)
+    _invert_coverage(right[0], narrow, inverse)
     for k in range(relaxations.size):
-        relaxation = relaxations[k]
-        for channel in prange(2):
-            line, filtered = np.zeros(columns + 2 * NARROW_REACH, f4), np.empty(columns, f4)
-            smooth[channel] = f4(0)
-            for r in range(rows):
-                rest[channel, r] = out[channel, r]
-                _times(seen[r], rest[channel, r], weighted[channel, 0, r + REACH])
-            for n in range(order):
-                source, target = weighted[channel, n % 2], weighted[channel, 1 - n % 2]
-                for r in range(rows):
-                    _softened(source, smoothing, line, r, filtered)
-                    _move(filtered, inverse[r], seen[r], smooth[channel, r], rest[channel, r], target[r + REACH])
+        _predict(out, seen, inverse, narrow, weighted, rest, smooth)
         for r in prange(rows):
             u, v, u0, v0 = smooth[0, r], smooth[1, r], start[0, r], start[1, r]
-            _explained(cells[GXE, r], cells[GXX, r], cells[GXY, r], u, v, u0, v0, right[0, r + REACH])
-            _explained(cells[GYE, r], cells[GXY, r], cells[GYY, r], u, v, u0, v0, right[1, r + REACH])
-        for band in prange(bands):
-            line = np.zeros(columns + 2 * REACH, f4)
-            along_x, along_y = np.empty(columns, f4), np.empty(columns, f4)
-            for r in range(band * BAND, min(band * BAND + BAND, rows)):
-                _smoothed(right[0], taps, line, r, along_x)
-                _smoothed(right[1], taps, line, r, along_y)
-                xx, xy, yy = sums[GXX, r], sums[GXY, r], sums[GYY, r]
-                _stepped(along_x, along_y, xx, xy, yy, add, smooth[0, r], relaxation, out[0, r])
-                _stepped(along_y, along_x, yy, xy, xx, add, smooth[1, r], relaxation, out[1, r])
+            _subtract_explained(cells[GXE, r], cells[GXX, r], cells[GXY, r], u, v, u0, v0, right[0, r + REACH])
+            _subtract_explained(cells[GYE, r], cells[GXY, r], cells[GYY, r], u, v, u0, v0, right[1, r + REACH])
+        _correct(right, sums, window, f4(tau), smooth, relaxations[k], out)
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def equalised(nodes: np.ndarray, sums: np.ndarray, floor: float) -> None:
-    """Give g, by gain (channel 2) and offset (channel 3), the mean and the standard deviation of f in every window.
+def match_gain_offset(nodes: np.ndarray, sums: np.ndarray, floor: float) -> None:
+    """Set gain (channel 2) and offset (channel 3) so that g has the mean and standard deviation of f in every window.
 
-    `floor` is a variance below which contrast is not compared.
+    `floor` is the variance below which contrasts are not compared.
     """
     least = f4(floor)
     for r in prange(nodes.shape[1]):
@@ -316,27 +353,33 @@ def equalised(nodes: np.ndarray, sums: np.ndarray, floor: float) -> None:
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def sharpened(field: np.ndarray, before: np.ndarray, seen: np.ndarray, taps: np.ndarray, passes: int) -> None:
-    """Give back to a change of a field what the window that it was seen through has taken from it; in place.
+def _weigh_change(field: np.ndarray, before: np.ndarray, seen: np.ndarray, out: np.ndarray) -> None:
+    """Multiply the change of a field (channel, node row, node column) by weights."""
+    for r in prange(field.shape[1]):
+        for channel in range(field.shape[0]):
+            for c in range(field.shape[2]):
+                out[channel, r, c] = seen[r, c] * (field[channel, r, c] - before[channel, r, c])
 
-    A window K finds K c of a change c, which at an edge, where the window is one-sided, and on a curved shading is not
-    the change at its middle. After n passes of x = x + K c - K x, begun at x = K c, the error is (1 - K)^(n + 1) c.
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def van_cittert(field: np.ndarray, before: np.ndarray, seen: np.ndarray, taps: np.ndarray, passes: int) -> None:
+    """Deconvolve the change of a field by the window (van Cittert iteration), in place.
+
+    A window K returns K c for a change c. This differs from c at an edge, where the window is one-sided, and on a
+    curved shading. After n passes of x = x + K c - K x, begun at x = K c, the error is (1 - K)^(n + 1) c.
+
+    References
+    ----------
+    P. H. van Cittert (1931), Zeitschrift fuer Physik 69, 298-308.
     """
     channels, rows, columns = field.shape
     weighted = np.empty((channels + 1, rows, columns), f4)
     spread = np.empty((channels + 1, rows, columns), f4)
-    found = np.empty((channels, rows, columns), f4)
+    found = field - before
     weighted[channels] = seen
-    for r in prange(rows):
-        for channel in range(channels):
-            for c in range(columns):
-                found[channel, r, c] = field[channel, r, c] - before[channel, r, c]
     for _ in range(passes):
-        for r in prange(rows):
-            for channel in range(channels):
-                for c in range(columns):
-                    weighted[channel, r, c] = seen[r, c] * (field[channel, r, c] - before[channel, r, c])
-        windowed(weighted, taps, spread)
+        _weigh_change(field, before, seen, weighted)
+        apply_window(weighted, taps, spread)
         for r in prange(rows):
             for channel in range(channels):
                 for c in range(columns):
@@ -344,8 +387,8 @@ def sharpened(field: np.ndarray, before: np.ndarray, seen: np.ndarray, taps: np.
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def lent(field: np.ndarray, plane: np.ndarray, seen: np.ndarray, taps: np.ndarray) -> None:
-    """Where little of a window is seen, let its neighbours' values hold, around their planes (channel, 3); in place."""
+def extrapolate(field: np.ndarray, plane: np.ndarray, seen: np.ndarray, taps: np.ndarray) -> None:
+    """Extrapolate from the neighbours, around their planes (channel, 3), where little of a window is seen; in place."""
     channels, rows, columns = field.shape
     weighted = np.empty((channels + 1, rows, columns), f4)
     spread = np.empty((channels + 1, rows, columns), f4)
@@ -355,7 +398,7 @@ def lent(field: np.ndarray, plane: np.ndarray, seen: np.ndarray, taps: np.ndarra
             for c in range(columns):
                 flat = plane[channel, 0] + plane[channel, 1] * f4(c) + plane[channel, 2] * f4(r)
                 weighted[channel, r, c] = seen[r, c] * (field[channel, r, c] - flat)
-    windowed(weighted, taps, spread)
+    apply_window(weighted, taps, spread)
     for r in prange(rows):
         for channel in range(channels):
             for c in range(columns):
@@ -366,8 +409,8 @@ def lent(field: np.ndarray, plane: np.ndarray, seen: np.ndarray, taps: np.ndarra
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def without_plane(field: np.ndarray, plane: np.ndarray, out: np.ndarray) -> None:
-    """Field minus planes (channel, 3)."""
+def subtract_planes(field: np.ndarray, plane: np.ndarray, out: np.ndarray) -> None:
+    """Subtract planes (channel, 3) from a field."""
     for r in prange(field.shape[1]):
         for channel in range(field.shape[0]):
             a, b = plane[channel, 0] + plane[channel, 2] * f4(r), plane[channel, 1]
@@ -376,7 +419,7 @@ def without_plane(field: np.ndarray, plane: np.ndarray, out: np.ndarray) -> None
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def uncertainty(
+def estimate_uncertainty(
     nodes: np.ndarray,
     cells: np.ndarray,
     sums: np.ndarray,
@@ -384,30 +427,29 @@ def uncertainty(
     node_gain: float,
     tau_factor: float,
     texture: float,
-    sigma: np.ndarray,
-    least: np.ndarray,
-    rich: np.ndarray,
-    own: np.ndarray,
+    out: np.ndarray,
 ) -> None:
-    """Standard deviations (2, ...) of the nodes, the gradient energy that noise shows, and the cells that show more.
+    """Estimate standard deviations of the nodes and find the cells with texture, out (5, node row, node column).
 
-    `kept` is the share of white noise that interpolation leaves at fractions k / (kept.size - 1) of a pixel;
-    `node_gain` is the variance at a node over that of its window; `least` becomes `tau_factor` times the variance of a
-    pixel; `rich` is the weight of the cells with `texture` times that energy, along both axes; `own` is the
-    share of agreeing pixels in the node's own cell, or in the 3 x 3 around it if it is less.
+    Channels of `out`: standard deviations of d_x and d_y [px]; tau, the gradient energy of noise, `tau_factor` times
+    the variance of a pixel; the weight of the cells with `texture` times that energy along both axes; the share of
+    agreeing pixels in the node's own cell, or in the 3 x 3 cells around it if that is smaller. `kept` is the share of
+    white noise that interpolation keeps at fractions k / (kept.size - 1) of a pixel; `node_gain` is the variance at a
+    node over that of its window.
     """
     steps = f4(kept.size - 1)
     for r in prange(nodes.shape[1]):
         columns = nodes.shape[2]
         column, energy, count = np.empty(columns + 2, f4), np.empty(columns, f4), np.empty(columns, f4)
-        _gradient_energy(cells, r, column, energy)
-        own[r] = f4(0)
-        _around(cells[W], r, column, own[r])
+        _average_gradient_energy(cells, r, column, energy)
+        own = out[4, r]
+        own[:] = f4(0)
+        _add_neighbours(cells[W], r, column, own)
         count[:] = f4(0)
-        _around(cells[SEEN], r, column, count)
+        _add_neighbours(cells[SEEN], r, column, count)
         for c in range(columns):
-            share = own[r, c] / max(count[c], f4(1))
-            own[r, c] = min(share, cells[W, r, c] / cells[SEEN, r, c]) if cells[SEEN, r, c] > f4(0) else share
+            share = own[c] / max(count[c], f4(1))
+            own[c] = min(share, cells[W, r, c] / cells[SEEN, r, c]) if cells[SEEN, r, c] > f4(0) else share
         for c in range(columns):
             inverse = f4(1) / max(sums[W, r, c], f4(1e-6))
             mean_e = sums[WE, r, c] * inverse
@@ -419,19 +461,21 @@ def uncertainty(
             tau = f4(tau_factor) * pixel
             xx, xy, yy = sums[GXX, r, c], sums[GXY, r, c], sums[GYY, r, c]
             variance = pixel * f4(node_gain) / max(xx * yy - xy * xy, f4(1e-30))
-            sigma[0, r, c] = np.sqrt(variance * yy)
-            sigma[1, r, c] = np.sqrt(variance * xx)
-            least[r, c] = tau
-            rich[r, c] = cells[W, r, c] if energy[c] > f4(2 * texture) * tau else f4(0)
+            out[0, r, c] = np.sqrt(variance * yy)
+            out[1, r, c] = np.sqrt(variance * xx)
+            out[2, r, c] = tau
+            out[3, r, c] = cells[W, r, c] if energy[c] > f4(2 * texture) * tau else f4(0)
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def agreement(sums: np.ndarray, wide: np.ndarray, area: float, explained: np.ndarray, smallest: np.ndarray) -> None:
-    """How much of the texture in twice the window the fit explains, and the smaller eigenvalue of H per window.
+def measure_agreement(
+    sums: np.ndarray, wide: np.ndarray, area: float, explained: np.ndarray, smallest: np.ndarray
+) -> None:
+    """Compute the adjusted coefficient of determination in twice the window, and the smaller eigenvalue of H.
 
-    The coefficient of determination r^2 is adjusted for the parameters (two of motion, two of brightness) by the number
-    of speckles in the window, whose effective area is `area` [px^2]: a window with few independent speckles can be made
-    to agree with anything. The adjustment is limited to a factor 10.
+    r^2 is adjusted for the parameters (two of motion, two of brightness) by the number of speckles in the window, whose
+    effective area is `area` [px^2]: with few independent speckles any two windows can be made to agree. The adjustment
+    is limited to a factor of 10.
     """
     for r in prange(sums.shape[1]):
         for c in range(sums.shape[2]):
@@ -462,8 +506,8 @@ def _median(a: np.float32, b: np.float32, c: np.float32) -> np.float32:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def median3(nodes: np.ndarray, out: np.ndarray) -> None:
-    """Median over 3 x 3 nodes of each channel; the outermost nodes are repeated.
+def filter_median(nodes: np.ndarray, out: np.ndarray) -> None:
+    """Apply a median filter of 3 x 3 nodes to each channel; the outermost nodes are repeated.
 
     The median of nine is the median of the greatest of the row minima, the median of the row medians and the smallest
     of the row maxima, rows being sorted triples.

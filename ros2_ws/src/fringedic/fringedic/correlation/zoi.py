@@ -1,7 +1,12 @@
-"""The paper's estimator zone by zone (section 2.2): amplitude-weighted phase differences of two windowed zones.
+"""ZOI method: amplitude-weighted phase differences of two windowed zones (Molimard et al., section 2.2).
 
-The window of the second zone moves with the current estimate, w(x - d): a window that stays pulls the result towards
-whole pixels by about 4.5 %. Nothing is interpolated.
+Unlike in the text, the window of the second zone moves with the current estimate, w(x - d): a fixed window biases the
+result towards whole pixels by about 4.5 %. Nothing is interpolated. The method validates the dense one.
+
+References
+----------
+J. Molimard, G. Boyer, H. Zahouani, "Frequency-based image analysis of random patterns: an alternative way to classical
+stereocorrelation".
 """
 
 from __future__ import annotations
@@ -10,14 +15,15 @@ import numpy as np
 import scipy.fft
 from numpy.lib.stride_tricks import sliding_window_view
 
-from fringedic.correlation.dense import SMALLEST_EXPLAINED, check_agreement, explained
-from fringedic.correlation.start import correlation_peak
+from fringedic.correlation.agreement import SMALLEST_EXPLAINED, adjust_determination, check_agreement
+from fringedic.correlation.start import find_correlation_peak
 
-PASSES = 5
+PASSES = 5  # of the moving window; test_zones_reach_table_1
+OUTLIER = 3  # weighted standard deviations from which on a phase is erroneous (section 2.2)
 BATCH = 256  # zones at a time: their spectra stay in the cache
 
 
-def displacement_zones(
+def measure_zones(
     reference: np.ndarray,
     deformed: np.ndarray,
     window: int,
@@ -25,12 +31,12 @@ def displacement_zones(
     columns: np.ndarray,
     initial: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement and standard uncertainty (2, row, column) of the zones centred on a grid of pixels.
+    """Measure displacement and standard uncertainty (2, row, column) [px] of the zones centred on a grid of pixels.
 
     Parameters
     ----------
     reference, deformed
-        Grey levels (row, column); a zone that holds a NaN or leaves either image is not measured.
+        Grey levels (row, column); a zone that contains a NaN or leaves either image is not measured.
     window
         Width of the zones [px].
     rows, columns
@@ -40,12 +46,12 @@ def displacement_zones(
 
     Raises
     ------
-    NoCorrelationError
-        When hardly any of the zones that could be measured correlates.
+    CorrelationError
+        Hardly any of the zones that could be measured correlates.
     """
     centres = np.stack(np.meshgrid(rows, columns, indexing="ij"), axis=-1).reshape(-1, 2)
     start = np.empty((len(centres), 2))
-    start[:] = correlation_peak(reference, deformed)[:2]
+    start[:] = find_correlation_peak(reference, deformed)[:2]
     if initial is not None:
         given = initial.reshape(2, -1).T
         start = np.where(np.isfinite(given), given, start)
@@ -73,24 +79,24 @@ def displacement_zones(
     return displacement.reshape(shape), sigma.reshape(shape)
 
 
-def _triangle(window: int, shift: np.ndarray) -> np.ndarray:
-    """One-dimensional triangular windows (zone, window) moved by `shift` from the zones' centre pixels."""
+def _sample_triangle(window: int, shift: np.ndarray) -> np.ndarray:
+    """Sample triangular windows (zone, window) that are moved by `shift` from the centre pixels of the zones."""
     half = (window - 1) / 2
     position = np.arange(window) - window // 2
-    return np.clip(1 - np.abs(position - shift[:, None]) / half, 0, None)
+    return np.asarray(np.clip(1 - np.abs(position - shift[:, None]) / half, 0, None))
 
 
-def _spectrum(zones: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Spectra of the zones under their window, without the mean weighted by w^2, and the windows."""
+def _transform(zones: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the spectra of the zones under their window, without the mean weighted by w^2, and the windows."""
     window = zones.shape[-1]
-    w = _triangle(window, shift[:, 1])[:, :, None] * _triangle(window, shift[:, 0])[:, None, :]
+    w = _sample_triangle(window, shift[:, 1])[:, :, None] * _sample_triangle(window, shift[:, 0])[:, None, :]
     w2 = w * w
     mean = np.sum(w2 * zones, axis=(1, 2)) / np.sum(w2, axis=(1, 2))
     return scipy.fft.rfft2(w * (zones - mean[:, None, None])), w
 
 
-def _frequencies(window: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Angular frequencies (k_x, k_y) of the half plane that counts every pair +-k once, and where they lie."""
+def _list_frequencies(window: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the angular frequencies (k_x, k_y) of a half plane, with one of each pair +-k, and their places."""
     kx = 2 * np.pi * np.fft.rfftfreq(window)[None, :]
     ky = 2 * np.pi * np.fft.fftfreq(window)[:, None]
     used = ((kx > 0) | (ky > 0)) & (kx < np.pi) & (np.abs(ky) < np.pi)
@@ -101,20 +107,20 @@ def _frequencies(window: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def _fit(
     zones_f: np.ndarray, zones_g: np.ndarray, corner: np.ndarray, start: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """Displacement and uncertainty (zone, 2) as (x, y) of complete zones, and how many could be measured."""
+    """Return displacement and uncertainty (zone, 2) as (x, y) of complete zones, and the number of measurable ones."""
     count, window = zones_f.shape[0], zones_f.shape[-1]
-    kx, ky, used = _frequencies(window)
+    kx, ky, used = _list_frequencies(window)
     middle = np.zeros((count, 2))
-    spectrum_f, w = _spectrum(zones_f.astype(np.float64), middle)
+    spectrum_f, w = _transform(zones_f.astype(np.float64), middle)
     limits = np.array(zones_g.shape[:2]) - 1
 
     def cut(whole: np.ndarray) -> np.ndarray:
         at = np.clip(corner + whole[:, ::-1].astype(np.intp), 0, limits)
-        return zones_g[at[:, 0], at[:, 1]].astype(np.float64)
+        return np.asarray(zones_g[at[:, 0], at[:, 1]], np.float64)
 
     whole = np.rint(start)
     for _ in range(2):  # the second search sees the zone that the first has centred
-        spectrum_g, _ = _spectrum(np.nan_to_num(cut(whole)), middle)
+        spectrum_g, _ = _transform(np.nan_to_num(cut(whole)), middle)
         surface = scipy.fft.irfft2(np.conj(spectrum_f) * spectrum_g, (window, window))
         peak = np.array(np.unravel_index(surface.reshape(count, -1).argmax(axis=1), (window, window))).T
         whole = whole + ((peak + window // 2) % window - window // 2)[:, ::-1]
@@ -127,30 +133,30 @@ def _fit(
         zones = cut(whole)
         lost = np.isnan(zones).any(axis=(1, 2))
         zones[lost] = 0
-        g = _spectrum(zones, rest)[0][:, used] * np.exp(1j * (rest[:, :1] * kx + rest[:, 1:] * ky))
+        g = _transform(zones, rest)[0][:, used] * np.exp(1j * (rest[:, :1] * kx + rest[:, 1:] * ky))
         cross = np.conj(f) * g
         weight, phase = np.abs(cross), -np.angle(cross)
-        # Erroneous phases: beyond three standard deviations of the weighted residual around the current estimate.
+        # Erroneous phases are those far outside the weighted residual around the current estimate.
         total = np.maximum(weight.sum(axis=1), 1e-30)
         spread = np.sqrt((weight * phase**2).sum(axis=1) / total)
-        weight[np.abs(phase) > 3 * spread[:, None]] = 0
+        weight[np.abs(phase) > OUTLIER * spread[:, None]] = 0
         xx, xy, yy = (weight * kx * kx).sum(1), (weight * kx * ky).sum(1), (weight * ky * ky).sum(1)
         bx, by = (weight * kx * phase).sum(1), (weight * ky * phase).sum(1)
         determinant = np.maximum(xx * yy - xy * xy, 1e-30)
         change = np.stack([yy * bx - xy * by, xx * by - xy * bx], axis=1) / determinant[:, None]
         d = d + np.clip(change, -1, 1)
 
-    sigma, share = _uncertainty(f, g, kx, ky, w)
+    sigma, share = _estimate_uncertainty(f, g, kx, ky, w)
     good = ~lost & (share > SMALLEST_EXPLAINED) & np.isfinite(sigma).all(axis=1)
     d[~good] = np.nan
     sigma[~good] = np.nan
     return d, sigma, int(np.count_nonzero(~lost))
 
 
-def _uncertainty(
+def _estimate_uncertainty(
     f: np.ndarray, g: np.ndarray, kx: np.ndarray, ky: np.ndarray, w: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Standard uncertainty (zone, 2) and share of the texture explained (zone) by fitted half-plane spectra.
+    """Estimate the standard uncertainty (zone, 2) and the adjusted r^2 (zone) from fitted half-plane spectra.
 
     With white noise of variance s^2 in f - g the estimator's covariance is s^2 (sum w^4 / sum w^2) H^-1. By Parseval
     H = sum w^2 grad f grad f^T = (2 / N^2) sum k k^T abs(F)^2 and s^2 = (2 / N^2) sum abs(F - a G)^2 / sum w^2, over
@@ -170,4 +176,4 @@ def _uncertainty(
         correlation = common / np.sqrt(power_f * power_g)
         speckle = 2 * np.pi * np.sum(energy, axis=1) / (xx + yy)
     speckles = w2.sum(axis=(1, 2)) ** 2 / (w2 * w2).sum(axis=(1, 2)) / speckle
-    return sigma, explained(correlation, speckles)
+    return sigma, adjust_determination(correlation, speckles)

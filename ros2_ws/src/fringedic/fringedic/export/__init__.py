@@ -4,6 +4,6 @@ Files for people (VTK, PLY, CSV, TIFF, PNG) have positions in mm, displacements 
 in every name; files for programs (NetCDF, Zarr, MATLAB) keep the SI units of the dataset and name them.
 """
 
-from fringedic.export.exporting import FORMATS, Exported, export_dataset
+import lazy_loader
 
-__all__ = ["FORMATS", "Exported", "export_dataset"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

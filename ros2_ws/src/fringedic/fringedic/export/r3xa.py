@@ -1,6 +1,6 @@
-"""Metadata of an experiment after the R3XA schema, version 2024.7.1.
+"""Metadata of an experiment in the R3XA schema, version 2024.7.1.
 
-Written is only what is known: the schema's required texts are the empty string where nobody entered anything.
+Only known values are written; a text that the schema requires is empty if nobody entered it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from fringedic.results.metadata import experiment_name, metadata, seconds
+from fringedic.results.attributes import experiment_name, origin_of, seconds
 
 VERSION = "2024.7.1"
 
@@ -25,9 +25,9 @@ def write_r3xa(dataset: xr.Dataset, file: Path) -> list[str]:
 
 def r3xa_document(dataset: xr.Dataset) -> dict[str, Any]:
     """Return specimen, camera, analysis and results of an experiment as R3XA lays them out."""
-    known = metadata(dataset)
-    facts = known.get("facts", {})
-    specimen, hardware = facts.get("specimen", {}), facts.get("hardware", {})
+    known = origin_of(dataset)
+    entered = known.get("facts", {})
+    specimen, hardware = entered.get("specimen", {}), entered.get("hardware", {})
     calibration, rig = known.get("calibration"), known.get("rig", {})
     name = experiment_name(dataset)
     stamps = dataset["time"].values if "time" in dataset else None
@@ -48,16 +48,16 @@ def _quantity(value: float, unit: str, title: str = "") -> dict[str, Any]:
     return entry | ({"title": title} if title else {})
 
 
-def _specimen(experiment: str, facts: dict[str, Any]) -> dict[str, Any]:
-    section = facts.get("section_mm2")
+def _specimen(experiment: str, entered: dict[str, Any]) -> dict[str, Any]:
+    section = entered.get("section_mm2")
     setting: dict[str, Any] = {
         "id": "specimen",
         "kind": "settings/specimen",
-        "title": facts.get("name") or experiment,
-        "description": facts.get("material", ""),
+        "title": entered.get("name") or experiment,
+        "description": entered.get("material", ""),
         "sizes": [] if section is None else [_quantity(section, "mm2", "section")],
     }
-    return setting | ({"patterning_technique": facts["pattern"]} if facts.get("pattern") else {})
+    return setting | ({"patterning_technique": entered["pattern"]} if entered.get("pattern") else {})
 
 
 def _camera(calibration: dict[str, Any] | None, hardware: dict[str, Any], rig: dict[str, Any]) -> dict[str, Any]:

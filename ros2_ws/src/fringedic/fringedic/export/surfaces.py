@@ -7,11 +7,10 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-import pyvista
 import xarray as xr
 
-from fringedic.errors import ExportError
-from fringedic.results.metadata import experiment_name, map_names, metadata_text, seconds, step_numbers
+from fringedic.errors import ExportError, optional_import
+from fringedic.results.attributes import experiment_name, map_names, origin_text, seconds, step_numbers
 from fringedic.results.quantities import people_unit
 
 MILLI = 1e-3
@@ -88,10 +87,12 @@ def write_vtk(dataset: xr.Dataset, folder: Path) -> list[str]:
     ExportError
         No step has a surface.
     """
+    with optional_import("paraview"):
+        import pyvista
     folder.mkdir(parents=True)
     entries: list[str] = []
     skipped: list[str] = []
-    text = metadata_text(dataset)
+    text = origin_text(dataset)
     times = dict(zip(dataset["step"].values.tolist(), seconds(dataset), strict=True))
     names = [name for name in map_names(dataset) if name not in _NEEDED and not name.startswith("shape_")]
     for step, valid, quads in _surfaces(dataset, skipped):
@@ -139,7 +140,7 @@ def write_ply(dataset: xr.Dataset, folder: Path) -> list[str]:
     """
     folder.mkdir(parents=True)
     skipped: list[str] = []
-    text = metadata_text(dataset)
+    text = origin_text(dataset)
     names = [name for name in map_names(dataset) if not name.startswith("shape_") and name not in "xyz"]
     for step, valid, quads in _surfaces(dataset, skipped):
         columns = {

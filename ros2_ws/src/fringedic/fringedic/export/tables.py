@@ -12,8 +12,8 @@ import scipy.io
 import tifffile
 import xarray as xr
 
-from fringedic.errors import ExportError
-from fringedic.results.metadata import map_names, metadata, metadata_text, seconds, step_numbers
+from fringedic.errors import ExportError, optional_import
+from fringedic.results.attributes import map_names, origin_of, origin_text, seconds, step_numbers
 from fringedic.results.quantities import MAP_DIMENSIONS, STEP_NUMBERS, people_unit
 
 MATLAB_LIMIT = 2**31 - 1  # bytes of one variable in a MATLAB 5 file
@@ -44,7 +44,7 @@ def write_csv(dataset: xr.Dataset, folder: Path) -> list[str]:
         np.savetxt(file, table, fmt="%.7g", delimiter=",", header=heading, comments="", encoding="utf-8")
     with open(folder / "steps.csv", "w", newline="", encoding="utf-8") as stream:
         csv.writer(stream).writerows(_steps_table(dataset))
-    (folder / "metadata.json").write_text(json.dumps(metadata(dataset), indent=1), encoding="utf-8")
+    (folder / "metadata.json").write_text(json.dumps(origin_of(dataset), indent=1), encoding="utf-8")
     return skipped
 
 
@@ -88,7 +88,7 @@ def write_matlab(dataset: xr.Dataset, file: Path) -> list[str]:
     content["time"] = seconds(dataset)
     units = {name: dataset[name].attrs.get("units", "1") for name in content if name in dataset}
     content["units"] = units | {"time": "s"}
-    content["metadata"] = metadata_text(dataset)
+    content["metadata"] = origin_text(dataset)
     scipy.io.savemat(file, content, do_compression=True, oned_as="column")
     return []
 
@@ -97,7 +97,7 @@ def write_tiff(dataset: xr.Dataset, folder: Path) -> list[str]:
     """Write each map of each step as a plain 32-bit TIFF in the unit of its name; NaN is not measured."""
     folder.mkdir(parents=True)
     skipped = []
-    origin = metadata(dataset)
+    origin = origin_of(dataset)
     for number in dataset["step"].values:
         step = dataset.sel(step=number)
         written = False
@@ -138,6 +138,8 @@ def write_netcdf(dataset: xr.Dataset, file: Path) -> list[str]:
 
 def write_zarr(dataset: xr.Dataset, folder: Path) -> list[str]:
     """Write a dataset as it is, as Zarr."""
+    with optional_import("zarr"):
+        import zarr  # noqa: F401 (xarray loads it)
     sizes = (1, dataset.sizes["row"], dataset.sizes["column"])
     dataset.drop_encoding().to_zarr(folder, mode="w", zarr_format=2, encoding=_encoding(dataset, "chunks", sizes))
     return []

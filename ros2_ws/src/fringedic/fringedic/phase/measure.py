@@ -1,219 +1,192 @@
-"""The phase of a step by the method that its frames call for: phase stepping, or one image; absolute, or relative."""
+"""Measures the phase of a step by phase stepping or from one image, after a check of its frames."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import (
-    DarkStackError,
-    InvalidSequenceError,
-    NoFringesError,
-    SaturatedStackError,
-    StepError,
-    WrongPatternError,
-)
-from fringedic.phase.blur import correct_lens_blur
-from fringedic.phase.exposures import (
-    ExposedStack,
-    fill_glare,
-    merge_stacks,
-    noise_of_exposures,
-    split_exposures,
-)
-from fringedic.phase.faults import check_stack
-from fringedic.phase.gray_code import check_code_order
+from fringedic.errors import ErrorCode, PhaseError, StepError
+from fringedic.frames.exposures import ExposedStack, fill_saturated, merge_stacks, split_exposures
+from fringedic.frames.noise import ROUNDING_NOISE, CameraNoise
+from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
+from fringedic.phase.checks.gray_code import check_code_order
+from fringedic.phase.checks.stack import check_stack
+from fringedic.phase.demodulation import absolute_phase
+from fringedic.phase.fringe_order import unwrap_spatial
 from fringedic.phase.layout import layout_of, shift_angles
-from fringedic.phase.noise import ROUNDING_NOISE, CameraNoise
+from fringedic.phase.lens_blur import correct_lens_blur
+from fringedic.phase.noise import noise_of_exposures
 from fringedic.phase.one_image import one_image_phase
-from fringedic.phase.order import unwrap_spatial
-from fringedic.phase.steps import absolute_phase
-from fringedic.sequence import Orientation, PatternKind, Projection
+from fringedic.phase.settings import DEFAULT_SETTINGS, PhaseSettings
 
-_AMBIGUOUS_LINES = 0.05  # of the lines across the fringes; more jump by a turn when one fringe does not cover the view
-
-Method = Literal["auto", "steps", "one_image"]
+# Part of the lines across the fringes in which the phase jumps by a turn. One fringe that covers the view makes no jump
+# but at a few lines with noise or edges; fringes that repeat jump on every line.
+_AMBIGUOUS_LINES = 0.05
 
 
 def measure_phase(
     frames: np.ndarray,
-    projections: Sequence[Projection],
+    patterns: Sequence[ProjectedPattern],
+    settings: PhaseSettings = DEFAULT_SETTINGS,
     *,
-    method: Method = "auto",
-    accept_relative: bool = False,
     exposure_times: Sequence[float] | None = None,
-    noise: CameraNoise | None = None,
-    saturation: float | None = None,
-    minimum_modulation: float = 0.0,
-    lens_blur: float = 0.0,
-    largest_error: float = 0.003,
-    largest_motion: float = 0.2,
 ) -> tuple[xr.Dataset, list[str]]:
-    """Measure the phase of a step, having looked for faults of its frames.
+    """Check the frames of a step for faults and measure its phase.
 
     Parameters
     ----------
     frames
-        Grey levels, shape (frame, row, column).
-    projections
-        What each frame showed: see `absolute_phase`; or one fringe image, and uniform grey if its texture is to be
-        taken out.
-    method
-        ``steps``: phase stepping; ``one_image``: from the last fringe image alone; ``auto``: from one image when there
-        is only one.
-    accept_relative
-        Whether a phase that is true up to whole fringes only is a result: that of one image, and that of one pitch
-        without a code that repeats in view. Refused otherwise.
+        Grey levels, uint8, uint16 or float32, shape (frame, row, column).
+    patterns
+        Pattern of each frame: see `absolute_phase`; or one fringe image, with uniform grey for its texture.
+    settings
+        Noise, limits, and the choice of method.
     exposure_times
-        Of each frame [s]; several of each pattern are merged, see `merge_exposures`. By default all are alike.
-    noise, saturation, minimum_modulation
-        See `absolute_phase`; grey levels are those of the first frame's exposure time.
-    lens_blur
-        Blur of the camera's lens to correct for [px], see `correct_lens_blur`; 0 corrects nothing.
-    largest_error, largest_motion
-        See `check_stack`.
+        Of each frame [s]; several exposures of each pattern are merged, see `merge_exposures`. None for equal times.
 
     Returns
     -------
     result : Dataset
-        As `absolute_phase` returns, the phase with the attribute ``relative`` (0 or 1).
+        As of `absolute_phase`, the phase with the attribute ``relative`` (0 or 1).
     remarks : list of str
-        What should be known about this result.
+        Faults that are too small for an error.
 
     Raises
     ------
-    InvalidSequenceError
-        The frames give no phase, or only a relative one that is not accepted.
-    SaturatedStackError, DarkStackError, WrongPatternError, FramesOutOfOrderError, FlickerError, MovedSurfaceError
-        See `check_stack`.
+    PhaseError
+        The frames give no phase, or a relative one only, which `settings` does not accept.
+    ImageError
+        Frames, patterns and exposure times do not belong together.
+    StepError
+        The frames are faulty, see `check_stack`.
+
+    Examples
+    --------
+    >>> from fringedic.patterns import fringe_sequence
+    >>> from fringedic.virtual_rig import VirtualRig
+    >>> rig = VirtualRig.from_preset("plate", size="tiny")
+    >>> rows, columns = rig.projector_shape
+    >>> sequence = fringe_sequence(columns, rows, [columns, 40, 10], shifts=4)
+    >>> frames = np.array([rig.expose(image, 0.0, index) for index, image in enumerate(sequence)])
+    >>> result, remarks = measure_phase(frames, sequence.patterns)
+    >>> truth = 2 * np.pi * (rig.truth(0.0).projector_column - (columns - 1) / 2) / 10
+    >>> bool(abs(result.phase - truth).max() < 0.5), remarks
+    (True, [])
     """
-    exposures = split_exposures(frames, projections, exposure_times)
-    kinds = [each.kind for each in exposures[0].projections]
-    if method == "one_image" or (method == "auto" and kinds.count(PatternKind.FRINGES) == 1):
-        if not accept_relative:
-            raise InvalidSequenceError(
+    exposures = split_exposures(frames, patterns, exposure_times)
+    kinds = [each.kind for each in exposures[0].patterns]
+    if settings.method == "one_image" or (settings.method == "auto" and kinds.count(PatternKind.FRINGES) == 1):
+        if not settings.accept_relative:
+            raise PhaseError(
                 "one fringe image gives a phase up to whole fringes only: accept a relative phase, or show whole "
-                "cycles of shifts at several pitches"
+                "cycles of shifts at several pitches",
+                code=ErrorCode.INVALID_SEQUENCE,
             )
-        result, remarks = _from_one_image(exposures, noise, saturation)
+        result, remarks = _from_one_image(exposures, settings)
     else:
         exposures = [each.without_grey() for each in exposures]
-        remarks = _check(exposures, noise, saturation, largest_error, largest_motion)
-        result = _from_steps(exposures, noise, saturation, minimum_modulation)
-        remarks += _settle_orders(result, exposures[0], accept_relative)
-    if lens_blur > 0:
-        relative = result.phase.attrs["relative"]
-        result["phase"] = result.phase.copy(data=correct_lens_blur(result.phase, result.modulation, lens_blur))
-        result.phase.attrs["relative"] = relative
+        remarks = _check(exposures, settings)
+        result = _from_steps(exposures, settings)
+        remarks += _settle_orders(result, exposures[0], settings.accept_relative)
+    if settings.lens_blur > 0:
+        corrected = correct_lens_blur(result.phase, result.modulation, settings.lens_blur)
+        result["phase"] = result.phase.copy(data=corrected)
     return result, remarks
 
 
-def _check(
-    exposures: Sequence[ExposedStack],
-    noise: CameraNoise | None,
-    saturation: float | None,
-    largest_error: float,
-    largest_motion: float,
-) -> list[str]:
-    """Look for faults in every exposure that shows something; one of several may be too bright or too dark.
+def _check(exposures: Sequence[ExposedStack], settings: PhaseSettings) -> list[str]:
+    """Check every exposure; one of several may be too bright or too dark.
 
-    The shortest one alone tells how much saturates.
+    Saturation is reported for the shortest exposure only.
     """
     remarks: list[str] = []
-    useless: list[SaturatedStackError | DarkStackError] = []
+    unusable: list[StepError] = []
     for rank, exposure in enumerate(sorted(exposures, key=lambda each: each.time)):
         words = f"exposed for {1e3 * exposure.time:g} ms: " if len(exposures) > 1 else ""
         try:
             found = check_stack(
-                exposure.frames,
-                exposure.projections,
-                noise=noise,
-                saturation=saturation,
-                largest_error=largest_error,
-                largest_motion=largest_motion,
-                numbers=exposure.numbers,
-                tell_glare=rank == 0,
+                exposure.frames, exposure.patterns, settings, numbers=exposure.numbers, report_saturation=rank == 0
             )
-        except (SaturatedStackError, DarkStackError) as error:
-            useless.append(error)
-            found = [str(error)]
         except StepError as error:
-            raise type(error)(f"{words}{error}", index=error.index) from error
+            if error.code not in (ErrorCode.SATURATED, ErrorCode.DARK):
+                raise StepError(f"{words}{error}", index=error.index, code=error.code) from error
+            unusable.append(error)
+            found = [str(error)]
         remarks += [f"{words}{each}" for each in found]
-    if len(useless) == len(exposures):
-        raise useless[0] if isinstance(useless[0], SaturatedStackError) else useless[-1]
+    if len(unusable) == len(exposures):
+        raise unusable[0] if unusable[0].code is ErrorCode.SATURATED else unusable[-1]
     return remarks
 
 
-def _from_steps(
-    exposures: Sequence[ExposedStack], noise: CameraNoise | None, saturation: float | None, minimum_modulation: float
-) -> xr.Dataset:
-    shown = exposures[0].projections
+def _from_steps(exposures: Sequence[ExposedStack], settings: PhaseSettings) -> xr.Dataset:
+    patterns = exposures[0].patterns
     if len(exposures) == 1:
         return absolute_phase(
-            exposures[0].frames, shown, noise=noise, saturation=saturation, minimum_modulation=minimum_modulation
+            exposures[0].frames,
+            patterns,
+            noise=settings.noise,
+            saturation=settings.saturation,
+            minimum_modulation=settings.minimum_modulation,
         )
-    known = noise or noise_of_exposures(exposures, saturation)
-    frames, sigma = merge_stacks(exposures, known or CameraNoise(ROUNDING_NOISE), saturation)
-    result = absolute_phase(frames, shown, noise=sigma, minimum_modulation=minimum_modulation)
+    known = settings.noise or noise_of_exposures(exposures, settings.saturation)
+    frames, sigma = merge_stacks(exposures, known or CameraNoise(ROUNDING_NOISE), settings.saturation)
+    result = absolute_phase(frames, patterns, noise=sigma, minimum_modulation=settings.minimum_modulation)
     if known is None:
         result.sigma.values.fill(np.nan)
-    fill_glare(result.texture.values, exposures)
+    fill_saturated(result.texture.values, exposures)
     return result
 
 
-def _from_one_image(
-    exposures: Sequence[ExposedStack], noise: CameraNoise | None, saturation: float | None
-) -> tuple[xr.Dataset, list[str]]:
-    frames, projections = exposures[0].frames, exposures[0].projections
+def _from_one_image(exposures: Sequence[ExposedStack], settings: PhaseSettings) -> tuple[xr.Dataset, list[str]]:
+    frames, patterns, saturation = exposures[0].frames, exposures[0].patterns, settings.saturation
     if len(exposures) > 1:
-        frames, _ = merge_stacks(exposures, noise or CameraNoise(ROUNDING_NOISE), saturation)
-        saturation = None
-    fringes = [index for index, each in enumerate(projections) if each.kind == PatternKind.FRINGES]
+        frames, _ = merge_stacks(exposures, settings.noise or CameraNoise(ROUNDING_NOISE), saturation)
+        saturation = None  # saturated pixels of merged frames are infinite
+    fringes = [index for index, each in enumerate(patterns) if each.kind == PatternKind.FRINGES]
     if not fringes:
-        raise InvalidSequenceError("no frame shows fringes")
-    grey = [index for index, each in enumerate(projections) if each.kind == PatternKind.GREY]
-    shown, number = projections[fringes[-1]], exposures[0].numbers[fringes[-1]]
+        raise PhaseError("no frame shows fringes", code=ErrorCode.INVALID_SEQUENCE)
+    grey = [index for index, each in enumerate(patterns) if each.kind == PatternKind.GREY]
+    shown, number = patterns[fringes[-1]], exposures[0].numbers[fringes[-1]]
     try:
         result = one_image_phase(
             frames[fringes[-1]],
             white=frames[grey[-1]] if grey else None,
             orientation=shown.orientation,
             shift_angle=float(shift_angles([shown])[0]),
-            noise=noise,
+            noise=settings.noise,
             saturation=saturation,
         )
-    except NoFringesError as error:
-        raise WrongPatternError(f"frame {number}: {error}", index=number) from error
+    except PhaseError as error:
+        raise StepError(f"frame {number}: {error}", index=number, code=ErrorCode.WRONG_PATTERN) from error
     return result, ["the phase of one image is relative: true up to the same number of whole fringes everywhere"]
 
 
 def _settle_orders(result: xr.Dataset, stack: ExposedStack, accept_relative: bool) -> list[str]:
-    """Unwrap over the image where the frames do not tell the orders; refuse orders that cannot be."""
-    projections = stack.projections
-    layout = layout_of(projections)
+    """Unwrap over the image where the frames do not determine the orders; refuse orders that contradict each other."""
+    patterns = stack.patterns
+    layout = layout_of(patterns)
     result.phase.attrs["relative"] = 0
     if layout.code == 0 and len(layout.pitches) > 1:
         return []
-    along = 1 if projections[0].orientation == Orientation.VERTICAL else 0
+    along = 1 if patterns[0].orientation == Orientation.VERTICAL else 0
     growth = np.diff(result.phase.values, axis=along)
     known = np.isfinite(growth)
     jumps = known & (np.abs(growth) > np.pi)
     if layout.code:
         if jumps.sum() > np.sum(known.any(axis=along)):  # more than one on every line, as at a step of the surface
-            check_code_order(stack.frames, projections, stack.numbers)
+            check_code_order(stack.frames, patterns, stack.numbers)
         return []
     lines = known.any(axis=along)
     if not lines.any() or np.mean(jumps.any(axis=along)[lines]) < _AMBIGUOUS_LINES:
         return []
     pitch = layout.pitches[0]
     if not accept_relative:
-        raise InvalidSequenceError(
+        raise PhaseError(
             f"fringes of one pitch of {pitch:g} px repeat in view, their order is unknown: show coarser pitches or a "
-            "Gray code too, or accept a relative phase"
+            "Gray code too, or accept a relative phase",
+            code=ErrorCode.INVALID_SEQUENCE,
         )
     phase = unwrap_spatial(result.phase)
     measured = np.isfinite(phase.values)

@@ -1,30 +1,33 @@
-"""Phase from one fringe image, for events that are too fast for phase stepping: a windowed Fourier transform.
+"""Phase from one fringe image, for events that are too fast for phase stepping, by a windowed Fourier transform.
 
-The image is multiplied by a conjugate wave and averaged by a Gaussian window, once with the plane wave of the strongest
-fringes and once more with the wave that this first phase tells, so that the window only sees what is left. The price
-against phase stepping is resolution: a point stands for its window, and texture of the fringes' own frequency passes
-for phase, unless a white image takes it out.
+The image is multiplied by a conjugate wave and averaged by a Gaussian window: once with the plane wave of the strongest
+fringes, and once more with the wave of this first phase, so that the window contains the remaining phase only. The
+price against phase stepping is resolution: a point is an average over its window, and texture at the frequency of the
+fringes counts as phase, unless the image is divided by a white image.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import NoFringesError, ShapeMismatchError
+from fringedic.errors import ErrorCode, ImageError, PhaseError
+from fringedic.frames.noise import ROUNDING_NOISE, CameraNoise, saturation_level
+from fringedic.patterns.pattern import Orientation
+from fringedic.phase.demodulation_kernel import CONFIDENCE
+from fringedic.phase.fringe_order import assign_orders, unwrap_spatial
 from fringedic.phase.layout import pixels
-from fringedic.phase.noise import ROUNDING_NOISE, CameraNoise, saturation_level
-from fringedic.phase.order import assign_orders, unwrap_spatial
-from fringedic.phase.steps import CONFIDENCE
-from fringedic.sequence import Orientation
 
-_SHORTEST_PERIOD = 4.0  # camera pixels; below, the window does not separate fringes from noise
-_FEWEST_FRINGES = 4  # in view; below, brightness differences of the surface pass for fringes
-_DEGREE = 3  # of the polynomial that describes the fringes' course over the image: perspective and curvature
-_CONTRAST = 6.0  # how far the fringes' peak has to stand above the median of the spectrum
+# test_one_image_gives_the_phase and test_an_image_without_fringes_is_refused fix these limits
+_SHORTEST_PERIOD = 4.0  # camera pixels; of shorter fringes the window contains less than two samples per period
+_FEWEST_FRINGES = 4  # in view; shading of the surface has fewer periods
+_DEGREE = 3  # of the polynomial course of the phase over the image: perspective and curvature
+_CONTRAST = 6.0  # of the fringes' peak over the median of the spectrum on its ring
+_TINY = np.float32(1e-6)  # avoids divisions by zero outside of the measured area
 
 
 def one_image_phase(
@@ -45,126 +48,182 @@ def one_image_phase(
     image
         Grey levels under fringes, shape (row, column).
     white
-        The same surface in the same place under uniform light, same shape: takes its texture out.
+        Grey levels of the same surface in the same place under uniform light, same shape. The image is divided by
+        them, which removes the texture.
     orientation
-        Direction of the fringes; the phase grows to the right, or upwards for horizontal ones.
+        Direction of the fringes; the phase grows to the right, or upwards for horizontal fringes.
     shift_angle
-        2 pi k / q of the image shown [rad].
+        2 pi k / q of the projected image [rad].
     noise
-        Noise of the camera, for pixels too dark to be divided by; rounding only when None.
+        Noise of the camera, for pixels of `white` that are too dark to divide by; None for rounding only.
     saturation
         Grey level from which a pixel counts as saturated; by default the largest value of an integer type.
     window
         Standard deviation of the Gaussian window, in periods of the fringes.
     coarse
-        Absolute phase at the same pitch [rad], known to within half a fringe: tells the fringe orders.
+        Absolute phase at the same pitch [rad], known to within half a fringe, from which the fringe orders are taken.
 
     Returns
     -------
     Dataset
-        As `absolute_phase` returns. The phase is relative (attribute ``relative`` = 1, see `unwrap_spatial`) unless
-        `coarse` is given. ``sigma`` holds noise and texture together: what a wave of the same period across the
-        fringes' direction finds, where there are none. ``texture`` is the white image, or what is left of the image
-        without its fringes.
+        As of `absolute_phase`. The phase is relative (attribute ``relative`` = 1, see `unwrap_spatial`) unless
+        `coarse` is given. ``sigma`` contains noise and texture together: it is the amplitude found for a wave of the
+        same period across the direction of the fringes, where there are no fringes. ``texture`` is the white image, or
+        the image divided by its fringes.
 
     Raises
     ------
-    NoFringesError
-        When no fringes stand out of the image.
-    ShapeMismatchError
-        When image and white image differ in size.
+    PhaseError
+        No fringes are found in the image.
+    ImageError
+        Image and white image differ in size.
+
+    References
+    ----------
+    M. Takeda, K. Mutoh, "Fourier transform profilometry for the automatic measurement of 3-D object shapes", Applied
+    Optics 22 (1983) 3977-3982.
+
+    Q. Kemao, "Windowed Fourier transform for fringe pattern analysis", Applied Optics 43 (2004) 2695-2702.
+
+    Examples
+    --------
+    >>> column = np.arange(120.0)
+    >>> truth = 2 * np.pi * column / 8 + 2 * np.sin(column / 30)
+    >>> image = (120 + 60 * np.cos(truth) * np.ones((90, 1))).round().astype(np.uint8)
+    >>> measured = one_image_phase(image)
+    >>> turns = (measured.phase.values[45, 20:-20] - truth[20:-20]) / (2 * np.pi)
+    >>> bool(abs(turns - np.round(turns[0])).max() < 0.01)  # true up to whole fringes
+    True
     """
     if white is not None and white.shape != image.shape:
-        raise ShapeMismatchError(f"the white image is {white.shape}, the fringe image {image.shape}")
-    camera = noise if noise is not None else CameraNoise(ROUNDING_NOISE)
+        raise ImageError(f"the white image is {white.shape}, the fringe image {image.shape}")
+    scene = _relief(image, white, noise if noise is not None else CameraNoise(ROUNDING_NOISE), saturation)
+    if not scene.measured.any():
+        raise PhaseError("no fringes: every pixel is dark or saturates", code=ErrorCode.NO_FRINGES)
+    frequency = _carrier(scene.relief, scene.weight, orientation)
+    fringes = _windowed_phase(scene, frequency, window)
+    valid = scene.measured & (fringes.sigma < 1 / CONFIDENCE) & (fringes.coverage > 0.5)
+
+    residual = np.where(valid, np.angle(fringes.amplitude), np.nan)
+    phase = _with_orders(residual, fringes.wave, shift_angle, coarse)
+    modulation = 2 * np.abs(fringes.amplitude) * (scene.light if scene.light is not None else 1)
+    texture = scene.light if scene.light is not None else _without_fringes(scene, fringes)
+    return _dataset(phase, fringes.sigma, modulation, texture, valid & np.isfinite(phase.values))
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """Images prepared for the transform, all (row, column): levels are finite, the relief is free of texture."""
+
+    levels: np.ndarray
+    light: np.ndarray | None  # the white image
+    relief: np.ndarray
+    measured: np.ndarray
+
+    @property
+    def weight(self) -> np.ndarray:
+        return self.measured.astype(np.float32)
+
+
+@dataclass(frozen=True)
+class _Fringes:
+    """Fringes around a wave, all (row, column): B/2 exp(i (phi - wave)), sigma of phi [rad], weight in the window."""
+
+    wave: np.ndarray
+    amplitude: np.ndarray
+    sigma: np.ndarray
+    coverage: np.ndarray
+    period: float
+
+
+def _relief(image: np.ndarray, white: np.ndarray | None, camera: CameraNoise, saturation: float | None) -> _Scene:
+    """Return the fringe image divided by the white one, and the pixels that are measured."""
     levels = image.astype(np.float32)
     measured = levels < saturation_level(image, saturation)
-    levels[~np.isfinite(levels)] = 0.0  # merged exposures that all saturate
-    relief: np.ndarray = levels
-    if white is not None:
-        light = white.astype(np.float32)
-        light[~np.isfinite(light)] = 0.0
-        measured &= (light < saturation_level(white, saturation)) & (
-            light > CONFIDENCE * np.sqrt(camera.variance(light))
-        )
-        relief = levels / np.where(measured, light, np.float32(1))
-    weight = measured.astype(np.float32)
-    if not measured.any():
-        raise NoFringesError("no fringes: every pixel is dark or saturates")
-    frequency = _carrier(relief, weight, orientation)
+    levels[~np.isfinite(levels)] = 0.0  # where all merged exposures saturate
+    if white is None:
+        return _Scene(levels, None, levels, measured)
+    light = white.astype(np.float32)
+    light[~np.isfinite(light)] = 0.0
+    measured &= (light < saturation_level(white, saturation)) & (light > CONFIDENCE * np.sqrt(camera.variance(light)))
+    return _Scene(levels, light, levels / np.where(measured, light, np.float32(1)), measured)
+
+
+def _windowed_phase(scene: _Scene, frequency: tuple[float, float], window: float) -> _Fringes:
+    """Demodulate with a plane wave, then with the wave of that phase and the final window."""
+    weight = scene.weight
     period = 1 / float(np.hypot(*frequency))
-    rows, columns = (axis.astype(np.float32) for axis in np.ogrid[: image.shape[0], : image.shape[1]])
+    rows, columns = (axis.astype(np.float32) for axis in np.ogrid[: weight.shape[0], : weight.shape[1]])
     wave = (2 * np.pi * (frequency[0] * rows + frequency[1] * columns)).astype(np.float32)
-    varying = relief - _smooth(relief * weight, period) / np.maximum(_smooth(weight, period), np.float32(1e-6))
+    varying = scene.relief - _smooth(scene.relief * weight, period) / np.maximum(_smooth(weight, period), _TINY)
 
-    first = _demodulated(varying, weight, wave, period)
-    wave = wave + _course(first, measured)
+    first = _demodulate(varying, weight, wave, period)
+    wave = wave + _course(first, scene.measured)
     deviation = max(window * period, 0.5)
-    amplitude = _demodulated(varying, weight, wave, deviation)
+    amplitude = _demodulate(varying, weight, wave, deviation)
     across = 2 * np.pi * (-frequency[1] * rows + frequency[0] * columns)
-    leakage = np.abs(_demodulated(varying, weight, across.astype(np.float32), deviation)) ** 2
-    variance = _smooth(leakage * weight, 2 * period) / np.maximum(_smooth(weight, 2 * period), np.float32(1e-6))
-    strength = np.abs(amplitude)
-    sigma = np.sqrt(variance / 2) / np.maximum(strength, np.float32(1e-12))
-    valid = measured & (sigma < 1 / CONFIDENCE) & (_smooth(weight, deviation) > 0.5)
+    leakage = np.abs(_demodulate(varying, weight, across.astype(np.float32), deviation)) ** 2
+    variance = _smooth(leakage * weight, 2 * period) / np.maximum(_smooth(weight, 2 * period), _TINY)
+    sigma = np.sqrt(variance / 2) / np.maximum(np.abs(amplitude), np.float32(1e-12))
+    return _Fringes(wave, amplitude, sigma, _smooth(weight, deviation), period)
 
-    modulation = 2 * strength * (light if white is not None else 1)
-    texture = light if white is not None else _without_fringes(levels, weight, amplitude, wave, period)
-    residual = np.where(valid, np.angle(amplitude), np.nan)
-    if coarse is None:
-        residual_unwrapped = unwrap_spatial(residual)
-        phase = xr.DataArray(
-            residual_unwrapped.values + wave + shift_angle,
-            dims=residual_unwrapped.dims,
-            coords=residual_unwrapped.coords,
-            attrs={"relative": 1},
-        )
-    else:
-        phase = assign_orders(residual + wave + shift_angle, coarse)
-    valid &= np.isfinite(phase.values)
-    dimensions = ("row", "column")
+
+def _with_orders(
+    residual: np.ndarray, wave: np.ndarray, shift_angle: float, coarse: np.ndarray | xr.DataArray | None
+) -> xr.DataArray:
+    """Return the phase [rad] with the orders of a coarse phase, or unwrapped over the image."""
+    if coarse is not None:
+        return assign_orders(residual + wave + shift_angle, coarse)
+    unwrapped = unwrap_spatial(residual)
+    return unwrapped.copy(data=unwrapped.values + wave + shift_angle)
+
+
+def _dataset(
+    phase: xr.DataArray, sigma: np.ndarray, modulation: np.ndarray, texture: np.ndarray, valid: np.ndarray
+) -> xr.Dataset:
+    image = ("row", "column")
+    relative = phase.attrs["relative"]
     return xr.Dataset(
         {
             "phase": (
-                dimensions,
+                image,
                 phase.values.astype(np.float32),
-                {"units": "rad", "long_name": "phase of the fringes", "relative": phase.attrs["relative"]},
+                {"units": "rad", "long_name": "phase of the fringes", "relative": relative},
             ),
             "sigma": (
-                dimensions,
+                image,
                 np.where(valid, sigma, np.nan).astype(np.float32),
                 {"units": "rad", "long_name": "standard deviation of the phase"},
             ),
-            "modulation": (dimensions, modulation.astype(np.float32), {"units": "grey level"}),
-            "texture": (dimensions, texture.astype(np.float32), {"units": "grey level"}),
-            "valid": (dimensions, valid, {"long_name": "where the phase is measured"}),
+            "modulation": (image, modulation.astype(np.float32), {"units": "grey level"}),
+            "texture": (image, texture.astype(np.float32), {"units": "grey level"}),
+            "valid": (image, valid, {"long_name": "where the phase is measured"}),
         },
-        coords=pixels(image.shape),
+        coords=pixels(valid.shape),
     )
 
 
 def _smooth(values: np.ndarray, deviation: float) -> np.ndarray:
-    """Gaussian average of an image, or of several as channels; nothing beyond the border."""
+    """Return the Gaussian average of an image, or of several as channels; zero beyond the border."""
     reach = 2 * math.ceil(3 * deviation) + 1
     return cv2.GaussianBlur(values, (reach, reach), deviation, borderType=cv2.BORDER_CONSTANT)
 
 
-def _demodulated(varying: np.ndarray, weight: np.ndarray, wave: np.ndarray, deviation: float) -> np.ndarray:
+def _demodulate(varying: np.ndarray, weight: np.ndarray, wave: np.ndarray, deviation: float) -> np.ndarray:
     """Return the windowed mean of the image times the conjugate wave: B/2 exp(i (phi - wave))."""
     known = varying * weight
     parts = np.stack([known * np.cos(wave), -known * np.sin(wave)], axis=-1)
-    mean = _smooth(parts, deviation) / np.maximum(_smooth(weight, deviation), np.float32(1e-6))[..., None]
+    mean = _smooth(parts, deviation) / np.maximum(_smooth(weight, deviation), _TINY)[..., None]
     return np.asarray(mean[..., 0] + 1j * mean[..., 1])
 
 
-def _without_fringes(
-    levels: np.ndarray, weight: np.ndarray, amplitude: np.ndarray, wave: np.ndarray, period: float
-) -> np.ndarray:
-    """Return the image divided by its fringes of contrast B/A; in their dark lines the noise grows fivefold at most."""
-    mean = _smooth(levels * weight, period) / np.maximum(_smooth(weight, period), np.float32(1e-6))
-    contrast = 2 * np.abs(amplitude) / np.maximum(mean, np.float32(1e-6))
-    fringes = 1 + contrast * np.cos(wave + np.angle(amplitude))
-    return np.asarray(levels / np.maximum(fringes, np.float32(0.2)))
+def _without_fringes(scene: _Scene, fringes: _Fringes) -> np.ndarray:
+    """Return the image divided by its fringes of contrast B/A; noise is amplified fivefold at most."""
+    weight, period = scene.weight, fringes.period
+    mean = _smooth(scene.levels * weight, period) / np.maximum(_smooth(weight, period), _TINY)
+    contrast = 2 * np.abs(fringes.amplitude) / np.maximum(mean, _TINY)
+    wave = 1 + contrast * np.cos(fringes.wave + np.angle(fringes.amplitude))
+    return np.asarray(scene.levels / np.maximum(wave, np.float32(0.2)))
 
 
 def _carrier(relief: np.ndarray, weight: np.ndarray, orientation: Orientation) -> tuple[float, float]:
@@ -177,19 +236,24 @@ def _carrier(relief: np.ndarray, weight: np.ndarray, orientation: Orientation) -
     fewest = _FEWEST_FRINGES / (columns if orientation == Orientation.VERTICAL else rows)
     allowed = (along >= fewest) & (np.abs(across) < along) & (np.hypot(along, across) < 1 / _SHORTEST_PERIOD)
     if not allowed.any():
-        raise NoFringesError(f"no fringes: an image of {columns}x{rows} px is too small for them")
+        raise PhaseError(
+            f"no fringes: an image of {columns}x{rows} px is too small for them", code=ErrorCode.NO_FRINGES
+        )
     peak = np.unravel_index(np.argmax(np.where(allowed, spectrum, 0)), spectrum.shape)
     ring = np.hypot(along, across)
     alike = allowed & (np.abs(ring - ring[peak]) < 0.3 * ring[peak])
     if not (alike.any() and spectrum[peak] > _CONTRAST * np.median(spectrum[alike])):
-        raise NoFringesError("no fringes: no period stands out of the image; is the projector on, and the pitch fine?")
+        raise PhaseError(
+            "no fringes: no period stands out of the image; check that the projector is on and the pitch fine",
+            code=ErrorCode.NO_FRINGES,
+        )
     return float(vertical[peak[0], 0]), float(horizontal[0, peak[1]])
 
 
 def _course(amplitude: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """Return the smooth course of the phase over the image [rad]: a polynomial through its unwrapped values.
+    """Return the smooth course of the phase over the image [rad]: a polynomial fitted to its unwrapped values.
 
-    Fitted to every eighth pixel or so; what it misses stays for the second pass.
+    About 120 pixels along the shorter side are enough: the second pass measures what the polynomial leaves.
     """
     strength = np.abs(amplitude)
     strong = measured & (strength > 0.3 * np.median(strength[measured]))

@@ -1,6 +1,5 @@
-"""The report of an experiment: one HTML file that needs no network, and moving pictures of its maps."""
+"""Every page and sentence for people: reports of experiments, calibrations and settings."""
 
-from fringedic.report.animation import save_animation
-from fringedic.report.writing import write_report
+import lazy_loader
 
-__all__ = ["save_animation", "write_report"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

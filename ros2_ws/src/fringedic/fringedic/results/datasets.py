@@ -7,18 +7,20 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from fringedic.recording import BagReader
+from fringedic.recording.frames import RecordedMessage, events
+from fringedic.recording.reader import BagReader
 from fringedic.results.derived import Collected
-from fringedic.results.measuring import Chain
 from fringedic.results.quantities import PHASE_TOPICS
-from fringedic.results.rows import Row, Settings, in_order_of_steps
+from fringedic.results.rows import Row, in_order_of_steps, row_of
 from fringedic.results.stores import dataset_path
 from fringedic.results.timeline import Timeline
 from fringedic.results.writer import DatasetWriter
-from fringedic.rig import RigModel
+from fringedic.rig.model import RigModel
+from fringedic.steps.pipeline import OfflinePipeline
+from fringedic.steps.recorded_parameters import StepSettings
 
 
-def process_bag(
+def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     path: str | os.PathLike[str],
     *,
     output: str | os.PathLike[str] | None = None,
@@ -32,9 +34,9 @@ def process_bag(
 ) -> Path:
     """Measure a recorded experiment again from its raw topics, by the same step functions that the nodes call.
 
-    With the recorded parameters the maps equal those of the nodes bit by bit. A step that fails keeps its row, without
-    maps, and says why in the variable ``error``. Of a recording that is cut off all whole steps are measured; the
-    attribute ``damage`` says what is lost.
+    With the recorded parameters the maps equal those of the nodes bit by bit. A step that fails has a row without maps,
+    and the variable ``error`` contains the reason. Of a recording that is cut off all complete steps are measured; the
+    attribute ``damage`` describes the loss.
 
     Parameters
     ----------
@@ -46,14 +48,14 @@ def process_bag(
     overrides
         Parameters that replace the recorded ones, ``{"dic.window": 24}``.
     steps
-        Numbers of the steps to measure; all by default. The reference steps are measured anyway. The displacement of
+        Numbers of the steps to measure; all by default. The reference steps are always measured. The displacement of
         a step starts from that of its predecessors, so that results without them agree within the noise, not exactly.
     reference
-        A step that all others are measured against, earlier ones too; by default as recorded.
+        Number of the step that all others are measured against, also earlier ones; by default as recorded.
     calibration
-        Of the rig, instead of the recorded one.
+        Model of the rig, instead of the recorded one.
     experiment
-        Which experiment, where the recording holds several.
+        Name of the experiment, if the recording contains several.
     overwrite
         Replace an existing output.
     progress
@@ -66,15 +68,19 @@ def process_bag(
 
     Raises
     ------
-    MissingTopicError
-        The recording lacks images or exposure records.
     RecordingError
-        It is damaged somewhere in between; `fringedic.recording.recover` saves the rest.
-    ParameterError
+        The recording lacks images or exposure records, or is damaged before its end;
+        `fringedic.recording.repair.recover` saves the rest.
+    ConfigurationError
         An override is unknown or not allowed.
     DatasetError
-        The output exists or cannot be written, or the recording holds no frame of the experiment or of a step that is
-        asked for, or several experiments.
+        The output exists or cannot be written, or the recording contains no frame of the experiment or of a requested
+        step, or several experiments.
+
+    Examples
+    --------
+    >>> process_bag("recordings/plate-7/bag", overrides={"dic.window": 24})  # doctest: +SKIP
+    PosixPath('recordings/plate-7/bag.nc')
     """
     reader = BagReader(path)
     names = reader.find("camera/image_raw", "camera/exposure")
@@ -82,25 +88,25 @@ def process_bag(
         "experiment/step", "experiment/reference", "calibration", "node_parameters", "load_frame/state"
     )
     timeline = Timeline(reader, names, experiment)
-    chain = Chain(overrides or {}, timeline.experiment, reference, calibration)
+    pipeline = OfflinePipeline(overrides or {}, timeline.experiment, reference, calibration)
     references = timeline.references if reference is None else {reference}
     asked = references if reference is not None else set()
     wanted = None if steps is None else set(steps) | references
     timeline.require_steps(asked | (wanted or set()))
     target = dataset_path(path, output, overwrite)
-    topics = {full: name for name, full in names.items() if name != "load_frame/state"}
+    topics = {name: full for name, full in names.items() if name != "load_frame/state"}
 
     def passing(numbers: set[int] | None) -> Iterator[Row]:
-        for name, message in _messages(reader, topics, timeline.experiment):
-            yield from chain.take(name, message, numbers)
+        for event in events(reader, topics, timeline.experiment):
+            yield from map(row_of, pipeline.take(event, numbers))
 
     def rows() -> Iterator[Row]:
         if reference is not None:
             yield from passing(references)
         yield from passing(wanted)
-        yield from chain.finish()
+        yield from map(row_of, pipeline.finish())
 
-    _write(target, timeline, in_order_of_steps(rows()), chain.settings, progress)
+    _write(target, timeline, in_order_of_steps(rows()), lambda: pipeline.settings, progress)
     return target
 
 
@@ -111,12 +117,12 @@ def dataset_from_derived(
     experiment: str | None = None,
     overwrite: bool = False,
 ) -> Path:
-    """Write the dataset of an experiment from what the nodes published, without measuring anything again.
+    """Write the dataset of an experiment from the results that the nodes published, without measuring anything again.
 
     Parameters
     ----------
     path, output, experiment, overwrite
-        As for `process_bag`, and the maps can be compared with those of `process_bag` one by one.
+        As of `process_bag`. The maps have the same names, so that both datasets can be compared.
 
     Returns
     -------
@@ -125,12 +131,10 @@ def dataset_from_derived(
 
     Raises
     ------
-    MissingTopicError
-        The recording holds no derived topics.
     RecordingError
-        It is damaged.
+        The recording contains no derived topics, or is damaged.
     DatasetError
-        The output exists or cannot be written, or the recording holds no step of the experiment, or several
+        The output exists or cannot be written, or the recording contains no step of the experiment, or several
         experiments.
     """
     reader = BagReader(path)
@@ -144,30 +148,23 @@ def dataset_from_derived(
     timeline = Timeline(reader, names, experiment)
     target = dataset_path(path, output, overwrite)
     collected = Collected(set(derived) | {"phase/status", "dic/status"})
-    topics = {full: name for name, full in names.items() if name not in ("load_frame/state", "camera/exposure")}
+    topics = {name: full for name, full in names.items() if name not in ("load_frame/state", "camera/exposure")}
 
     def rows() -> Iterator[Row]:
-        for name, message in _messages(reader, topics, timeline.experiment):
-            yield from collected.take(name, message)
+        for event in events(reader, topics, timeline.experiment):
+            assert isinstance(event, RecordedMessage), "no frames were asked for"
+            yield from collected.take(event.topic, event.message)
         yield from collected.finish()
 
     _write(target, timeline, in_order_of_steps(rows()), collected.settings, None)
     return target
 
 
-def _messages(reader: BagReader, topics: Mapping[str, str], experiment: str) -> Iterator[tuple[str, Any]]:
-    """Iterate over (relative topic, message) of one experiment in the order of publishing."""
-    for raw in reader.published(topics):
-        message = reader.decode(raw.topic, raw.data)
-        if getattr(message, "experiment", experiment) == experiment:
-            yield topics[raw.topic], message
-
-
 def _write(
     target: Path,
     timeline: Timeline,
     rows: Iterator[Row],
-    settings: Callable[[], Settings],
+    settings: Callable[[], StepSettings],
     progress: Callable[[int, str], None] | None,
 ) -> None:
     attributes = {"experiment": timeline.experiment, "source": timeline.source}

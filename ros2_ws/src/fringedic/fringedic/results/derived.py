@@ -1,4 +1,4 @@
-"""From what the nodes published to steps, without measuring anything again."""
+"""Steps from the messages that the nodes published, without measuring anything again."""
 
 from __future__ import annotations
 
@@ -8,16 +8,23 @@ from typing import Any
 
 import numpy as np
 
-from fringedic.results.messages import cloud_arrays, image_array
+from fringedic.frames.messages import cloud_arrays, image_array
+from fringedic.frames.records import stamp_of
 from fringedic.results.quantities import PHASE_TOPICS
-from fringedic.results.recorded_parameters import RecordedParameters
-from fringedic.results.rows import Row, Settings, displacement_maps
-from fringedic.rig import RigModel
-from fringedic.sequence import stamp_of
+from fringedic.results.rows import Row, displacement_maps
+from fringedic.rig.model import RigModel
+from fringedic.steps.recorded_parameters import RecordedParameters, StepSettings
+from fringedic.steps.step_results import displacement_field
 
 
 class Collected:
-    """Joins what the nodes published of each step."""
+    """Joins the messages that the nodes published about each step.
+
+    Parameters
+    ----------
+    topics
+        Relative names of the topics in the recording that belong to steps.
+    """
 
     def __init__(self, topics: set[str]) -> None:
         self._topics = topics
@@ -27,10 +34,12 @@ class Collected:
         self._reference: int | None = None
         self._reference_of: dict[int, int | None] = {}
 
-    def settings(self) -> Settings:
+    def settings(self) -> StepSettings:
+        """Return the parameters and the calibration of the next step."""
         return self._parameters.settings(self._calibration)
 
     def take(self, topic: str, message: Any) -> list[Row]:
+        """Take one message; return the step that it completes, if any."""
         if topic == "node_parameters":
             self._parameters.take(message)
             return []
@@ -42,7 +51,7 @@ class Collected:
             return []
         stamp = stamp_of(message)
         if stamp not in self._steps:
-            # a late answer may come when the next reference is announced already
+            # a late message may arrive after the next reference was announced
             self._steps[stamp], self._reference_of[stamp] = {}, self._reference
         parts = self._steps[stamp]
         parts[topic] = message
@@ -51,7 +60,7 @@ class Collected:
         return []
 
     def finish(self) -> list[Row]:
-        """Return the steps of which messages are missing; they cannot be told from each other without a status."""
+        """Return the steps of which messages are missing; without a status their number is not known."""
         return [
             self._row(parts, stamp)
             for stamp, parts in self._steps.items()
@@ -59,7 +68,7 @@ class Collected:
         ]
 
     def _expected(self, parts: Mapping[str, Any]) -> set[str]:
-        """Topics that a step has, so far as the statuses tell: a node that failed or skipped publishes no maps."""
+        """Return the topics of a step according to its statuses: a node that failed or skipped it publishes no maps."""
         expected = set()
         for topic in self._topics:
             node, name = topic.split("/")
@@ -82,11 +91,11 @@ class Collected:
             if f"phase/{topic}" in parts:
                 row.maps[name] = image_array(parts[f"phase/{topic}"])
         if "dic/displacement" in parts and "dic/sigma" in parts:
-            row.maps |= displacement_maps(image_array(parts["dic/displacement"]), image_array(parts["dic/sigma"]))
+            row.maps |= _displacement_maps(parts)
             self._reference = row.step if self._reference is None else self._reference
             announced = self._reference_of[stamp]
             row.reference_step = self._reference if announced is None else announced
-            # recordings of older versions do not tell
+            # recordings of older versions lack it
             row.correlated_step = getattr(parts.get("dic/status"), "correlated_step", None)
         if "coupling/shape" in parts:
             row.maps |= {f"shape_{name}": values for name, values in cloud_arrays(parts["coupling/shape"]).items()}
@@ -97,5 +106,10 @@ class Collected:
 
 
 def _has_maps(status: Any) -> bool:
-    """Whether a processing node had anything to do for a step: not for a white one."""
+    """Return whether a processing node published maps of a step: it does not for a white one."""
     return not (np.isnan(status.valid_fraction) and status.error_code == 0)
+
+
+def _displacement_maps(parts: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    images = (image_array(parts[topic]) for topic in ("dic/displacement", "dic/sigma"))
+    return displacement_maps(displacement_field(*images, origin=(0, 0), spacing=1, window=0, method=""))

@@ -1,15 +1,16 @@
-"""Opening of datasets without reading them: maps come from the disk when they are used."""
+"""Opening of datasets without reading them: maps are read from the disk when they are used."""
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
 import xarray as xr
 
-from fringedic.errors import DatasetError, MissingTopicError
-from fringedic.results.netcdf import open_netcdf
-from fringedic.results.quantities import MAP_DIMENSIONS
+from fringedic.errors import DatasetError, ErrorCode, RecordingError, optional_import
+from fringedic.metadata import translate_metadata
+from fringedic.results.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE
 from fringedic.results.stores import SUFFIXES, dataset_path
 
 _OF_A_RUN = ("results.nc", "results.zarr")
@@ -18,46 +19,50 @@ _OF_A_RUN = ("results.nc", "results.zarr")
 def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
     """Open a recorded experiment as one labelled dataset; it may be larger than memory.
 
-    Nothing but coordinates is read at first. Each access to a map reads it from the disk anew and keeps nothing, one
-    step at a time when one is selected before: ``dataset.w.sel(step=3).values``; ``dataset[["u", "v"]].load()`` keeps
-    what is used often.
+    Opening reads only coordinates. Every access to a map reads it from the disk, and nothing is cached; select the step
+    first (``dataset.w.sel(step=3).values``) to read one step. ``dataset[["u", "v"]].load()`` keeps maps in memory.
 
     Parameters
     ----------
     path
-        A NetCDF file or Zarr folder, or a recording: then the dataset beside it (with its name, or the ``results`` of
-        the run that recorded it), which is made from the derived topics when there is none yet.
+        A NetCDF file or Zarr folder, or a recording. For a recording the dataset beside it is opened: the one with its
+        name, or the ``results`` of the run that recorded it. If there is none, it is made from the derived topics.
 
     Returns
     -------
     Dataset
-        Maps over (step, row, column) in SI units, with force, position, time and error of each step. Its attributes
-        tell calibration, parameters, rig, facts, software and commit; see docs/results.md.
+        Maps over (step, row, column) in SI units, float32, NaN where not measured, with force, position, time and error
+        of each step. The attributes contain calibration, parameters, rig, metadata (``facts``), software and commit;
+        see docs/results.md. Metadata of earlier versions have the present keys.
 
     Raises
     ------
-    MissingTopicError
-        The recording has neither a dataset nor derived topics; `process_bag` measures it.
+    RecordingError
+        There is no such recording, or it has neither a dataset nor derived topics; `process_bag` measures it.
     DatasetError
         The file is no dataset of this library.
-    RecordingError
-        There is no such recording.
+    FringedicError
+        The dataset is a Zarr folder and the package ``zarr`` is not installed.
     """
     path = Path(path)
     file = path if path.suffix in SUFFIXES else find_dataset(path)
     if file is None:
-        # not at the top: it loads everything that measures
+        # not at the top: it loads all measuring rooms
         from fringedic.results.datasets import dataset_from_derived
 
         try:
             file = dataset_from_derived(path)
-        except MissingTopicError as error:
-            raise MissingTopicError(f"{error}; 'fringedic process {path}' measures it") from error
+        except RecordingError as error:
+            if error.code is not ErrorCode.MISSING_TOPIC:
+                raise
+            raise RecordingError(
+                f"{error}; 'fringedic process {path}' measures it", code=ErrorCode.MISSING_TOPIC
+            ) from error
     return _open(file)
 
 
 def find_dataset(recording: Path) -> Path | None:
-    """Return the dataset that lies beside a recording, None when there is none."""
+    """Return the dataset beside a recording, None if there is none."""
     beside = dataset_path(recording, overwrite=True)
     for candidate in (beside, beside.with_suffix(".zarr")):
         if candidate.exists():
@@ -72,13 +77,19 @@ def find_dataset(recording: Path) -> Path | None:
 
 
 def _open(file: Path) -> xr.Dataset:
+    netcdf = file.suffix == ".nc"
+    if not netcdf:
+        with optional_import("zarr"):
+            import zarr  # noqa: F401 (xarray loads it)
     try:
-        dataset = open_netcdf(file) if file.suffix == ".nc" else xr.open_dataset(file, engine="zarr", cache=False)
+        # without a cache: a loop over the maps of an experiment would fill the memory
+        dataset = xr.open_dataset(file, engine="h5netcdf" if netcdf else "zarr", cache=False)
     except (OSError, ValueError, KeyError) as error:
-        raise DatasetError(
-            f"{file}: cannot be read as {'NetCDF' if file.suffix == '.nc' else 'Zarr'}: {error}"
-        ) from error
+        raise DatasetError(f"{file}: cannot be read as {'NetCDF' if netcdf else 'Zarr'}: {error}") from error
     if not set(MAP_DIMENSIONS) <= set(dataset.sizes):
         dataset.close()
         raise DatasetError(f"{file}: is no experiment; it lacks the dimensions step, row and column")
+    if METADATA_ATTRIBUTE in dataset.attrs:
+        metadata = translate_metadata(json.loads(dataset.attrs[METADATA_ATTRIBUTE]))
+        dataset.attrs[METADATA_ATTRIBUTE] = json.dumps(metadata)
     return dataset

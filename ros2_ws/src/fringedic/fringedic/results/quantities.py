@@ -1,10 +1,11 @@
-"""Names, units and meanings of everything that a dataset holds."""
+"""Names, units and meanings of everything in a dataset."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 MAP_DIMENSIONS = ("step", "row", "column")
+METADATA_ATTRIBUTE = "facts"  # name of the metadata in datasets
 
 
 class Quantity(NamedTuple):
@@ -19,8 +20,8 @@ MAPS: dict[str, Quantity] = {
     "phase_sigma": Quantity("rad", "standard deviation of the phase"),
     "modulation": Quantity("grey level", "fringe amplitude"),
     "texture": Quantity("grey level", "surface without fringes"),
-    "displacement_x": Quantity("px", "in-plane displacement along columns"),
-    "displacement_y": Quantity("px", "in-plane displacement along rows, downwards"),
+    "displacement_x": Quantity("px", "in-plane displacement x (right)"),
+    "displacement_y": Quantity("px", "in-plane displacement y (down)"),
     "displacement_sigma_x": Quantity("px", "standard deviation of displacement_x"),
     "displacement_sigma_y": Quantity("px", "standard deviation of displacement_y"),
     "shape_x": Quantity("m", "x of this step's surface, seen by this pixel"),
@@ -52,7 +53,7 @@ SCALARS: dict[str, Quantity] = {
     "valid_fraction": Quantity("1", "part of the points with a result of the last processing step"),
     "rms_displacement": Quantity("m", "root mean square length of (u, v, w)"),
 }
-STEP_NUMBERS: dict[str, str] = {  # -1 without a displacement, or where a recording of an older version does not tell
+STEP_NUMBERS: dict[str, str] = {  # -1 without a displacement, or if a recording of an older version lacks it
     "reference_step": "step from whose configuration the displacement counts",
     "correlated_step": "step whose images this one's were compared with",
     "increments_summed": "1 when the displacement is composed with that of correlated_step, else 0",
@@ -62,7 +63,7 @@ PHASE_TOPICS = {"map": "phase", "sigma": "phase_sigma", "modulation": "modulatio
 
 
 class PeopleUnit(NamedTuple):
-    """A unit for people: how it is written, an identifier of it, and its value in the dataset's unit."""
+    """A unit of reports and exports: its text, its identifier in names, and its value in the unit of the dataset."""
 
     text: str
     identifier: str
@@ -75,7 +76,7 @@ _MICROSTRAIN = PeopleUnit("µm/m", "um_per_m", 1e-6)
 
 
 def people_unit(name: str, units: str) -> PeopleUnit:
-    """Return the unit in which people get a map of a dataset: positions in mm, displacements in µm, strain in µm/m."""
+    """Return the unit of a map in reports and exports: positions in mm, displacements in µm, strain in µm/m."""
     if units == "m":
         return _MILLIMETRE if name in POSITIONS else _MICROMETRE
     if units == "1":

@@ -1,16 +1,14 @@
-"""One step on its way into a dataset, and what it was measured with."""
+"""One step on its way into a dataset."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 
-from fringedic.chain import DicParameters, Parameters
-from fringedic.facts import Facts
-from fringedic.rig import RigModel
+from fringedic.steps.pipeline import MeasuredStep
 
 
 @dataclass
@@ -29,34 +27,43 @@ class Row:
     maps: dict[str, np.ndarray] = field(default_factory=dict)
 
 
-class Settings(NamedTuple):
-    """What a row was measured with: parameters of the processing nodes, calibration, and of the other nodes and facts
-    what the recording tells.
-    """
+def row_of(measured: MeasuredStep) -> Row:
+    """Return the row of a step that was measured offline."""
+    row = Row(measured.step, measured.stamp, error=measured.error)
+    phase, displacement, coupling = measured.phase, measured.displacement, measured.coupling
+    if phase is not None:
+        row.valid_fraction = phase.valid_fraction
+        row.maps |= {
+            "phase": phase.phase,
+            "phase_sigma": phase.sigma,
+            "modulation": phase.modulation,
+            "texture": phase.texture,
+        }
+    if displacement is not None:
+        row.valid_fraction = displacement.valid_fraction
+        row.reference_step = displacement.reference_step
+        row.correlated_step = displacement.correlated_step
+        row.maps |= displacement_maps(displacement.field)
+    if coupling is not None:
+        row.valid_fraction = coupling.valid_fraction
+        row.rms_displacement = coupling.rms
+        row.maps |= {f"shape_{name}": array.values for name, array in coupling.shape.items()}
+        row.maps |= {str(name): array.values for name, array in coupling.displacement.items()}
+    return row
 
-    parameters: dict[str, Parameters]
-    calibration: RigModel | None
-    rig: dict[str, dict[str, Any]]
-    facts: Facts | None
 
-    @property
-    def spacing(self) -> int:
-        dic = self.parameters["dic"]
-        assert isinstance(dic, DicParameters)
-        return dic.spacing
-
-
-def displacement_maps(displacement: np.ndarray, sigma: np.ndarray) -> dict[str, np.ndarray]:
+def displacement_maps(field: xr.Dataset) -> dict[str, np.ndarray]:
+    """Return the maps of an in-plane displacement by their names in a dataset."""
     return {
-        "displacement_x": displacement[..., 0],
-        "displacement_y": displacement[..., 1],
-        "displacement_sigma_x": sigma[..., 0],
-        "displacement_sigma_y": sigma[..., 1],
+        "displacement_x": field.displacement_x.values,
+        "displacement_y": field.displacement_y.values,
+        "displacement_sigma_x": field.sigma_x.values,
+        "displacement_sigma_y": field.sigma_y.values,
     }
 
 
 def in_order_of_steps(rows: Iterator[Row]) -> Iterator[Row]:
-    """Put a reference step that was measured before its time back between its neighbours."""
+    """Return the rows in the order of their steps, if a reference step was measured before the others."""
     early = next(rows, None)
     for row in rows:
         if early is not None and row.step > early.step:

@@ -1,64 +1,100 @@
-"""When each step was exposed, and what the load frame said meanwhile."""
+"""The time of each step's exposures, and force and position of the load frame during them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from fringedic.errors import DatasetError
-from fringedic.facts import FIRST_STEP
-from fringedic.load_samples import samples_over
-from fringedic.recording import BagReader
-from fringedic.results.recorded_parameters import recorded_facts
+from fringedic.frames.records import FrameRecord, stamp_of
+from fringedic.metadata import FIRST_STEP, SpecimenMetadata
+from fringedic.patterns.pattern import PatternKind
+from fringedic.recording.frames import records
+from fringedic.recording.load_samples import samples_over
+from fringedic.recording.reader import BagReader
 from fringedic.results.rows import Row
-from fringedic.sequence import PatternKind, frame_record, stamp_of
+from fringedic.steps.recorded_parameters import recorded_metadata
+
+_NO_LOAD = (float("nan"), float("nan"))
+
+
+@dataclass(frozen=True)
+class _LoadSamples:
+    """Force [N] and position [m] of the load frame, shape (n, 2), with their stamps [ns], shape (n,)."""
+
+    stamps: np.ndarray
+    values: np.ndarray
+
+    @classmethod
+    def of(cls, messages: Iterable[Any]) -> _LoadSamples:
+        """Take the samples from ``fringedic_msgs/LoadState``."""
+        samples = [(stamp_of(message), message.force, message.position) for message in messages]
+        stamps = np.array([sample[0] for sample in samples], dtype=np.int64)
+        return cls(stamps, np.array([sample[1:] for sample in samples], dtype=float).reshape(-1, 2))
+
+    def mean_over(self, begin: float, end: float) -> tuple[float, float]:
+        """Return mean force and position over a time [ns], NaN without a sample near it."""
+        within = samples_over(self.stamps, begin, end)
+        if not within.any():
+            return _NO_LOAD
+        force, position = self.values[within].mean(axis=0)
+        return float(force), float(position)
 
 
 class Timeline:
-    """When each step was exposed, and what the load frame said at that time."""
+    """The exposures of the steps of one experiment, and its load frame meanwhile.
+
+    Parameters
+    ----------
+    reader
+        The recording.
+    names
+        Relative name -> full name of its topics.
+    experiment
+        Name of the experiment; None for the only one.
+
+    Attributes
+    ----------
+    experiment
+        Name of the experiment.
+    source, damage
+        Name of the recording, and the description of its damage.
+    references
+        Numbers of the reference steps.
+
+    Raises
+    ------
+    DatasetError
+        The recording contains no frame of the experiment, or several experiments and none is named.
+    """
 
     def __init__(self, reader: BagReader, names: Mapping[str, str], experiment: str | None) -> None:
-        exposures = [frame_record(message) for _, message, _ in reader.messages([names["camera/exposure"]])]
-        exposures = [each for each in exposures if each.projection.kind != PatternKind.OTHER]
-        present = list(dict.fromkeys(each.experiment for each in exposures))
-        if experiment is None and len(present) > 1:
-            raise DatasetError(f"{reader.path} holds the experiments {', '.join(present)}: say which one")
-        if not present or (experiment is not None and experiment not in present):
-            wanted = "any experiment" if experiment is None else f"experiment '{experiment}'"
-            raise DatasetError(f"{reader.path} holds no frame of {wanted}; it has {', '.join(present) or 'none'}")
-        self.experiment = present[0] if experiment is None else experiment
+        def messages(name: str) -> Iterable[Any]:
+            topics = [names[name]] if name in names else []
+            return (message for _, message, _ in reader.messages(topics))
+
+        exposed = [record for record in records(reader) if record.pattern.kind != PatternKind.OTHER]
+        self.experiment = _chosen_experiment(reader, exposed, experiment)
         self.source = reader.path.name
         self.damage = reader.lost
-        self._exposed: dict[int, tuple[float, float]] = {}
-        self.references: set[int] = set()
-        for record in exposures:
-            if record.experiment != self.experiment:
-                continue
-            begin, end = self._exposed.get(record.step, (np.inf, -np.inf))
-            half = 0.5e9 * record.exposure_time
-            self._exposed[record.step] = min(begin, record.stamp - half), max(end, record.stamp + half)
-        if "experiment/reference" in names:
-            messages = [message for _, message, _ in reader.messages([names["experiment/reference"]])]
-            self.references = {message.step for message in messages if message.experiment == self.experiment}
-        self.references |= {min(self._exposed)}
-        states = []
-        if "load_frame/state" in names:
-            messages = [message for _, message, _ in reader.messages([names["load_frame/state"]])]
-            states = [(stamp_of(message), message.force, message.position) for message in messages]
-        self._stamps = np.array([state[0] for state in states], dtype=np.int64)
-        self._states = np.array([state[1:] for state in states], dtype=float).reshape(-1, 2)
-
-        topics = [names["node_parameters"]] if "node_parameters" in names else []
-        specimen = recorded_facts(message for _, message, _ in reader.messages(topics)).specimen
+        self._exposed = _exposure_times(record for record in exposed if record.experiment == self.experiment)
+        announced = {each.step for each in messages("experiment/reference") if each.experiment == self.experiment}
+        self.references = announced | {min(self._exposed)}
+        self._load = _LoadSamples.of(messages("load_frame/state"))
+        specimen = recorded_metadata(messages("node_parameters")).specimen
         self._force_sign = specimen.force_sign
+        self._force_tare = self._tare(specimen)
+
+    def _tare(self, specimen: SpecimenMetadata) -> float:
         if specimen.force_tare_newton == FIRST_STEP:
-            self._force_tare = self._mean_load(min(self._exposed))[0]
-        else:
-            self._force_tare = float(specimen.force_tare_newton)
+            return self._load.mean_over(*self._exposed[min(self._exposed)])[0]
+        return float(specimen.force_tare_newton)
 
     def require_steps(self, steps: set[int]) -> None:
-        """Raise DatasetError when no frame of one of these steps was exposed."""
+        """Raise DatasetError if no frame of one of these steps was exposed."""
         absent = sorted(steps - self._exposed.keys())
         if absent:
             present = ", ".join(map(str, sorted(self._exposed)))
@@ -68,18 +104,31 @@ class Timeline:
             )
 
     def complete(self, row: Row) -> None:
-        """Average force and position over the exposures of a step; one that failed before its first has none."""
+        """Enter force and position, averaged over the exposures of a step, and the stamp of a step without frames."""
         if row.step not in self._exposed:
             return
-        force, row.position = self._mean_load(row.step)
+        force, row.position = self._load.mean_over(*self._exposed[row.step])
         row.force = self._force_sign * (force - self._force_tare)
         if row.stamp is None:
             row.stamp = int(self._exposed[row.step][1])
 
-    def _mean_load(self, step: int) -> tuple[float, float]:
-        """Mean (force, position) as read, between the begin of the first and the end of the last exposure."""
-        within = samples_over(self._stamps, *self._exposed[step])
-        if not within.any():
-            return float("nan"), float("nan")
-        force, position = self._states[within].mean(axis=0)
-        return float(force), float(position)
+
+def _chosen_experiment(reader: BagReader, exposed: Iterable[FrameRecord], name: str | None) -> str:
+    """Return the experiment that is asked for, or the only one."""
+    present = list(dict.fromkeys(record.experiment for record in exposed))
+    if name is None and len(present) > 1:
+        raise DatasetError(f"{reader.path} holds the experiments {', '.join(present)}: say which one")
+    if not present or (name is not None and name not in present):
+        wanted = "any experiment" if name is None else f"experiment '{name}'"
+        raise DatasetError(f"{reader.path} holds no frame of {wanted}; it has {', '.join(present) or 'none'}")
+    return present[0] if name is None else name
+
+
+def _exposure_times(exposed: Iterable[FrameRecord]) -> dict[int, tuple[float, float]]:
+    """Return the begin of the first and the end of the last exposure of each step [ns]."""
+    times: dict[int, tuple[float, float]] = {}
+    for record in exposed:
+        begin, end = times.get(record.step, (np.inf, -np.inf))
+        half = 0.5e9 * record.exposure_time
+        times[record.step] = min(begin, record.stamp - half), max(end, record.stamp + half)
+    return times

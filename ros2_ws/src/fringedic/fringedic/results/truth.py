@@ -1,4 +1,4 @@
-"""Datasets against the ground truth of a virtual rig."""
+"""Comparison of datasets with the ground truth of a virtual rig."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MICRO = 1e-6
 
 
 def open_truth(path: str | os.PathLike[str]) -> xr.Dataset:
-    """Open the ground truth that a virtual rig wrote: a NetCDF file, or a folder with ``truth.nc``.
+    """Open the ground truth of a virtual rig: a NetCDF file, or a folder with ``truth.nc``.
 
     Raises
     ------
@@ -29,7 +29,7 @@ def open_truth(path: str | os.PathLike[str]) -> xr.Dataset:
 
 
 def truth_errors(dataset: xr.Dataset, truth: xr.Dataset, step: int) -> xr.Dataset:
-    """Return measured minus true values of one step, NaN where not measured or not seen in both images.
+    """Return measured minus true values of one step, NaN where not measured or not visible in both images.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def truth_errors(dataset: xr.Dataset, truth: xr.Dataset, step: int) -> xr.Datase
     -------
     Dataset
         ``u``, ``v``, ``w`` of the material points of the reference image and ``shape_z``, the height of this step's
-        surface at each of its own pixels [m]; ``visible``, where there was something to measure.
+        surface at each of its own pixels [m]; ``visible``, True where the material point is in both images.
 
     Raises
     ------
@@ -72,8 +72,8 @@ def truth_errors(dataset: xr.Dataset, truth: xr.Dataset, step: int) -> xr.Datase
 def compare_with_truth(dataset: xr.Dataset, truth_path: str | os.PathLike[str]) -> xr.Dataset:
     """Compare each step with the ground truth of the virtual rig.
 
-    Compared are the displacement (u, v, w) of the material points seen by each reference pixel, and the height of the
-    deformed surface at each of its pixels, wherever both the measurement and the truth have a value.
+    The comparison covers the displacement (u, v, w) of the material point at each reference pixel, and the height of
+    the deformed surface at each of its pixels, where both the measurement and the truth have a value.
 
     Parameters
     ----------
@@ -85,8 +85,8 @@ def compare_with_truth(dataset: xr.Dataset, truth_path: str | os.PathLike[str]) 
     Returns
     -------
     Dataset
-        Over ``step``: ``error_u``, ``error_v``, ``error_w``, ``error_z`` RMS [µm], and ``measured_fraction``, the part
-        of the points visible in both images that was measured.
+        Over ``step``: ``error_u``, ``error_v``, ``error_w``, ``error_z`` RMS [µm], and ``measured_fraction``, the share
+        of the points visible in both images that was measured [1].
 
     Raises
     ------

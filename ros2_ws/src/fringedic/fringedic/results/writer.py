@@ -13,12 +13,21 @@ import numpy as np
 from fringedic.errors import DatasetError
 from fringedic.provenance import git_commit, software
 from fringedic.results.quantities import MAP_DIMENSIONS, MAPS, SCALARS, STEP_NUMBERS
-from fringedic.results.rows import Row, Settings
+from fringedic.results.rows import Row
 from fringedic.results.stores import TEXT, Store, Variable, create_store
+from fringedic.steps.recorded_parameters import StepSettings
 
 
 class DatasetWriter:
-    """Appends steps to a dataset, NetCDF or Zarr by its suffix, which gets its name when it is whole."""
+    """Appends steps to a dataset, NetCDF or Zarr by its suffix, which gets its name when it is complete.
+
+    Parameters
+    ----------
+    target
+        The dataset.
+    attributes
+        Of the dataset, beside software, commit, settings and conventions.
+    """
 
     def __init__(self, target: Path, attributes: Mapping[str, str]) -> None:
         self._target = target
@@ -40,7 +49,7 @@ class DatasetWriter:
         self._variable("time", ("step",), "i8", "nanoseconds since 1970-01-01", "stamp of the last exposure")
         for name, meaning in STEP_NUMBERS.items():
             self._variable(name, ("step",), "i8", "1", meaning)
-        self._variable("error", ("step",), TEXT, "", "why the step failed, empty when it did not")
+        self._variable("error", ("step",), TEXT, "", "reason of the failure, empty for a measured step")
         for name, quantity in SCALARS.items():
             self._variable(name, ("step",), "f8", *quantity)
         return self
@@ -53,7 +62,7 @@ class DatasetWriter:
         if kind is None:
             raise DatasetError(f"{self._target}: no step could be measured: {self._last_error or 'no frames'}")
 
-    def add(self, row: Row, settings: Settings) -> None:
+    def add(self, row: Row, settings: StepSettings) -> None:
         """Append one step."""
         self._describe(row.step, settings)
         self._last_error = row.error or self._last_error
@@ -113,8 +122,8 @@ class DatasetWriter:
         variable = Variable(name, dimensions, dtype, attributes)
         self._store.add_variable(variable, {"step": self._count, **(sizes or {})})
 
-    def _describe(self, step: int, settings: Settings) -> None:
-        """Note parameters and calibration in the attributes, with the step from which on they hold."""
+    def _describe(self, step: int, settings: StepSettings) -> None:
+        """Enter parameters and calibration into the attributes, with the first step for which they apply."""
         now = {node: parameters.model_dump() for node, parameters in settings.parameters.items()}
         if not self._settings or self._settings[-1]["parameters"] != now:
             self._settings.append({"from_step": step, "parameters": now})
@@ -123,8 +132,8 @@ class DatasetWriter:
             self._attributes["calibration"] = _to_json(dataclasses.asdict(settings.calibration))
         if settings.rig:
             self._attributes["rig"] = _to_json(settings.rig)
-        if settings.facts:
-            self._attributes["facts"] = _to_json(settings.facts.model_dump())
+        if settings.metadata:
+            self._attributes["facts"] = _to_json(settings.metadata.model_dump())
 
 
 def _to_json(value: Any) -> str:

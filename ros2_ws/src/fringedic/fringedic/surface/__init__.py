@@ -1,20 +1,13 @@
-"""Material points of a surface: 3D displacement (eq. 12), its components along the surface, and the surface's strain.
+"""Material points of a surface: 3D displacement, its local components, strain.
 
-The shape is known at every pixel of each step, the in-plane displacement tells which pixel a material point has moved
-to. All lengths are in metre in the rig frame; NaN is "not measured".
+The shape is known at every pixel of each step; the in-plane displacement gives the pixel to which a material point has
+moved. All lengths are in metre in the rig frame; NaN is "not measured".
+
+`coupling` computes the 3D displacement of prepared shapes (`prepared`), `local_frame` and `strain` evaluate planes that
+`planes` fits in moving windows, on one side of `discontinuities` only (`masked_fit`). A new strain measure is an entry
+of `strain_measures`. `specimen_frames` are frames chosen by the user.
 """
 
-from fringedic.surface.coupling import couple
-from fringedic.surface.frames import CylinderFrame, SpecimenFrame
-from fringedic.surface.local import to_local_frame
-from fringedic.surface.prepared import PreparedShape
-from fringedic.surface.strain import surface_strain
+import lazy_loader
 
-__all__ = [
-    "CylinderFrame",
-    "PreparedShape",
-    "SpecimenFrame",
-    "couple",
-    "surface_strain",
-    "to_local_frame",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

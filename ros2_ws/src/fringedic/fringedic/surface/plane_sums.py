@@ -1,29 +1,52 @@
-"""Sums over the points of a window, and the least-squares planes that they give."""
+"""Sums over the points of a window, and the least-squares planes from them."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-MINIMUM_COVERAGE = 0.5  # of a window, measured
+MINIMUM_COVERAGE = 0.5  # measured share of a window; below, the centroid of its points may lie outside its inner half
+
+
+class Samples(NamedTuple):
+    """Points of a cloud, as the kernels take them.
+
+    Attributes
+    ----------
+    fields : (2 + field, row, column)
+        x, y and the fields whose planes are fitted.
+    squared : (number, row, column)
+        Fields that are averaged.
+    middle : (2 + field,)
+        Typical values of `fields`, subtracted from them: sums of squares keep their digits.
+    known : (row, column) bool
+        Points to be used.
+    """
+
+    fields: np.ndarray
+    squared: np.ndarray
+    middle: np.ndarray
+    known: np.ndarray
+
+
+class PlaneArrays(NamedTuple):
+    """Results at every point, see `planes.Planes`."""
+
+    slopes: np.ndarray
+    white: np.ndarray
+    means: np.ndarray
 
 
 @njit(cache=True, nogil=True)
-def add_point(
-    fields: np.ndarray,
-    squared: np.ndarray,
-    middle: np.ndarray,
-    row: int,
-    column: int,
-    sign: float,
-    sums: np.ndarray,
-    place: int,
-) -> None:
-    """Add what a measured point gives to the sums (place, quantity).
+def add_point(samples: Samples, row: int, column: int, sign: float, sums: np.ndarray, place: int) -> None:
+    """Add a measured point to the sums (place, quantity), or subtract it.
 
     Quantities are the number of points, x, y, xx, xy, yy, then f, xf, yf of each field, then number and sum of each
     averaged field.
     """
+    fields, squared, middle, _ = samples
     count = len(fields)
     x, y = fields[0, row, column] - middle[0], fields[1, row, column] - middle[1]
     sums[place, 0] += sign
@@ -45,32 +68,30 @@ def add_point(
 
 
 @njit(cache=True, nogil=True)
-def solve(
-    sums: np.ndarray,
-    place: int,
-    enough: float,
-    row: int,
-    column: int,
-    slopes: np.ndarray,
-    white: np.ndarray,
-    means: np.ndarray,
-) -> None:
-    """Plane of the sums (place, quantity) of a window; NaN where it holds too few points."""
-    number = sums[place, 0]
+def count_quantities(samples: Samples) -> int:
+    """Return the number of quantities of `add_point`."""
+    return 3 * len(samples.fields) + 2 * len(samples.squared)
+
+
+@njit(cache=True, nogil=True)
+def solve(sums: np.ndarray, enough: float, row: int, column: int, planes: PlaneArrays) -> None:
+    """Compute the planes of a window from its sums (quantity); NaN where it contains fewer than `enough` points."""
+    slopes, white, means = planes
+    number = sums[0]
     if number < enough:
         slopes[:, :, row, column] = np.nan
         white[:, row, column] = np.nan
         means[:, row, column] = np.nan
         return
-    x, y = sums[place, 1] / number, sums[place, 2] / number
-    xx = sums[place, 3] / number - x * x
-    xy = sums[place, 4] / number - x * y
-    yy = sums[place, 5] / number - y * y
+    x, y = sums[1] / number, sums[2] / number
+    xx = sums[3] / number - x * x
+    xy = sums[4] / number - x * y
+    yy = sums[5] / number - y * y
     determinant = xx * yy - xy * xy
     for k in range(len(slopes)):
-        f = sums[place, 6 + 3 * k] / number
-        xf = sums[place, 7 + 3 * k] / number - x * f
-        yf = sums[place, 8 + 3 * k] / number - y * f
+        f = sums[6 + 3 * k] / number
+        xf = sums[7 + 3 * k] / number - x * f
+        yf = sums[8 + 3 * k] / number - y * f
         slopes[k, 0, row, column] = (yy * xf - xy * yf) / determinant
         slopes[k, 1, row, column] = (xx * yf - xy * xf) / determinant
     white[0, row, column] = yy / (number * determinant)
@@ -79,7 +100,7 @@ def solve(
     for k in range(len(means)):
         at = 6 + 3 * len(slopes) + 2 * k
         # what remains of the sums where nothing is known is rounding
-        if sums[place, at] > 0.5:
-            means[k, row, column] = max(sums[place, at + 1] / sums[place, at], 0.0)
+        if sums[at] > 0.5:
+            means[k, row, column] = max(sums[at + 1] / sums[at], 0.0)
         else:
             means[k, row, column] = np.nan

@@ -1,4 +1,4 @@
-"""Least-squares planes in a moving window: slopes of fields over (x, y), and what noise does to them."""
+"""Least-squares planes in a moving window: slopes of fields over (x, y), and their variance."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import xarray as xr
 from numba import njit, prange
 from scipy.ndimage import find_objects, label, maximum_filter
 
-from fringedic.errors import InvalidWindowError
-from fringedic.rig import pixel_positions
-from fringedic.surface.joined_planes import fit_joined
-from fringedic.surface.plane_sums import MINIMUM_COVERAGE, add_point, solve
+from fringedic.errors import SurfaceError
+from fringedic.rig.reconstruction import pixel_positions
+from fringedic.surface.masked_fit import fit_masked
+from fringedic.surface.plane_sums import MINIMUM_COVERAGE, PlaneArrays, Samples, add_point, count_quantities, solve
 
 _BLOCK = 64  # rows that share running sums; fixed, so that results do not depend on the number of threads
 
@@ -29,7 +29,7 @@ class Planes:
         Variances of the slopes by x and y and their covariance for errors of variance 1 that are independent from
         point to point [1/m^2].
     means : (number, row, column)
-        Means over the window of the fields that were only to be averaged, where they are known.
+        Means over the window of the squares of the averaged fields, where they are known.
     half : (rows, columns)
         Half-width of the window in points.
     spacing : (rows, columns)
@@ -53,22 +53,26 @@ def fit_planes(
     names: tuple[str, ...],
     window: int,
     averaged: tuple[str, ...] = (),
-    torn: np.ndarray | None = None,
+    discontinuous: np.ndarray | None = None,
 ) -> Planes:
     """Fit planes over ``x`` and ``y`` of a cloud to its fields `names`; average the squares of the fields `averaged`.
 
     Parameters
     ----------
+    cloud
+        From `couple`.
+    names, averaged
+        Of fields of the cloud.
     window
         Width of the window [px of the reference image].
-    torn
-        Points beside a tear, bool (row, column): they count as not measured, and a window holds only the points that
-        are joined to its centre by measured ones.
+    discontinuous
+        Points beside a discontinuity, bool (row, column): they count as not measured, and a window contains only the
+        points that measured ones connect with its centre (masked fit).
 
     Raises
     ------
-    InvalidWindowError
-        When the window holds fewer than 3 x 3 points.
+    SurfaceError
+        The window contains fewer than 3 x 3 points.
     """
     rows, columns = pixel_positions(cloud, cloud["x"].shape)
     half, spacing = zip(*(_half_width(window, positions) for positions in (rows, columns)), strict=True)
@@ -78,34 +82,35 @@ def fit_planes(
     known = np.isfinite(fields[0])
     for each in fields[1:]:
         known &= np.isfinite(each)
-    if torn is not None:
-        known &= ~torn
+    if discontinuous is not None:
+        known &= ~discontinuous
     squared = np.empty((len(averaged), *fields.shape[1:]), kind)
     for target, name in zip(squared, averaged, strict=True):
         np.square(np.asarray(cloud[name], kind), out=target)
-    # sums of squares keep their digits around the middle; slopes do not depend on it
-    middle = np.array([_middle(each[::8, ::8]) for each in fields])
-    slopes = np.empty((len(names), 2, *fields.shape[1:]), kind)
-    white = np.empty((3, *fields.shape[1:]), kind)
-    means = np.empty((len(averaged), *fields.shape[1:]), kind)
-    _fit(fields, squared, middle, known, half[0], half[1], slopes, white, means)
-    if torn is not None and torn.any():
-        divided = _divided(torn, half) & known
-        fit_joined(fields, squared, middle, known, divided, half[0], half[1], slopes, white, means)
-    return Planes(slopes, white, means, half, spacing)
+    middle = np.array([_average_sample(each[::8, ::8]) for each in fields])
+    samples = Samples(fields, squared, middle, known)
+    planes = PlaneArrays(
+        np.empty((len(names), 2, *fields.shape[1:]), kind),
+        np.empty((3, *fields.shape[1:]), kind),
+        np.empty((len(averaged), *fields.shape[1:]), kind),
+    )
+    _fit(samples, half, planes)
+    if discontinuous is not None and discontinuous.any():
+        fit_masked(samples, _find_divided(discontinuous, half) & known, half, planes)
+    return Planes(*planes, half, spacing)
 
 
-def _divided(torn: np.ndarray, half: tuple[int, int]) -> np.ndarray:
-    """Points whose window a tear may divide, bool (row, column): what is shorter than half of a window cannot."""
-    patches, _ = label(torn, np.ones((3, 3)))
-    long = np.zeros(torn.shape, np.bool_)
+def _find_divided(discontinuous: np.ndarray, half: tuple[int, int]) -> np.ndarray:
+    """Find the points whose window may be divided, bool (row, column): shorter lines than half a window cannot."""
+    patches, _ = label(discontinuous, np.ones((3, 3)))
+    long = np.zeros(discontinuous.shape, np.bool_)
     for number, place in enumerate(find_objects(patches), start=1):
         if any(part.stop - part.start > each for part, each in zip(place, half, strict=True)):
             long[place] |= patches[place] == number
     return maximum_filter(long, size=[2 * each + 1 for each in half], mode="constant")
 
 
-def _middle(values: np.ndarray) -> float:
+def _average_sample(values: np.ndarray) -> float:
     known = values[np.isfinite(values)]
     return float(known.mean(dtype=float)) if known.size else 0.0
 
@@ -114,66 +119,58 @@ def _half_width(window: int, positions: np.ndarray) -> tuple[int, float]:
     spacing = float(positions[1] - positions[0]) if len(positions) > 1 else 1.0
     half = round((window - 1) / 2 / spacing)
     if half < 1:
-        raise InvalidWindowError(
+        raise SurfaceError(
             f"a window of {window} px holds fewer than 3 points at a spacing of {spacing:g} px: widen it"
         )
     return half, spacing
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _fit(
-    fields: np.ndarray,
-    squared: np.ndarray,
-    middle: np.ndarray,
-    known: np.ndarray,
-    half_rows: int,
-    half_columns: int,
-    slopes: np.ndarray,
-    white: np.ndarray,
-    means: np.ndarray,
-) -> None:
-    """Planes in whole windows, by running sums."""
-    count, rows, columns = fields.shape
-    quantities = 3 * count + 2 * len(squared)
-    enough = MINIMUM_COVERAGE * (2 * half_rows + 1) * (2 * half_columns + 1)
-    for block in prange((rows + _BLOCK - 1) // _BLOCK):
-        sums = np.zeros((columns, quantities))
-        total = np.empty((1, quantities))
-        first = block * _BLOCK
-        last = min(first + _BLOCK, rows)
-        for row in range(max(first - half_rows, 0), min(first + half_rows, rows)):
-            _add_row(fields, squared, middle, known, row, 1.0, sums)
-        for row in range(first, last):
-            if row + half_rows < rows:
-                _add_row(fields, squared, middle, known, row + half_rows, 1.0, sums)
-            if row > first and row - half_rows - 1 >= 0:
-                _add_row(fields, squared, middle, known, row - half_rows - 1, -1.0, sums)
-            total[:] = 0.0
-            for column in range(min(half_columns, columns)):
-                for k in range(quantities):
-                    total[0, k] += sums[column, k]
-            for column in range(columns):
-                if column + half_columns < columns:
-                    for k in range(quantities):
-                        total[0, k] += sums[column + half_columns, k]
-                if column - half_columns - 1 >= 0:
-                    for k in range(quantities):
-                        total[0, k] -= sums[column - half_columns - 1, k]
-                needed = enough if known[row, column] else np.inf
-                solve(total, 0, needed, row, column, slopes, white, means)
+def _fit(samples: Samples, half: tuple[int, int], planes: PlaneArrays) -> None:
+    """Fit planes in whole windows, by running sums."""
+    for block in prange((len(samples.known) + _BLOCK - 1) // _BLOCK):
+        _fit_block(samples, half, block * _BLOCK, planes)
 
 
 @njit(cache=True, nogil=True)
-def _add_row(
-    fields: np.ndarray,
-    squared: np.ndarray,
-    middle: np.ndarray,
-    known: np.ndarray,
-    row: int,
-    sign: float,
-    sums: np.ndarray,
-) -> None:
-    """Add what a row gives to the sums (column, quantity)."""
-    for column in range(fields.shape[2]):
-        if known[row, column]:
-            add_point(fields, squared, middle, row, column, sign, sums, column)
+def _fit_block(samples: Samples, half: tuple[int, int], first: int, planes: PlaneArrays) -> None:
+    """Fit the planes of a block of rows; the sums over the rows of a window move down with it."""
+    rows, columns = samples.known.shape
+    half_rows = half[0]
+    sums = np.zeros((columns, count_quantities(samples)))
+    for row in range(max(first - half_rows, 0), min(first + half_rows, rows)):
+        _add_row(samples, row, 1.0, sums)
+    for row in range(first, min(first + _BLOCK, rows)):
+        if row + half_rows < rows:
+            _add_row(samples, row + half_rows, 1.0, sums)
+        if row > first and row - half_rows - 1 >= 0:
+            _add_row(samples, row - half_rows - 1, -1.0, sums)
+        _solve_row(sums, samples.known[row], half, row, planes)
+
+
+@njit(cache=True, nogil=True)
+def _solve_row(sums: np.ndarray, known: np.ndarray, half: tuple[int, int], row: int, planes: PlaneArrays) -> None:
+    """Compute the planes of a row from the sums (column, quantity) over the rows of its windows."""
+    columns, quantities = sums.shape
+    half_columns = half[1]
+    enough = MINIMUM_COVERAGE * (2 * half[0] + 1) * (2 * half_columns + 1)
+    total = np.zeros(quantities)
+    for column in range(min(half_columns, columns)):
+        for k in range(quantities):
+            total[k] += sums[column, k]
+    for column in range(columns):
+        if column + half_columns < columns:
+            for k in range(quantities):
+                total[k] += sums[column + half_columns, k]
+        if column - half_columns - 1 >= 0:
+            for k in range(quantities):
+                total[k] -= sums[column - half_columns - 1, k]
+        solve(total, enough if known[column] else np.inf, row, column, planes)
+
+
+@njit(cache=True, nogil=True)
+def _add_row(samples: Samples, row: int, sign: float, sums: np.ndarray) -> None:
+    """Add a row to the sums (column, quantity), or subtract it."""
+    for column in range(samples.known.shape[1]):
+        if samples.known[row, column]:
+            add_point(samples, row, column, sign, sums, column)

@@ -1,64 +1,79 @@
-"""A shape made ready for coupling: its height smoothed, and where the surface runs on without a tear."""
+"""Preparation of a shape for coupling: smoothed height, and where the surface continues without a discontinuity."""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from numba import njit, prange
 
-from fringedic.errors import CalibrationMismatchError, InvalidWindowError, RaysMissingError, ShapeMismatchError
-from fringedic.rig import RigModel, pixel_positions
+from fringedic.errors import CalibrationError, ImageError, SurfaceError
+from fringedic.rig.model import RigModel
+from fringedic.rig.reconstruction import pixel_positions
+from fringedic.surface.coupling_kernels import SurfaceArrays
 
-JUMP = 6.0  # standard deviations of a third difference beyond which a surface is torn
-_REACH = 3.0  # half-width of the Gaussian filter in standard deviations
+# Standard deviations of a third difference of z beyond which a surface is discontinuous: 2e-9 of normal noise, so that
+# no pixel of an image is lost by chance; test_nothing_leaks_over_a_step_of_the_surface.
+JUMP = 6.0
+_REACH = 3.0  # half-width of the Gaussian filter in standard deviations: 0.3 % of its weight is cut off
 
 
 class PreparedShape:
-    """A shape prepared once for many couplings.
+    """A shape that is prepared once for many couplings.
 
     Parameters
     ----------
     shape
-        From `RigModel.reconstruct`, whole image or crop with unit steps of ``row`` and ``column``; used are ``x``,
-        ``y``, ``z`` and ``noise_z`` [m], the part of sigma_z that differs from pixel to pixel.
+        From `RigModel.reconstruct`, whole image or crop with unit steps of ``row`` and ``column``, containing ``x``,
+        ``y``, ``z`` and ``noise_z`` [m], the part of sigma_z that is independent from pixel to pixel.
     z_filter
-        As in `couple`.
+        As in `couple` [px].
     calibration
-        Where the camera's distance comes from; without, from the attribute ``camera_distance`` of the shape.
+        Gives the distance of the camera; without it, the attribute ``camera_distance`` of the shape.
 
     Attributes
     ----------
     rows, columns : (row,), (column,)
         Pixel positions.
-    rays : (2, row, column)
-        Slope of each pixel's line of sight: x = ray_x (z - h0), y = ray_y (z - h0).
-    z, variance : (row, column)
+    rays : (2, row, column) float32
+        Slopes of each pixel's line of sight: x = ray_x (z - h0), y = ray_y (z - h0).
+    z, variance : (row, column) float32
         Smoothed height [m] and its variance [m^2].
     right, down : (row, column) bool
-        The surface runs on from this pixel to the next one of its row, of its column.
+        The surface continues from this pixel to the next one of its row, of its column.
     camera_distance
         h0, height of the camera's pin-hole [m].
     calibration_identifier
-        Of the calibration that the shape was made with, empty where it is not told.
+        Of the calibration that the shape was made with, empty where unknown.
     z_filter
         Standard deviation of the Gaussian [px].
 
     Raises
     ------
-    CalibrationMismatchError
-        When the shape was made with another calibration than the given one.
-    RaysMissingError
-        When neither a calibration nor the attributes tell the camera's distance.
-    ShapeMismatchError
-        When x, y or noise_z differ in size from z.
-    InvalidWindowError
-        When the filter is negative or no number.
+    CalibrationError
+        The shape was made with another calibration than the given one.
+    SurfaceError
+        Neither a calibration nor the attributes contain the distance of the camera, or the filter is negative or no
+        number.
+    ImageError
+        x, y or noise_z differ in size from z.
+
+    Examples
+    --------
+    >>> import numpy as np, xarray as xr
+    >>> column, row = np.meshgrid(np.arange(40.0), np.arange(30.0))
+    >>> noise = 1e-6 * np.random.default_rng(1).normal(size=row.shape)
+    >>> fields = {"x": 1e-4 * column, "y": -1e-4 * row, "z": noise, "noise_z": 1e-6 + 0 * row}
+    >>> shape = xr.Dataset({name: (("row", "column"), values) for name, values in fields.items()})
+    >>> prepared = PreparedShape(shape.assign_attrs(camera_distance=0.5), z_filter=2.0)
+    >>> round(1e6 * float(np.median(prepared.variance) ** 0.5), 2)  # standard deviation of z [µm], 1 before the filter
+    0.15
     """
 
     def __init__(self, shape: xr.Dataset, *, z_filter: float = 0.0, calibration: RigModel | None = None) -> None:
-        kernel = gaussian(z_filter)
+        kernel = sample_gaussian(z_filter)
         self.z_filter = z_filter
         self.camera_distance = _camera_distance(shape, calibration)
         self.calibration_identifier = str(shape.attrs.get("calibration_identifier", ""))
@@ -67,17 +82,22 @@ class PreparedShape:
         x, y, sigma = (np.ascontiguousarray(shape[name], np.float32) for name in ("x", "y", "noise_z"))
         for name, each in (("x", x), ("y", y), ("noise_z", sigma)):
             if each.shape != z.shape:
-                raise ShapeMismatchError(f"{name} of shape {each.shape} for z of shape {z.shape}")
+                raise ImageError(f"{name} of shape {each.shape} for z of shape {z.shape}")
         self.rays = np.empty((2, *z.shape), np.float32)
         variance = np.empty_like(z)
-        _rays(x, y, z, sigma, self.camera_distance, self.rays, variance)
-        # neither what the sigmas do not know of (speckle seen through blur) nor the relief of one pixel is a tear
-        roughness = max(_roughness(z), _roughness(z.T), self._pixel_size() / JUMP)
+        _compute_rays(x, y, z, sigma, self.camera_distance, self.rays, variance)
+        # neither errors outside the sigmas (speckle seen through blur) nor the relief of one pixel is a discontinuity
+        roughness = max(_measure_roughness(z), _measure_roughness(z.T), self._pixel_size() / JUMP)
         self.right, self.down = np.zeros(z.shape, np.bool_), np.zeros(z.shape, np.bool_)
-        _runs_on(z, variance, np.float32(roughness), self.right, self.down)
+        _find_continuations(z, variance, np.float32(roughness), self.right, self.down)
         if len(kernel) > 1:
             z, variance = _smooth(z, variance, self.right, self.down, kernel.astype(np.float32))
         self.z, self.variance = z, variance
+
+    @property
+    def arrays(self) -> SurfaceArrays:
+        """Arrays for the kernels."""
+        return SurfaceArrays(self.z, self.variance, self.right, self.down, self.rays)
 
     def _pixel_size(self) -> float:
         """Return the width of a column on the reference plane [m], 0 when no two neighbours are measured."""
@@ -91,37 +111,49 @@ def _camera_distance(shape: xr.Dataset, calibration: RigModel | None) -> float:
         identifiers = (str(shape.attrs.get("calibration_identifier", "")), calibration.identifier)
         h0 = calibration.camera_distance
         distances = (float(shape.attrs.get("camera_distance", h0)), h0)
-        require_one_calibration("a shape and what is given with it", identifiers, distances)
+        require_one_calibration("a shape and the calibration given with it", identifiers, distances)
         return h0
     try:
         return float(shape.attrs["camera_distance"])
     except KeyError:
-        raise RaysMissingError(
+        raise SurfaceError(
             "the shape has no attribute camera_distance: give the calibration it was made with"
         ) from None
 
 
 def require_one_calibration(whose: str, identifiers: tuple[str, str], distances: tuple[float, float]) -> None:
-    """Raise CalibrationMismatchError when two calibrations differ, as far as they are told."""
+    """Require that two calibrations are the same, as far as they are known.
+
+    Raises
+    ------
+    CalibrationError
+        Their identifiers, where both are known, or the distances of the camera [m] differ.
+    """
     if (all(identifiers) and identifiers[0] != identifiers[1]) or distances[0] != distances[1]:
-        told = " and ".join(
+        named = " and ".join(
             f"'{name}' (camera at {distance:.6g} m)" for name, distance in zip(identifiers, distances, strict=True)
         )
-        raise CalibrationMismatchError(
-            f"{whose} are of different calibrations, {told}: reconstruct both phases with the same one"
+        raise CalibrationError(
+            f"{whose} are of different calibrations, {named}: reconstruct both phases with the same one"
         )
 
 
-def gaussian(width: float) -> np.ndarray:
-    """Return one half of a Gaussian from its centre on, not normalised; its centre alone for no filter."""
+def sample_gaussian(width: float) -> np.ndarray:
+    """Return one half of a Gaussian from its centre on, not normalised; its centre alone for no filter.
+
+    Raises
+    ------
+    SurfaceError
+        The standard deviation `width` [px] is negative or no number.
+    """
     if not math.isfinite(width) or width < 0:
-        raise InvalidWindowError(f"z_filter is {width}: give its standard deviation in pixels, 0 for none")
+        raise SurfaceError(f"z_filter is {width}: give its standard deviation in pixels, 0 for none")
     if width == 0:
         return np.ones(1)
     return np.exp(-0.5 * (np.arange(math.ceil(_REACH * width) + 1) / width) ** 2)
 
 
-def _roughness(z: np.ndarray) -> float:
+def _measure_roughness(z: np.ndarray) -> float:
     """Return the robust standard deviation of third differences along rows, 0 when there are none."""
     sample = z[:: max(1, len(z) // 100)]
     difference = np.abs(sample[:, 3:] - sample[:, :-3] - 3 * (sample[:, 2:-1] - sample[:, 1:-2]))
@@ -130,7 +162,7 @@ def _roughness(z: np.ndarray) -> float:
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _rays(
+def _compute_rays(
     x: np.ndarray,
     y: np.ndarray,
     z: np.ndarray,
@@ -139,6 +171,7 @@ def _rays(
     rays: np.ndarray,
     variance: np.ndarray,
 ) -> None:
+    """Compute the slopes of the lines of sight (2, row, column) and the variance of z."""
     for i in prange(z.shape[0]):
         for j in range(z.shape[1]):
             depth = z[i, j] - camera_distance
@@ -148,25 +181,27 @@ def _rays(
 
 
 @njit(cache=True, nogil=True)
-def _small(
+def _is_small(
     a: np.float32, b: np.float32, c: np.float32, d: np.float32, inner: np.float32, outer: np.float32, floor: np.float32
 ) -> bool:
     """Tell whether the third difference of four heights is small against its noise."""
     third = d - a - np.float32(3) * (c - b)
     noise = outer + np.float32(9) * inner
-    # a noise that is not known, NaN, is not larger either
+    # noise that is not known, NaN, is not above the floor
     noise = noise if noise > floor else floor
     return bool(third * third <= np.float32(JUMP * JUMP) * noise)
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _runs_on(z: np.ndarray, variance: np.ndarray, roughness: np.float32, right: np.ndarray, down: np.ndarray) -> None:
-    """Tell for each pixel whether the surface runs on to the next one, judged by four pixels; starts from False."""
+def _find_continuations(
+    z: np.ndarray, variance: np.ndarray, roughness: np.float32, right: np.ndarray, down: np.ndarray
+) -> None:
+    """Set for each pixel whether the surface continues to the next one, from four pixels; the arrays start as False."""
     rows, columns = z.shape
     floor = roughness * roughness
     for i in prange(rows):
         for j in range(1, columns - 2):
-            right[i, j] = _small(
+            right[i, j] = _is_small(
                 z[i, j - 1],
                 z[i, j],
                 z[i, j + 1],
@@ -177,7 +212,7 @@ def _runs_on(z: np.ndarray, variance: np.ndarray, roughness: np.float32, right: 
             )
         if 1 <= i < rows - 2:
             for j in range(columns):
-                down[i, j] = _small(
+                down[i, j] = _is_small(
                     z[i - 1, j],
                     z[i, j],
                     z[i + 1, j],
@@ -188,6 +223,18 @@ def _runs_on(z: np.ndarray, variance: np.ndarray, roughness: np.float32, right: 
                 )
 
 
+class _Weighted(NamedTuple):
+    """Heights with their weights, (row, column) float32.
+
+    `weight` are inverse variances of z, or sums of them; `spread` are the variances of z times the squares of these
+    sums.
+    """
+
+    z: np.ndarray
+    weight: np.ndarray
+    spread: np.ndarray
+
+
 def _smooth(
     z: np.ndarray, variance: np.ndarray, right: np.ndarray, down: np.ndarray, kernel: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -196,16 +243,15 @@ def _smooth(
     typical = np.float32(np.median(sample)) if len(sample) else np.float32(np.nan)
     # close to 1, or the squares of the weights leave the range of float32
     weight = typical / variance if typical > 0 else np.ones_like(z)
-    z_rows, weight_rows, spread_rows = np.empty_like(z), np.empty_like(z), np.empty_like(z)
-    _filter(z, weight, weight, right, kernel, True, z_rows, weight_rows, spread_rows)
-    smooth, total, spread = np.empty_like(z), np.empty_like(z), np.empty_like(z)
-    _filter(z_rows, weight_rows, spread_rows, down, kernel, False, smooth, total, spread)
-    return smooth, typical * spread / (total * total)
+    along_rows, smooth = (_Weighted(np.empty_like(z), np.empty_like(z), np.empty_like(z)) for _ in range(2))
+    _filter(_Weighted(z, weight, weight), right, kernel, True, along_rows)
+    _filter(along_rows, down, kernel, False, smooth)
+    return smooth.z, np.asarray(typical * smooth.spread / (smooth.weight * smooth.weight))
 
 
 @njit(cache=True, nogil=True)
 def _join(whole: np.ndarray, runs_before: np.ndarray, runs_after: np.ndarray) -> None:
-    """Keep the pixels whose surface runs on to the next pair of neighbours as well."""
+    """Keep the pixels whose surface continues to the next pair of neighbours."""
     for j in range(len(whole)):
         whole[j] = whole[j] & runs_before[j] & runs_after[j]
 
@@ -254,26 +300,15 @@ def _add_spread(factor: np.float32, whole: np.ndarray, before: np.ndarray, after
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _filter(
-    z: np.ndarray,
-    weight: np.ndarray,
-    spread: np.ndarray,
-    runs_on: np.ndarray,
-    kernel: np.ndarray,
-    along_rows: bool,
-    smooth: np.ndarray,
-    total: np.ndarray,
-    spreads: np.ndarray,
-) -> None:
-    """Weighted mean over the neighbours on both sides of each pixel, as far as both sides run on.
+def _filter(source: _Weighted, runs_on: np.ndarray, kernel: np.ndarray, along_rows: bool, result: _Weighted) -> None:
+    """Compute the weighted mean over the neighbours on both sides of each pixel, as far as the surface continues.
 
-    A neighbour weighs as much as its noise allows: dark speckles have many times the variance of their surroundings.
-    The weighted mean of the heights stands at the weighted mean of their places; the slope of the same neighbours,
-    without weights, brings it back to the pixel.
-
-    `weight` are inverse variances of z, or sums of them; `spread` are the variances of z times the squares of these
-    sums. `smooth`, `total` and `spreads` are the same after filtering.
+    The weight of a neighbour is that of its noise: dark speckles have many times the variance of their surroundings.
+    The weighted mean of the heights belongs to the weighted mean of their places; the unweighted slope of the same
+    neighbours corrects it to the place of the pixel.
     """
+    z, weight, spread = source
+    smooth, total, spreads = result  # Numba loses what is written to fields of a named tuple inside prange
     rows, columns = z.shape
     for i in prange(rows):
         sum_w, sum_wz, sum_s = (

@@ -9,10 +9,10 @@ import numpy as np
 import xarray as xr
 from numba import njit, prange
 
-from fringedic.errors import StrainMeasureError
-from fringedic.surface.correlated import displacement_gains, height_gains
+from fringedic.surface.discontinuities import find_discontinuities
+from fringedic.surface.noise_correlation import displacement_gains, height_gains
 from fringedic.surface.planes import Planes, fit_planes
-from fringedic.surface.tears import torn_points
+from fringedic.surface.strain_measures import MEASURES, SurfaceStrain, require_measures
 
 _ERRORS = ("noise_z", "noise_z_deformed", "displacement_sigma_x", "displacement_sigma_y")
 _STRAIN = {
@@ -28,92 +28,89 @@ _SIGMAS = {
     "sigma_e_22": ("1", "standard deviation of e_22"),
     "sigma_e_12": ("1", "standard deviation of e_12"),
 }
-_MEASURES = {
-    "von_mises": {"e_von_mises": ("1", "von Mises strain of a volume that stays")},
-    "area_change": {"area_change": ("1", "change of area over area")},
-    "hencky": {
-        "h_11": ("1", "Hencky strain along t1"),
-        "h_22": ("1", "Hencky strain along t2"),
-        "h_12": ("1", "Hencky tensor shear strain"),
-        "h_1": ("1", "larger principal Hencky strain"),
-        "h_2": ("1", "smaller principal Hencky strain"),
-    },
-    "engineering": {
-        "elongation_1": ("1", "change of length over length of a line along t1"),
-        "elongation_2": ("1", "change of length over length of a line along t2"),
-        "shear_angle": ("rad", "loss of the right angle between t1 and t2"),
-    },
-}
 
 
 def surface_strain(displacement_3d: xr.Dataset, *, window: int, measures: Iterable[str] = ()) -> xr.Dataset:
-    """Return the Green-Lagrange strain of the surface in its own tangent plane.
+    """Return the Green-Lagrange strain of the surface in its tangent plane.
 
     Least-squares planes of z, u, v and w over (x, y) in the window give the tangent vectors of the surface before,
     A1 = (1, 0, z_x) and A2 = (0, 1, z_y), and after, a_i = A_i + (u, v, w)_i. The strain is half the difference of
-    their scalar products, expressed in the basis t1, t2 of `to_local_frame`. A rigid motion gives zero on any surface.
+    their scalar products, in the basis t1, t2 of `to_local_frame`. A rigid motion gives zero on any surface.
 
-    The standard deviations follow from the independent errors that `couple` names: noise of both heights along the
-    lines of sight and noise of the in-plane displacement, through the planes and the scalar products to first order,
-    with the correlation of neighbouring errors.
+    The standard deviations follow from the independent errors that `couple` returns: noise of both heights along the
+    lines of sight and noise of the in-plane displacement, propagated through the planes and the scalar products to
+    first order, with the correlation of neighbouring errors.
 
-    Windows do not reach across a tear of the surface, see `torn_points`: a jump of height or displacement beyond what
-    their errors explain. Points so near to it that their displacement knows both sides are NaN.
+    Windows do not extend across a discontinuity, see `find_discontinuities`: a jump of height or displacement beyond
+    its errors. Points whose displacement was measured with both sides of it are NaN.
 
     Parameters
     ----------
     displacement_3d
         From `couple`.
     window
-        Width of the window [px of the reference image]; the strain is NaN where its centre or more than half of it is
-        not measured, or not joined to its centre.
+        Width of the window [px of the reference image]; the strain is NaN where its centre, or more than half of it, is
+        not measured or not connected with its centre.
     measures
-        What else to compute from the strain:
+        Further fields computed from the strain:
 
-        - ``von_mises``: ``e_von_mises`` = 2/sqrt(3) sqrt(e_1^2 + e_1 e_2 + e_2^2), the equivalent strain of a material
-          whose volume stays, so that the strain across the surface, which is not seen, is -(e_1 + e_2). It is
+        - ``von_mises``: ``e_von_mises`` = 2/sqrt(3) sqrt(e_1^2 + e_1 e_2 + e_2^2), the equivalent strain of an
+          incompressible material, whose strain across the surface, which is not measured, is -(e_1 + e_2). It equals
           abs(e_1) in uniaxial tension.
         - ``area_change``: change of the surface's area over its area, without any assumption on the thickness.
         - ``hencky``: logarithmic strain ``h_11``, ``h_22``, ``h_12``, ``h_1``, ``h_2``; principal values are
           ln(1 + 2 e)/2 in the same directions.
-        - ``engineering``: ``elongation_1``, ``elongation_2`` of lines along t1 and t2, and ``shear_angle``, what their
-          right angle loses [rad].
+        - ``engineering``: ``elongation_1``, ``elongation_2`` of lines along t1 and t2, and ``shear_angle``, the
+          decrease of the right angle between them [rad].
 
     Returns
     -------
     Dataset
-        ``e_11``, ``e_22``, ``e_12`` (tensor shear, half the engineering one), principal values ``e_1`` >= ``e_2``
-        [1], and ``direction`` [rad] of the first one: its angle from t1 towards t2, in (-pi/2, pi/2]. Standard
-        deviations ``sigma_e_11``, ``sigma_e_22``, ``sigma_e_12`` where the errors and the window of the in-plane
-        displacement are known. The attributes ``virtual_strain_gauge_px`` and ``virtual_strain_gauge_mm`` tell the
-        length over which a value is taken: from the first to the last point of the window, plus the window of the
-        in-plane displacement when it is known.
+        Over (row, column), in the precision of the input: ``e_11``, ``e_22``, ``e_12`` (tensor shear, half the
+        engineering one), principal values ``e_1`` >= ``e_2`` [1], and ``direction`` [rad] of the first one: its angle
+        from t1 towards t2, in (-pi/2, pi/2]. Standard deviations ``sigma_e_11``, ``sigma_e_22``, ``sigma_e_12`` where
+        the errors and the window of the in-plane displacement are known. The attributes ``virtual_strain_gauge_px`` and
+        ``virtual_strain_gauge_mm`` are the length that a value is measured over: from the first to the last point of
+        the window, plus the window of the in-plane displacement where it is known.
 
     Raises
     ------
-    InvalidWindowError
-        When the window holds fewer than 3 x 3 points.
-    StrainMeasureError
-        When a measure is unknown.
+    SurfaceError
+        The window contains fewer than 3 x 3 points, or a measure is unknown.
+
+    References
+    ----------
+    M. A. Sutton, J.-J. Orteu, H. W. Schreier (2009), Image correlation for shape, motion and deformation measurements,
+    Springer, for the strain of a curved surface in its tangent plane.
+
+    Examples
+    --------
+    A plate that is stretched by 1 % along x: e_11 = 0.01 + 0.01^2 / 2.
+
+    >>> import numpy as np, xarray as xr
+    >>> x, y = np.meshgrid(1e-4 * np.arange(40), -1e-4 * np.arange(30))
+    >>> fields = {"x": x, "y": y, "z": 0 * x, "u": 0.01 * x, "v": 0 * x, "w": 0 * x}
+    >>> arrays = {name: (("row", "column"), values) for name, values in fields.items()}
+    >>> cloud = xr.Dataset(arrays, {"row": np.arange(30), "column": np.arange(40)})
+    >>> strain = surface_strain(cloud, window=9, measures=["engineering"])
+    >>> round(float(strain.e_11.mean()), 6), round(float(strain.elongation_1.mean()), 6)
+    (0.01005, 0.01)
     """
-    measures = tuple(measures)
-    unknown = sorted(set(measures) - _MEASURES.keys())
-    if unknown:
-        raise StrainMeasureError(f"measure {', '.join(unknown)} is unknown; there are {', '.join(_MEASURES)}")
+    measures = require_measures(measures)
     attributes = displacement_3d.attrs
     known_errors = "displacement_window_px" in attributes and all(name in displacement_3d for name in _ERRORS)
-    torn = torn_points(displacement_3d) if known_errors else None
-    planes = fit_planes(displacement_3d, ("z", "u", "v", "w"), window, _ERRORS if known_errors else (), torn)
+    discontinuous = find_discontinuities(displacement_3d) if known_errors else None
+    planes = fit_planes(displacement_3d, ("z", "u", "v", "w"), window, _ERRORS if known_errors else (), discontinuous)
     strain = np.empty((len(_STRAIN), *planes.slopes.shape[2:]), planes.slopes.dtype)
-    _green_lagrange(planes.slopes, strain)
+    _compute_green_lagrange(planes.slopes, strain)
     fields = dict(zip(_STRAIN, strain, strict=True))
     units = dict(_STRAIN)
     if known_errors:
-        fields |= zip(_SIGMAS, _sigmas(displacement_3d, planes), strict=True)
+        fields |= zip(_SIGMAS, _compute_sigmas(displacement_3d, planes), strict=True)
         units |= _SIGMAS
-    for measure in measures:
-        fields |= zip(_MEASURES[measure], _FUNCTIONS[measure](*strain), strict=True)
-        units |= _MEASURES[measure]
+    for measure in (MEASURES[name] for name in measures):
+        fields |= zip(measure.fields, measure.compute(SurfaceStrain(*strain)), strict=True)
+        units |= measure.fields
     return xr.Dataset(
         {
             name: (("row", "column"), values, {"units": units[name][0], "long_name": units[name][1]})
@@ -125,6 +122,7 @@ def surface_strain(displacement_3d: xr.Dataset, *, window: int, measures: Iterab
 
 
 def _gauge_length(cloud: xr.Dataset, planes: Planes) -> dict[str, float]:
+    """Return the length that a value is measured over in px and, with the median size of a pixel, in mm."""
     length = max(planes.width_px) + float(cloud.attrs.get("displacement_window_px", 1))
     steps = np.diff(np.asarray(cloud["x"])[:: max(1, cloud.sizes["row"] // 50)], axis=-1) / planes.spacing[1]
     steps = steps[np.isfinite(steps)]
@@ -132,7 +130,8 @@ def _gauge_length(cloud: xr.Dataset, planes: Planes) -> dict[str, float]:
     return {"virtual_strain_gauge_px": length, "virtual_strain_gauge_mm": 1e3 * length * pixel}
 
 
-def _sigmas(cloud: xr.Dataset, planes: Planes) -> np.ndarray:
+def _compute_sigmas(cloud: xr.Dataset, planes: Planes) -> np.ndarray:
+    """Return the standard deviations (3, row, column) of e_11, e_22, e_12."""
     spacing = (round(planes.spacing[0]), round(planes.spacing[1]))
     z_filter = float(cloud.attrs["z_filter_px"])
     window, method = int(cloud.attrs["displacement_window_px"]), str(cloud.attrs.get("displacement_method", "dense"))
@@ -146,7 +145,7 @@ def _sigmas(cloud: xr.Dataset, planes: Planes) -> np.ndarray:
         planes.white,
         planes.means,
         np.stack(positions),
-        _pixel(cloud, h0),
+        _fit_pixel(cloud, h0),
         h0,
         np.stack([*gains, in_plane, in_plane]),
         sigmas,
@@ -154,8 +153,8 @@ def _sigmas(cloud: xr.Dataset, planes: Planes) -> np.ndarray:
     return sigmas
 
 
-def _pixel(cloud: xr.Dataset, h0: float) -> np.ndarray:
-    """Return how the slope of the line of sight (x, y) changes by one column and by one row, shape (2, 2)."""
+def _fit_pixel(cloud: xr.Dataset, h0: float) -> np.ndarray:
+    """Return the change of the slope of the line of sight (x, y) by one column and by one row, shape (2, 2)."""
     few = {name: slice(None, None, max(1, cloud.sizes[name] // 50)) for name in ("row", "column")}
     some = cloud[["x", "y", "z"]].isel(few)
     row, column = (each.astype(float) for each in np.meshgrid(some.row, some.column, indexing="ij"))
@@ -169,7 +168,7 @@ def _pixel(cloud: xr.Dataset, h0: float) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True)
-def _basis(z_x: float, z_y: float) -> tuple[float, float, float]:
+def _local_basis(z_x: float, z_y: float) -> tuple[float, float, float]:
     """Return p, q, r of t1 = p A1, t2 = q A1 + r A2, orthonormal."""
     squared = 1.0 + z_x * z_x
     r = math.sqrt(squared / (squared + z_y * z_y))
@@ -192,13 +191,13 @@ def _metric_change(
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _green_lagrange(slopes: np.ndarray, strain: np.ndarray) -> None:
-    """Strain of the tangent vectors A1, A2 in the basis t1 = A1/|A1|, t2 = n x t1, and its principal values."""
+def _compute_green_lagrange(slopes: np.ndarray, strain: np.ndarray) -> None:
+    """Compute the strain in the basis t1 = A1/|A1|, t2 = n x t1, and its principal values."""
     rows, columns = slopes.shape[2:]
     for i in prange(rows):
         for j in range(columns):
             e_xx, e_yy, e_xy, z_x, z_y, _, _, _, _, _, _ = _metric_change(slopes, i, j)
-            p, q, r = _basis(z_x, z_y)
+            p, q, r = _local_basis(z_x, z_y)
             e_11 = p * p * e_xx
             e_22 = q * q * e_xx + 2.0 * q * r * e_xy + r * r * e_yy
             e_12 = p * (q * e_xx + r * e_xy)
@@ -223,7 +222,7 @@ def _propagate(
     gains: np.ndarray,
     sigmas: np.ndarray,
 ) -> None:
-    """Standard deviations of e_11, e_22, e_12.
+    """Compute the standard deviations of e_11, e_22, e_12.
 
     An independent error n of a source moves the point before by b n and the point after by c n. To first order, and
     with the fitted slopes over x, y that carry the same error, the strain of the metric changes by
@@ -231,15 +230,15 @@ def _propagate(
         e_xx: m_x N_x,   e_yy: m_y N_y,   e_xy: (m_x N_y + m_y N_x)/2
         m_i = a_i . c - A_i . b - 2 (e_ix b_x + e_iy b_y)
 
-    where N_x and N_y are the slopes of the plane through n. In the basis t1, t2 both m and N turn like derivatives. The
-    sources are the heights before and after, which move points along their lines of sight, and the displacement by one
-    column and one row, which moves the point after along its surface.
+    where N_x and N_y are the slopes of the plane through n. In the basis t1, t2 both m and N transform as derivatives.
+    The sources are the heights before and after, which move points along their lines of sight, and the displacement by
+    one column and one row, which moves the point after along its surface.
     """
     rows, columns = slopes.shape[2:]
     for i in prange(rows):
         for j in range(columns):
             e_xx, e_yy, e_xy, z_x, z_y, u_x, u_y, v_x, v_y, w_x, w_y = _metric_change(slopes, i, j)
-            p, q, r = _basis(z_x, z_y)
+            p, q, r = _local_basis(z_x, z_y)
             x, y, z = float(positions[0, i, j]), float(positions[1, i, j]), float(positions[2, i, j])
             ray_x, ray_y = x / (z - h0), y / (z - h0)
             depth = z + positions[5, i, j] - h0
@@ -277,35 +276,3 @@ def _propagate(
             sigmas[0, i, j] = math.sqrt(variance_11)
             sigmas[1, i, j] = math.sqrt(variance_22)
             sigmas[2, i, j] = math.sqrt(variance_12)
-
-
-def _von_mises(*strain: np.ndarray) -> list[np.ndarray]:
-    _, _, _, e_1, e_2, _ = strain
-    return [2 / math.sqrt(3) * np.sqrt(e_1**2 + e_1 * e_2 + e_2**2)]
-
-
-def _area_change(*strain: np.ndarray) -> list[np.ndarray]:
-    _, _, _, e_1, e_2, _ = strain
-    return [np.sqrt((1 + 2 * e_1) * (1 + 2 * e_2)) - 1]
-
-
-def _hencky(*strain: np.ndarray) -> list[np.ndarray]:
-    _, _, _, e_1, e_2, direction = strain
-    h_1, h_2 = 0.5 * np.log1p(2 * e_1), 0.5 * np.log1p(2 * e_2)
-    middle, half = (h_1 + h_2) / 2, (h_1 - h_2) / 2
-    cosine, sine = np.cos(2 * direction), np.sin(2 * direction)
-    return [middle + half * cosine, middle - half * cosine, half * sine, h_1, h_2]
-
-
-def _engineering(*strain: np.ndarray) -> list[np.ndarray]:
-    e_11, e_22, e_12, _, _, _ = strain
-    stretch_1, stretch_2 = np.sqrt(1 + 2 * e_11), np.sqrt(1 + 2 * e_22)
-    return [stretch_1 - 1, stretch_2 - 1, np.arcsin(2 * e_12 / (stretch_1 * stretch_2))]
-
-
-_FUNCTIONS = {
-    "von_mises": _von_mises,
-    "area_change": _area_change,
-    "hencky": _hencky,
-    "engineering": _engineering,
-}

@@ -1,4 +1,4 @@
-"""What a virtual rig consists of, in people's units: the ``virtual_rig`` section of a rig file, and the presets."""
+"""Configuration of a virtual rig: the ``virtual_rig`` section of a rig file in mm, µm and degree, and the presets."""
 
 from __future__ import annotations
 
@@ -9,12 +9,9 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from fringedic.errors import VirtualRigConfigurationError
+from fringedic.errors import VirtualRigError
 
-PresetName = Literal["plate", "skin", "leather", "rigid", "plane", "sphere", "stepped", "reference_plane"]
-SizeName = Literal["full", "small", "tiny"]
-
-# Images of a size have this many times fewer pixels along each side than the paper's, on the same field.
+# Images of a size have this many times fewer pixels along each side than those of the paper, on the same field.
 SIZES: dict[str, int] = {"full": 1, "small": 4, "tiny": 8}
 
 
@@ -23,14 +20,14 @@ class _Section(BaseModel):
 
 
 class LensConfiguration(_Section):
-    """Distortion of the camera's lens: Brown's model, and a smooth bump that no such model describes."""
+    """Distortion of the camera's lens: Brown's model, and a smooth bump that Brown's model does not describe."""
 
     k1: float = Field(default=0.0, ge=-10, le=10, description="Radial, as in OpenCV: (x, y) *= 1 + k1 r^2 + k2 r^4.")
     k2: float = Field(default=0.0, ge=-100, le=100, description="Radial, of the fourth power.")
     p1: float = Field(default=0.0, ge=-1, le=1, description="Tangential, as in OpenCV.")
     p2: float = Field(default=0.0, ge=-1, le=1, description="Tangential, as in OpenCV.")
     bump_percent: tuple[float, float] = Field(
-        default=(0.0, 0.0), description="Shift along columns and rows at the bump's centre, of the image's width."
+        default=(0.0, 0.0), description="Shift along x and y (down) at the bump's centre, of the image's width."
     )
     bump_centre_percent: tuple[float, float] = Field(
         default=(0.0, 0.0), description="Place of the bump from the image's centre, of the image's width."
@@ -62,7 +59,7 @@ class CameraConfiguration(_Section):
 
 
 class ProjectorConfiguration(_Section):
-    """Pin-hole projector at (x, y, z) that looks at the origin of the rig frame, but for its three angles."""
+    """Pin-hole projector at (x, y, z) that looks at the origin of the rig frame, except for its three angles."""
 
     columns: int = Field(default=800, ge=16, le=8192, description="Image width [px].")
     rows: int = Field(default=600, ge=16, le=8192, description="Image height [px].")
@@ -86,7 +83,7 @@ class ProjectorConfiguration(_Section):
         description="Standard deviation of the lens's point spread, added to the pixel's square.",
     )
     delay_ms: float = Field(
-        default=0.0, ge=0, le=1000, description="From a pattern that is handed over to its first light."
+        default=0.0, ge=0, le=1000, description="Time from handing over a pattern to its first light."
     )
     jitter_ms: float = Field(
         default=0.0, ge=0, le=1000, description="Every pattern's delay is up to this longer or shorter, evenly."
@@ -101,7 +98,7 @@ class ProjectorConfiguration(_Section):
 
     @property
     def is_immediate(self) -> bool:
-        """The light is steady and follows a pattern at once."""
+        """Whether the light is steady and follows a pattern immediately."""
         steady = self.refresh_hz == 0.0 or self.refresh_duty == 1.0
         return steady and self.delay_ms == self.jitter_ms == self.rise_ms == 0.0
 
@@ -136,7 +133,7 @@ class SensorConfiguration(_Section):
 
 
 class TextureConfiguration(_Section):
-    """Random pattern on the surface, as seen after the blur of the camera's lens."""
+    """Random pattern on the surface, including the blur of the camera's lens."""
 
     kind: Literal["speckle", "furrows", "grain"] = Field(
         default="speckle", description="Sprayed dots, skin or leather."
@@ -147,7 +144,7 @@ class TextureConfiguration(_Section):
 
 
 class RigidSpecimen(_Section):
-    """A rigid shape that moves and turns with the crosshead: plane, sphere (cap) or stepped block."""
+    """A rigid shape that translates and rotates with the crosshead: plane, sphere (cap) or stepped block."""
 
     kind: Literal["rigid"] = "rigid"
     shape: Literal["plane", "sphere", "stepped"] = "plane"
@@ -214,7 +211,7 @@ class SkinSpecimen(_Section):
 
 
 class LeatherSpecimen(_Section):
-    """Folded leather held by a screw: the fold flattens and the piece turns about the screw."""
+    """Folded leather held by a screw: the fold flattens and the piece rotates about the screw."""
 
     kind: Literal["leather"] = "leather"
     half_width_mm: float = Field(default=30.0, gt=0)
@@ -239,7 +236,7 @@ class LeatherSpecimen(_Section):
 
 
 class ReferencePlaneSpecimen(_Section):
-    """The flat plate that calibrates a rig, as the stage holds it; the load does not move it."""
+    """The flat plate on the stage that calibrates a rig; the load does not move it."""
 
     kind: Literal["reference_plane"] = "reference_plane"
     surface: Literal["plain", "grid"] = Field(default="plain", description="Bare, or with the printed grid on it.")
@@ -250,10 +247,10 @@ class ReferencePlaneSpecimen(_Section):
 
 
 class StageConfiguration(_Section):
-    """What turns and lifts the reference plane, and the plane itself."""
+    """The stage that rotates and lifts the reference plane, and the plane itself."""
 
-    axis_x_mm: float = Field(default=0.0, description="Where the axis of rotation passes the plane of x and z.")
-    axis_z_mm: float = Field(default=0.0, description="Where the axis of rotation passes the plane of x and z.")
+    axis_x_mm: float = Field(default=0.0, description="Position of the axis of rotation in the plane of x and z.")
+    axis_z_mm: float = Field(default=0.0, description="Position of the axis of rotation in the plane of x and z.")
     axis_yaw_degree: float = Field(
         default=0.0, gt=-45, lt=45, description="Turn of the axis from +y about +z, in the image counter-clockwise."
     )
@@ -294,7 +291,7 @@ Specimen = Annotated[
 
 
 class VirtualRigConfiguration(_Section):
-    """Everything the twin needs; a rig is reproducible from this and nothing else."""
+    """Complete configuration of a virtual rig, which reproduces all its images."""
 
     seed: int = Field(default=0, ge=0, lt=2**32, description="Seed of texture and noise.")
     camera: CameraConfiguration = CameraConfiguration()
@@ -307,19 +304,24 @@ class VirtualRigConfiguration(_Section):
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
-        """Build from nested dictionaries, such as the ``virtual_rig`` section of a rig file.
+        """Return the configuration in nested dictionaries, such as the ``virtual_rig`` section of a rig file.
 
         Parameters
         ----------
         values
             The fields of this class. With ``preset`` (and optionally ``size``, ``ideal`` and ``alignment``) the other
-            entries change single values of that preset, e.g.
-            ``{"preset": "plate", "size": "small", "sensor": {"bits": 12}}``.
+            entries change single values of that preset.
 
         Raises
         ------
-        VirtualRigConfigurationError
+        VirtualRigError
             An entry is unknown, missing or out of range; the message names it.
+
+        Examples
+        --------
+        >>> entries = {"preset": "plate", "size": "small", "sensor": {"bits": 12}}
+        >>> VirtualRigConfiguration.from_dict(entries).sensor.bits
+        12
         """
         entries = copy.deepcopy(dict(values))
         if "preset" in entries:
@@ -333,7 +335,7 @@ class VirtualRigConfiguration(_Section):
         try:
             return cls.model_validate(entries)
         except ValidationError as error:
-            raise VirtualRigConfigurationError(
+            raise VirtualRigError(
                 "virtual_rig: " + "; ".join(_sentence(problem) for problem in error.errors())
             ) from error
 
@@ -343,7 +345,7 @@ def _sentence(problem: Mapping[str, Any]) -> str:
 
 
 def _merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Entries of `base` with single values changed; a section of another kind replaces the whole section."""
+    """Return `base` with single values changed; a section of another kind replaces the whole section."""
     merged = dict(base)
     for name, value in changes.items():
         section = merged.get(name)
@@ -354,7 +356,7 @@ def _merge(base: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     return merged
 
 
-# Ways to set up a rig: entries of its sections. The usual one has small errors, as a real rig has them.
+# Alignments of a rig: entries of its sections. The usual one has small errors, as a real rig.
 _ALIGNMENTS: dict[str, dict[str, dict[str, float]]] = {
     "aligned": {"camera": {}, "projector": {}, "stage": {}},
     "usual": {
@@ -421,7 +423,7 @@ _PRESETS: dict[str, dict[str, Any]] = {
 
 
 def preset(name: str, *, size: str = "full", ideal: bool = False, alignment: str | None = None) -> dict[str, Any]:
-    """Entries of a ready rig for `VirtualRigConfiguration.from_dict`.
+    """Return the entries of a preset for `VirtualRigConfiguration.from_dict`.
 
     Parameters
     ----------
@@ -430,29 +432,30 @@ def preset(name: str, *, size: str = "full", ideal: bool = False, alignment: str
         ``plane`` (at 10 degrees), ``sphere``, ``stepped`` or ``reference_plane`` (the plate that calibrates a rig).
     size
         ``full``: camera 1280x960, projector 800x600; ``small``: a quarter; ``tiny``: an eighth along each side, on the
-        same field, with a texture that is as many pixels coarse.
+        same field, with a texture of the same size in pixels.
     ideal
         A perfectly aligned rig without noise.
     alignment
-        Another way to set up: ``aligned``; ``misaligned``: the projector looks 1.5 mm beside the origin and is rolled
+        Another alignment: ``aligned``; ``misaligned``: the projector looks 1.5 mm beside the origin and is rolled
         by 0.7 degree, the camera tilted by 0.2 degree, the stage's axis off by 1 mm; ``distorted``: the same with a
-        distorting projector; ``usual``: small errors, as without this entry.
+        distorting projector; ``usual``: small errors, the default.
 
     Raises
     ------
-    VirtualRigConfigurationError
+    VirtualRigError
         The name, the size or the alignment is unknown.
+
+    Examples
+    --------
+    >>> preset("plate", size="tiny")["camera"]["columns"]
+    160
     """
     if name not in _PRESETS:
-        raise VirtualRigConfigurationError(
-            f"virtual_rig: preset {name!r} is unknown; choose from {', '.join(_PRESETS)}"
-        )
+        raise VirtualRigError(f"virtual_rig: preset {name!r} is unknown; choose from {', '.join(_PRESETS)}")
     if size not in SIZES:
-        raise VirtualRigConfigurationError(f"virtual_rig: size {size!r} is unknown; choose from {', '.join(SIZES)}")
+        raise VirtualRigError(f"virtual_rig: size {size!r} is unknown; choose from {', '.join(SIZES)}")
     if alignment is not None and alignment not in _ALIGNMENTS:
-        raise VirtualRigConfigurationError(
-            f"virtual_rig: alignment {alignment!r} is unknown; choose from {', '.join(_ALIGNMENTS)}"
-        )
+        raise VirtualRigError(f"virtual_rig: alignment {alignment!r} is unknown; choose from {', '.join(_ALIGNMENTS)}")
     scale = SIZES[size]
     sections: dict[str, Any] = copy.deepcopy(_PRESETS[name])
     errors = _ALIGNMENTS["aligned" if ideal else "usual"] if alignment is None else _ALIGNMENTS[alignment]
@@ -476,5 +479,5 @@ def preset(name: str, *, size: str = "full", ideal: bool = False, alignment: str
 
 
 def slope(degrees: float) -> float:
-    """Slope of a surface at an angle in degree."""
+    """Return the slope of a surface at an angle [degree]."""
     return math.tan(math.radians(degrees))

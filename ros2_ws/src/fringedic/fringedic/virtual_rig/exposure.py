@@ -1,4 +1,4 @@
-"""Light of the projector on the surface, and what the camera's sensor makes of it."""
+"""Light of the projector on the surface, and the exposure of the camera's sensor to it."""
 
 # mypy: allow-untyped-defs, allow-incomplete-defs
 from __future__ import annotations
@@ -12,13 +12,13 @@ from fringedic.virtual_rig.tracing import compiled, in_parallel
 
 
 def taps_of(defocus: float) -> int:
-    """Number of projector pixels whose point spread reaches a point; the rest adds less than 3e-7."""
+    """Return the number of projector pixels whose point spread reaches a point; the rest adds less than 3e-7."""
     return 2 * math.ceil(5.0 * defocus) + 1
 
 
 @in_parallel
 def spread_weights(coordinate, defocus, size, first, weights):
-    """Weights of the projector pixels ``first, first + 1, ...`` at every point; zero beyond the image's edges.
+    """Fill in the weights of the projector pixels ``first, first + 1, ...`` at every point; 0 beyond the image's edges.
 
     The point spread is the pixel's square convolved with a Gaussian, a difference of two error functions.
     """
@@ -42,9 +42,9 @@ def spread_weights(coordinate, defocus, size, first, weights):
 
 @in_parallel
 def edge_weight(coordinate, defocus, size, weight):
-    """Sum of the weights of all ``size`` projector pixels: 1 inside the image, falling to 0 across its edges.
+    """Fill in the sum of the weights of all ``size`` projector pixels: 1 inside the image, falling to 0 at its edges.
 
-    It is 0 beside the specimen too, where the coordinate is NaN.
+    It is also 0 beside the specimen, where the coordinate is NaN.
     """
     k = math.sqrt(0.5) / defocus
     for i in prange(coordinate.shape[0]):
@@ -56,7 +56,7 @@ def edge_weight(coordinate, defocus, size, weight):
 
 @in_parallel
 def light_along(line, first, weights, edge, light):
-    """Light of an image that changes along one direction only: one sum over its `line` of values."""
+    """Fill in the light of an image that changes along one direction only: one sum over its `line` of values."""
     last = line.shape[0] - 1
     for i in prange(light.shape[0]):
         for j in range(light.shape[1]):
@@ -68,7 +68,7 @@ def light_along(line, first, weights, edge, light):
 
 @in_parallel
 def light_of(image, first_column, column_weights, first_row, row_weights, light):
-    """Light of any image: the separable sum over all pixels whose point spread reaches the point."""
+    """Fill in the light of any image: the separable sum over all pixels whose point spread reaches the point."""
     last_row = image.shape[0] - 1
     last_column = image.shape[1] - 1
     for i in prange(light.shape[0]):
@@ -87,7 +87,7 @@ def light_of(image, first_column, column_weights, first_row, row_weights, light)
 
 @compiled
 def _mixed(key):
-    """A 64-bit number that looks random, from a counter (the finaliser of splitmix64)."""
+    """Return a pseudo-random 64-bit number from a counter: the finaliser of splitmix64 (Steele, Lea, Flood 2014)."""
     key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     key = (key ^ (key >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return key ^ (key >> np.uint64(31))
@@ -95,9 +95,9 @@ def _mixed(key):
 
 @compiled
 def _normal(stream, counter):
-    """Standard normal deviate number `counter` of a stream, by Box and Muller; the same on any number of threads.
+    """Return standard normal deviate `counter` of a stream (Box and Muller 1958), for any number of threads the same.
 
-    Its logarithm and cosine in single precision take half the time and move it by 1e-5 at most.
+    Logarithm and cosine in single precision take half the time and change it by 1e-5 at most.
     """
     bits = _mixed(stream + np.uint64(counter) * np.uint64(0x9E3779B97F4A7C15))
     first = np.float32((float(bits >> np.uint64(32)) + 0.5) / 4294967296.0)
@@ -107,7 +107,7 @@ def _normal(stream, counter):
 
 @in_parallel
 def expose_sensor(level, read_variance, shot_variance, response, full_scale, seed, frame, image):
-    """Digits of a sensor on which so much light falls [grey level]: noise, response, rounding, ends of the scale."""
+    """Fill in the grey levels of a sensor from its light [grey level]: noise, response, rounding, clipping."""
     stream = _mixed(_mixed(np.uint64(seed) + np.uint64(0x9E3779B97F4A7C15)) ^ np.uint64(frame))
     noisy = read_variance > 0.0 or shot_variance > 0.0
     for i in prange(level.shape[0]):

@@ -1,9 +1,9 @@
-"""The testing machine of the twin: a crosshead with speed ramps, a specimen that relaxes, grips with play."""
+"""Simulated testing machine: a crosshead with speed ramps, a specimen that relaxes, grips with play."""
 
 from __future__ import annotations
 
 import math
-from enum import IntEnum
+from enum import Enum
 from typing import NamedTuple
 
 import numpy as np
@@ -12,26 +12,24 @@ from fringedic.errors import CrossheadRangeError
 from fringedic.virtual_rig.configuration import LoadFrameConfiguration
 
 
-class LoadMode(IntEnum):
-    """What the machine is doing; the numbers of fringedic_msgs/LoadState."""
+class CrossheadState(Enum):
+    """What the crosshead of the simulated machine does."""
 
-    UNKNOWN = 0
-    IDLE = 1
-    MOVING = 2
-    HOLD = 3
-    FAULT = 4
+    IDLE = "idle"
+    MOVING = "moving"
+    HOLDING = "holding"
 
 
 class LoadSample(NamedTuple):
-    """One reading of the machine: force [N], tension positive, and crosshead position [m]."""
+    """One reading of the machine: state of the crosshead, force [N] (tension positive), crosshead position [m]."""
 
-    mode: LoadMode
+    state: CrossheadState
     force: float
     position: float
 
 
 class SimulatedLoadFrame:
-    """Testing machine whose time is advanced by its user; it never looks at a clock.
+    """Simulated testing machine without a clock: the caller advances its time.
 
     The force is that of a standard linear solid, ``stiffness * ((1 - relaxation) x + q)`` with q the part that decays
     with the relaxation time; x is the travel of the specimen's end, which lags behind the crosshead by the play.
@@ -42,12 +40,20 @@ class SimulatedLoadFrame:
         Ranges, stiffness, relaxation, play and noise.
     seed
         Seed of the force noise; the same calls give the same samples.
+
+    Examples
+    --------
+    >>> machine = SimulatedLoadFrame(LoadFrameConfiguration(force_noise_n=0.0))
+    >>> machine.move_to(1e-3, speed=1e-3)
+    >>> machine.advance(5.0)
+    >>> machine.sample().state.name, machine.sample().position
+    ('HOLDING', 0.001)
     """
 
     def __init__(self, configuration: LoadFrameConfiguration, seed: int = 0) -> None:
         self._configuration = configuration
         self._rng = np.random.default_rng(seed)
-        self._mode = LoadMode.IDLE
+        self._state = CrossheadState.IDLE
         self._position = 0.0
         self._speed = 0.0
         self._target = 0.0
@@ -71,7 +77,7 @@ class SimulatedLoadFrame:
         Raises
         ------
         CrossheadRangeError
-            The position or the speed is outside the machine's range; the machine goes on as before.
+            The position or the speed is outside the machine's range; the motion of the machine is not changed.
         """
         if not 0.0 <= position <= self.maximum_position * (1.0 + 1e-9):
             raise CrossheadRangeError(
@@ -83,27 +89,33 @@ class SimulatedLoadFrame:
             )
         self._target = position
         self._cruise = speed
-        self._mode = LoadMode.MOVING
+        self._state = CrossheadState.MOVING
 
     def hold(self) -> None:
         """Stop with the machine's ramp and hold."""
         ramp = 1e-3 * self._configuration.acceleration_mm_per_s2
         self._target = self._within_range(self._position + math.copysign(self._speed**2 / (2.0 * ramp), self._speed))
-        self._mode = LoadMode.MOVING if self._speed else LoadMode.HOLD
+        self._state = CrossheadState.MOVING if self._speed else CrossheadState.HOLDING
 
     def advance(self, time_s: float) -> None:
-        """Let `time_s` seconds pass."""
+        """Advance the time by `time_s` [s].
+
+        Raises
+        ------
+        ValueError
+            The time is negative or not finite.
+        """
         if not 0.0 <= time_s < math.inf:
             raise ValueError(f"time can only advance by a finite number of seconds, not {time_s}")
-        while self._mode is LoadMode.MOVING and time_s > 0.0:
+        while self._state is CrossheadState.MOVING and time_s > 0.0:
             time_s -= self._move(time_s)
         self._pass(time_s, 0.0)
 
     def sample(self) -> LoadSample:
-        """Read mode, force (with noise) and position."""
+        """Return state, force (with noise) and position."""
         c = self._configuration
         force = 1e3 * c.stiffness_n_per_mm * ((1.0 - c.relaxation) * self._travel + self._relaxing)
-        return LoadSample(self._mode, force + c.force_noise_n * self._rng.standard_normal(), self._position)
+        return LoadSample(self._state, force + c.force_noise_n * self._rng.standard_normal(), self._position)
 
     def _move(self, time_s: float) -> float:
         """Run the part of the speed profile that comes next, at most `time_s` long; return its duration."""
@@ -131,23 +143,23 @@ class SimulatedLoadFrame:
         self._speed = sign * (speed + change * step)
         position = self._within_range(self._position + sign * travelled)
         if last and abs(position - self._target) < 1e-9 and abs(self._speed) < 1e-9:
-            position, self._speed, self._mode = self._target, 0.0, LoadMode.HOLD
+            position, self._speed, self._state = self._target, 0.0, CrossheadState.HOLDING
         self._pass(step, position - self._position)
         self._position = position
         return step
 
     def _within_range(self, position: float) -> float:
-        """Position without the rounding error by which a ramp may end beyond the machine's range."""
+        """Return a position without the rounding error by which a ramp may end outside of the machine's range."""
         return min(max(position, 0.0), self.maximum_position)
 
     def _pass(self, time_s: float, travel: float) -> None:
-        """Strain and relax the specimen while the crosshead goes on by `travel` in `time_s`."""
+        """Strain and relax the specimen while the crosshead moves by `travel` [m] in `time_s` [s]."""
         c = self._configuration
         position = self._position + travel
         end = min(max(self._travel, position - 1e-3 * c.play_mm), position)
         ratio = time_s / c.relaxation_time_s
         decay = math.exp(-ratio)
-        # constant rate over the interval: the mean of the decay weighs the new strain
+        # constant rate over the interval: the mean of the decay weights the new strain
         mean = -math.expm1(-ratio) / ratio if ratio > 0.0 else 1.0
         self._relaxing = self._relaxing * decay + c.relaxation * (end - self._travel) * mean
         self._travel = end

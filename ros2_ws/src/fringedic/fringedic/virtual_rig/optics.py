@@ -1,4 +1,4 @@
-"""Camera and projector of the twin as pin-holes: their matrices, written from the definition of the rig frame.
+"""Camera and projector of the virtual rig as pin-holes: matrices derived from the definition of the rig frame.
 
 x is right in the image, y up in the image, z towards the camera; z = 0 is the reference plane. Rotations are
 right-handed. SI units; image lengths in pixel.
@@ -17,25 +17,25 @@ Matrix = NDArray[np.float64]
 
 
 def rotation_x(angle: float) -> Matrix:
-    """Right-handed rotation by `angle` [rad] about x."""
+    """Return the right-handed rotation by `angle` [rad] about x."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
 def rotation_y(angle: float) -> Matrix:
-    """Right-handed rotation by `angle` [rad] about y."""
+    """Return the right-handed rotation by `angle` [rad] about y."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
 def rotation_z(angle: float) -> Matrix:
-    """Right-handed rotation by `angle` [rad] about z."""
+    """Return the right-handed rotation by `angle` [rad] about z."""
     c, s = math.cos(angle), math.sin(angle)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def looking_at_origin(position: Matrix) -> Matrix:
-    """Attitude (columns: right, up, backwards) of a pin-hole at `position` that looks at the origin, y being up."""
+    """Return the attitude (columns: right, up, backwards) of a pin-hole that looks at the origin from `position`."""
     forward = -position / np.linalg.norm(position)
     right = np.cross(forward, [0.0, 1.0, 0.0])
     right /= np.linalg.norm(right)
@@ -49,7 +49,7 @@ def _pin_hole(
 
 
 def _camera_lens(camera: CameraConfiguration) -> list[float]:
-    """The lens as the ray tracing takes it; the bump's lengths are parts of the image's width."""
+    """Return the lens in the form of the ray tracing; lengths of the bump are parts of the image's width."""
     lens, width = camera.lens, camera.columns / 100
     shift = [width * value for value in lens.bump_percent]
     centre = [
@@ -64,7 +64,7 @@ def _centre(value: float | None, size: int) -> float:
 
 
 def camera_pin_hole(camera: CameraConfiguration) -> Matrix:
-    """Camera as the vector that the ray tracing takes.
+    """Return the camera as the vector of the ray tracing.
 
     Without its lens the direction of pixel (r, s) is Rx(tilt_x) Ry(tilt_y) ((gamma/tau)(r - r0)/h0, -gamma (s - s0)/h0,
     -1).
@@ -81,7 +81,7 @@ def camera_pin_hole(camera: CameraConfiguration) -> Matrix:
 
 
 def projector_pin_hole(projector: ProjectorConfiguration) -> Matrix:
-    """Projector as the vector that the ray tracing takes: attitude R0 Ry(yaw) Rx(pitch) Rz(roll)."""
+    """Return the projector as the vector of the ray tracing: attitude R0 Ry(yaw) Rx(pitch) Rz(roll)."""
     position = 1e-3 * np.array([projector.x_mm, projector.y_mm, projector.z_mm])
     rotation = (
         looking_at_origin(position)
@@ -98,7 +98,7 @@ def projector_pin_hole(projector: ProjectorConfiguration) -> Matrix:
 
 
 def camera_optics(camera: CameraConfiguration) -> dict[str, float]:
-    """Camera parameters [m, rad, px] under the names of fringedic_msgs/RigCalibration, without the lens."""
+    """Return camera parameters [m, rad, px] with the names of fringedic_msgs/RigCalibration, without the lens."""
     return {
         "camera_width": camera.columns,
         "camera_height": camera.rows,
@@ -113,7 +113,7 @@ def camera_optics(camera: CameraConfiguration) -> dict[str, float]:
 
 
 def projector_optics(projector: ProjectorConfiguration) -> dict[str, float | list[float]]:
-    """Projector parameters [m, rad, px] under the names of fringedic_msgs/RigCalibration."""
+    """Return projector parameters [m, rad, px] with the names of fringedic_msgs/RigCalibration."""
     return {
         "projector_width": projector.columns,
         "projector_height": projector.rows,

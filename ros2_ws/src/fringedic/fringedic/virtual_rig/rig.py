@@ -1,4 +1,4 @@
-"""The digital twin: what a real rig's camera would see, with the truth behind it."""
+"""The virtual rig (digital twin): images of its camera, with the exact shape and displacement."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, gaussian_filter
 
-from fringedic.errors import CrossheadRangeError, ShapeMismatchError
+from fringedic.errors import CrossheadRangeError, ImageError
 from fringedic.virtual_rig import exposure, tracing
 from fringedic.virtual_rig.configuration import ReferencePlaneSpecimen, VirtualRigConfiguration, preset
 from fringedic.virtual_rig.optics import camera_optics, camera_pin_hole, projector_optics, projector_pin_hole
@@ -23,18 +23,19 @@ from fringedic.virtual_rig.texture import make_texture
 
 Map = NDArray[np.float64]
 
-_KEPT_VIEWS = 2
-# A pixel whose material point projects farther than this from its centre counts as not found [px].
+_KEPT_VIEWS = 2  # of the reference and the deformed state
+# A pixel whose material point projects farther than this from its centre counts as not found [px]: a thousand times
+# the limit of convergence.
 _TOLERANCE = 1e-6
-# Parts that may throw shadows are looked for at every pixel and, outside the camera's view, on a grid over the specimen
-# of this many points along each side; they are noted in blocks of projector pixels.
+# Parts that may throw shadows are searched at every pixel and, outside of the camera's view, on a grid over the
+# specimen of this many points along each side; they are marked in blocks of projector pixels.
 _SHADOW_GRID = 400
 _SHADOW_BLOCK = 4
 
 
 @dataclass
 class View:
-    """Everything that does not change from frame to frame at one crosshead position; NaN beside the specimen.
+    """Quantities that are the same for all frames at one crosshead position; NaN beside the specimen.
 
     Attributes
     ----------
@@ -62,7 +63,7 @@ class View:
     _edges: dict[str, NDArray[np.float32]] = field(default_factory=dict)
 
     def weights(self, axis: str, size: int, defocus: float) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
-        """First projector column (or row) that lights each pixel, and the weights from there on; kept once made."""
+        """Return the first projector column (or row) that lights each pixel, and the weights from there on; cached."""
         if axis not in self._weights:
             coordinate = self._coordinate(axis)
             first = np.empty(coordinate.shape, np.int32)
@@ -72,7 +73,7 @@ class View:
         return self._weights[axis]
 
     def edge(self, axis: str, size: int, defocus: float) -> NDArray[np.float32]:
-        """Sum of the weights of all projector columns (or rows) at each pixel; kept once made."""
+        """Return the sum of the weights of all projector columns (or rows) at each pixel; cached."""
         if axis not in self._edges:
             self._edges[axis] = np.empty(self.lit.shape, np.float32)
             exposure.edge_weight(self._coordinate(axis), defocus, size, self._edges[axis])
@@ -85,10 +86,10 @@ class View:
 class VirtualRig:
     """Digital twin of projector, camera and specimen.
 
-    Every camera pixel looks at exactly one material point, found by solving the projection of the deformed surface;
-    light and texture are analytic functions at that point. The crosshead position [m] is the load; the specimen is
-    undeformed at 0. A camera ray is taken to meet the specimen once, so the specimen must not hide itself from the
-    camera; it may hide itself from the projector, and throws shadows.
+    Every camera pixel sees exactly one material point, found by solving the projection of the deformed surface. Light
+    and texture are analytic functions at that point. The crosshead position [m] is the load; the specimen is undeformed
+    at 0. A camera ray is assumed to meet the specimen once, so that the specimen must not occlude itself for the
+    camera. It may occlude itself for the projector, which gives shadows.
 
     Parameters
     ----------
@@ -119,14 +120,28 @@ class VirtualRig:
 
     @classmethod
     def from_preset(cls, name: str, *, size: str = "full", ideal: bool = False, seed: int = 0) -> Self:
-        """A ready rig: `plate`, `skin`, `leather`, `rigid`, `plane`, `sphere`, `stepped` or `reference_plane`.
+        """Return a rig of a preset.
 
-        `size` is `full` (1280x960, 800x600), `small` or `tiny`; `ideal` rigs are aligned and without noise.
+        Parameters
+        ----------
+        name
+            ``plate``, ``skin``, ``leather``, ``rigid``, ``plane``, ``sphere``, ``stepped`` or ``reference_plane``.
+        size
+            ``full`` (camera 1280x960 px, projector 800x600 px), ``small`` (a quarter) or ``tiny`` (an eighth).
+        ideal
+            Without errors of alignment and without noise.
+        seed
+            Seed of texture and noise.
+
+        Raises
+        ------
+        VirtualRigError
+            The name or the size is unknown.
         """
         return cls(VirtualRigConfiguration.from_dict({**preset(name, size=size, ideal=ideal), "seed": seed}))
 
     def with_specimen(self, specimen: Mapping[str, Any]) -> Self:
-        """Return the same camera, projector, sensor and stage in front of another specimen.
+        """Return a rig of the same camera, projector, sensor and stage with another specimen.
 
         Parameters
         ----------
@@ -136,7 +151,7 @@ class VirtualRig:
 
         Raises
         ------
-        VirtualRigConfigurationError
+        VirtualRigError
             An entry is unknown, missing or out of range.
         """
         entries = self.configuration.model_dump() | {"specimen": dict(specimen)}
@@ -158,9 +173,9 @@ class VirtualRig:
         return 1e-3 * self.configuration.load_frame.maximum_position_mm
 
     def optics(self) -> dict[str, Any]:
-        """The true optical parameters [m, rad, px] under the names of fringedic_msgs/RigCalibration.
+        """Return the true optical parameters [m, rad, px] with the names of ``fringedic_msgs/RigCalibration``.
 
-        The lens is not among them: `straight_pixels` tells what it does.
+        They do not contain the lens, see `straight_pixels`.
         """
         return {
             "model": "general",
@@ -169,7 +184,7 @@ class VirtualRig:
         }
 
     def straight_pixels(self) -> tuple[Map, Map]:
-        """Column and row [px] at which the camera would see, without its lens, what it sees at each pixel."""
+        """Return column and row [px] at which the camera would see, without its lens, what it sees at each pixel."""
         column, row = np.empty(self.shape), np.empty(self.shape)
         tracing.straight_pixels(self._camera, column, row)
         return column, row
@@ -186,17 +201,18 @@ class VirtualRig:
         position
             Crosshead position [m].
         frame
-            Running number of the frame; with the rig's seed it decides the noise.
+            Number of the frame; together with the rig's seed it determines the noise.
         exposure_factor
-            Exposure time over the one that the sensor's white level is meant for.
+            Exposure time relative to the one of the sensor's white level.
 
         Returns
         -------
-        uint8 (rows, columns), or uint16 for cameras of more than 8 bits.
+        ndarray
+            Grey levels, uint8 (row, column), or uint16 for cameras of more than 8 bits.
 
         Raises
         ------
-        ShapeMismatchError
+        ImageError
             The image is not as large as the projector's.
         CrossheadRangeError
             The position is outside the specimen's range.
@@ -211,21 +227,21 @@ class VirtualRig:
         *,
         exposure_factor: float = 1.0,
     ) -> NDArray[np.unsignedinteger]:
-        """Take one picture during which the projector's light changed.
+        """Take one picture during which the light of the projector changes.
 
         Parameters
         ----------
         parts
-            What the projector showed, uint8 (projector rows, projector columns), each with its part of the light of a
+            Images of the projector, uint8 (projector rows, projector columns), each with its part of the light of a
             whole exposure; see `pattern_weights`.
         position, frame, exposure_factor
-            See `expose`, and so are result and errors.
+            See `expose`, also for result and errors.
         """
         view = self.view(position)
         light = np.zeros(self.shape, np.float32)
         for projector_image, weight in parts:
             if projector_image.shape != self.projector_shape or projector_image.dtype != np.uint8:
-                raise ShapeMismatchError(
+                raise ImageError(
                     f"the projector shows uint8 images of {self.projector_shape} rows and columns, "
                     f"not {projector_image.dtype} of {projector_image.shape}"
                 )
@@ -249,7 +265,7 @@ class VirtualRig:
         return image
 
     def _light(self, view: View, projector_image: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """Light of the projector at every pixel; the latest is kept, for a free run shows the same image for long."""
+        """Return the light of the projector at every pixel; the latest is cached for a camera that runs freely."""
         if self._latest_light is not None:
             latest_view, latest_image, light = self._latest_light
             if latest_view is view and np.array_equal(latest_image, projector_image):
@@ -278,12 +294,18 @@ class VirtualRig:
         return light
 
     def view(self, position: float) -> View:
-        """Solve the geometry at a crosshead position [m]; the latest two are kept."""
+        """Return the geometry at a crosshead position [m]; the latest two are cached.
+
+        Raises
+        ------
+        CrossheadRangeError
+            The position is outside the specimen's range.
+        """
         if not 0.0 <= position <= self.maximum_position * (1.0 + 1e-9):
             raise CrossheadRangeError(
                 f"crosshead position {position * 1e3:g} mm is outside 0 to {self.maximum_position * 1e3:g} mm"
             )
-        position = float(position)  # an integer would compile all kernels once more
+        position = float(position)  # an integer would compile all kernels again
         if position not in self._views:
             self._views[position] = self._solve(position)
             if len(self._views) > _KEPT_VIEWS:
@@ -293,8 +315,7 @@ class VirtualRig:
 
     def _points(self, position: float, X: Map, Y: Map) -> tuple[Map, Map, Map]:
         x, y, z = np.empty_like(X), np.empty_like(X), np.empty_like(X)
-        surface = self._surface
-        tracing.surface_points(surface.kind, surface.coefficients, surface.relief, position, X, Y, x, y, z)
+        tracing.surface_points(self._surface.deformed(position), X, Y, x, y, z)
         return x, y, z
 
     def _seen(self, x: Map, y: Map, z: Map) -> tuple[Map, Map]:
@@ -302,17 +323,15 @@ class VirtualRig:
         tracing.project_points(self._camera, x, y, z, column, row)
         return column, row
 
-    def _light_geometry(self, position: float, X: Map, Y: Map) -> tuple[Map, Map, Map, Map]:
-        maps = np.empty_like(X), np.empty_like(X), np.empty_like(X), np.empty_like(X)
-        s = self._surface
-        tracing.light_geometry(self._camera, self._projector, s.kind, s.coefficients, s.relief, position, X, Y, *maps)
+    def _light_geometry(self, position: float, X: Map, Y: Map) -> tracing.LightMaps:
+        maps = tracing.LightMaps(*(np.empty_like(X) for _ in range(4)))
+        tracing.light_geometry(self._camera, self._projector, self._surface.deformed(position), X, Y, maps)
         return maps
 
     def _solve(self, position: float) -> View:
-        surface = self._surface
         X, Y, residual = np.empty(self.shape), np.empty(self.shape), np.empty(self.shape)
-        tracing.solve_pixels(self._camera, surface.kind, surface.coefficients, surface.relief, position, X, Y, residual)
-        left, right, low, high = surface.outline
+        tracing.solve_pixels(self._camera, self._surface.deformed(position), X, Y, residual)
+        left, right, low, high = self._surface.outline
         beside = ~((residual < _TOLERANCE) & (left <= X) & (right >= X) & (low <= Y) & (high >= Y))
         X[beside] = Y[beside] = np.nan
         column, row, irradiance, facing = self._light_geometry(position, X, Y)
@@ -337,7 +356,7 @@ class VirtualRig:
         )
 
     def _reflectance(self, X: Map, Y: Map) -> Map:
-        """Of the painted specimen or of the reference plane, 1 being an unpainted specimen and 0 beside it."""
+        """Return the reflectance relative to that of an unpainted specimen; 0 beside the specimen."""
         value = np.empty(self.shape)
         if self._texture is not None:
             tracing.reflectance(self._texture, self.configuration.texture.floor, X, Y, value)
@@ -351,13 +370,12 @@ class VirtualRig:
         return np.where(np.isnan(X), 0.0, stage.albedo)
 
     def _lit(self, position: float, X: Map, Y: Map, column: Map, row: Map, irradiance: Map) -> NDArray[np.bool_]:
-        """Points that the projector reaches: turned towards it, and not behind other parts of the specimen.
+        """Return the points that the projector reaches: facing it, and not behind other parts of the specimen.
 
-        A light path meets the surface again only behind a part that turns its back to the projector, and that part
-        lies on the same path: only points at the same projector pixels as averted parts can be in shadow.
+        A light path meets the surface again only behind a part that faces away from the projector, and that part lies
+        on the same path: only points at the same projector pixels as averted parts can be in shadow.
         """
-        surface = self._surface
-        left, right, low, high = surface.outline
+        left, right, low, high = self._surface.outline
         grid = np.meshgrid(np.linspace(left, right, _SHADOW_GRID), np.linspace(low, high, _SHADOW_GRID))
         grid_column, grid_row, grid_irradiance, _ = self._light_geometry(position, *grid)
         averted, averted_grid = irradiance <= 0.0, grid_irradiance <= 0.0
@@ -379,24 +397,12 @@ class VirtualRig:
         suspected[lit] = touched[block(column[lit], row[lit])]
         heights = [self._points(position, *grid)[2], self._points(position, X, Y)[2]]
         top = max(float(np.nanmax(z)) for z in heights)
-        tracing.cast_shadows(
-            self._projector,
-            surface.kind,
-            surface.coefficients,
-            surface.relief,
-            position,
-            surface.outline,
-            top,
-            1e-6 * self.configuration.camera.pixel_size_um,
-            X,
-            Y,
-            suspected,
-            lit,
-        )
+        search = tracing.ShadowSearch(self._surface.outline, top, 1e-6 * self.configuration.camera.pixel_size_um)
+        tracing.cast_shadows(self._projector, self._surface.deformed(position), search, X, Y, suspected, lit)
         return lit
 
     def truth(self, position: float, reference_position: float = 0.0) -> xr.Dataset:
-        """Exact shape and displacement of the points that the reference image's pixels see.
+        """Return exact shape and displacement of the points that the pixels of the reference image see.
 
         Parameters
         ----------
@@ -423,7 +429,9 @@ class VirtualRig:
         within_columns = (seen_column > -_TOLERANCE) & (seen_column < columns - 1 + _TOLERANCE)
         within_rows = (seen_row > -_TOLERANCE) & (seen_row < rows - 1 + _TOLERANCE)
 
-        def image(values: NDArray[Any], units: str, description: str) -> tuple[tuple[str, str], NDArray[Any], dict]:
+        def image(
+            values: NDArray[Any], units: str, description: str
+        ) -> tuple[tuple[str, str], NDArray[Any], dict[str, str]]:
             return ("row", "column"), values, {"units": units, "long_name": description}
 
         return xr.Dataset(

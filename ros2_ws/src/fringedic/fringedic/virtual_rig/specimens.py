@@ -1,4 +1,4 @@
-"""Specimens of the twin: the numbers that the compiled surface functions take, in SI units."""
+"""Specimens of the virtual rig: the parameters of the compiled surface functions, in SI units."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ _SHAPES = {"plane": tracing.PLANE, "sphere": tracing.SPHERE, "stepped": tracing.
 
 @dataclass(frozen=True)
 class Surface:
-    """A specimen as the ray tracing takes it.
+    """A specimen in the form that the ray tracing needs.
 
     Attributes
     ----------
     kind, coefficients
-        Which surface function, and its numbers.
+        Which surface function, and its parameters.
     outline
         First and last X, first and last Y [m] of the specimen in material coordinates.
     relief
@@ -46,9 +46,13 @@ class Surface:
     outline: NDArray[np.float64]
     relief: tracing.StrokeField
 
+    def deformed(self, position: float) -> tracing.DeformedSurface:
+        """Return the surface at a crosshead position [m]."""
+        return tracing.DeformedSurface(self.kind, self.coefficients, position, *self.relief)
+
 
 def make_surface(specimen: Specimen, stage: StageConfiguration, texture: TextureConfiguration, seed: int) -> Surface:
-    """Turn the description of a specimen into numbers; the relief of skin follows the furrows of its texture."""
+    """Return the surface of a specimen; the relief of skin follows the furrows of its texture."""
     plate = stage if isinstance(specimen, ReferencePlaneSpecimen) else specimen
     half_width, half_height = plate.half_width_mm * _MM, plate.half_height_mm * _MM
     outline = np.array([-half_width, half_width, -half_height, half_height])
@@ -131,9 +135,9 @@ def _leather(s: LeatherSpecimen) -> list[float]:
 
 
 def _reference_plane(s: ReferencePlaneSpecimen, stage: StageConfiguration) -> list[float]:
-    """Origin of the plate and the directions of its X and Y: turned about the axis first, then lifted.
+    """Return the origin of the plate and the directions of its X and Y: rotated about the axis first, then lifted.
 
-    A positive angle turns by -angle about the axis, which points along +y: it raises the +x side.
+    A positive angle is a rotation by -angle about the axis, which points along +y: it raises the +x side.
     """
     through = _MM * np.array([stage.axis_x_mm, 0.0, stage.axis_z_mm])
     yaw, pitch = math.radians(stage.axis_yaw_degree), math.radians(stage.axis_pitch_degree)

@@ -1,10 +1,9 @@
 """Random patterns as sums of Gaussian strokes: speckle, skin furrows, leather grain.
 
 A stroke is an optical density that falls off as an anisotropic Gaussian of the material coordinates. Densities add and
-the reflectance is their exponential, so the pattern is an analytic function and no image is ever interpolated. The
-widths are those seen through the camera's lens, whose blur is thereby included: the presets' strokes are about 1.2
-pixels wide (standard deviation) or more, keep less than 1e-3 of their amplitude at the Nyquist frequency, and are
-sampled at the pixels' centres.
+the reflectance is their exponential: the pattern is an analytic function and no image is interpolated. The widths
+include the blur of the camera's lens. The strokes of the presets are about 1.2 pixels wide (standard deviation) or
+more, have less than 1e-3 of their amplitude at the Nyquist frequency, and are sampled at the pixels' centres.
 """
 
 from __future__ import annotations
@@ -21,12 +20,12 @@ from fringedic.virtual_rig.configuration import TextureConfiguration
 Strokes = NDArray[np.float64]
 
 _FULL_WIDTH = 2.0 * math.sqrt(2.0 * math.log(2.0))
-# Each kind of stroke draws from its own stream, so that changing one leaves the others as they were.
+# Each kind of stroke has its own random stream, so that a change of one does not change the others.
 _SPECKLE, _FURROWS, _FINE_LINES, _GRAIN, _PATCHES = range(5)
 
 
 def make_texture(texture: TextureConfiguration, outline: NDArray[np.float64], seed: int) -> tracing.StrokeField:
-    """Strokes of the pattern that covers a specimen.
+    """Return the strokes of the pattern that covers a specimen.
 
     Parameters
     ----------
@@ -80,7 +79,7 @@ def _gaussians(
     direction: NDArray[np.float64],
     height: NDArray[np.float64],
 ) -> Strokes:
-    """Strokes with standard deviations `length` along `direction` [rad] and `width` across it [m]."""
+    """Return strokes with standard deviations `length` along `direction` [rad] and `width` across it [m]."""
     cos, sin = np.cos(direction), np.sin(direction)
     p, q = 1.0 / length**2, 1.0 / width**2
     return np.stack(
@@ -91,7 +90,7 @@ def _gaussians(
 def _scattered(
     rng: np.random.Generator, outline: NDArray[np.float64], per_area: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points over the outline with a jittered-grid spacing: random, yet without large gaps and heaps."""
+    """Return points of a jittered grid over the outline: random, but without large gaps and clusters."""
     spacing = 1.0 / math.sqrt(per_area)
     x = np.arange(outline[0], outline[1] + spacing, spacing)
     y = np.arange(outline[2], outline[3] + spacing, spacing)
@@ -117,14 +116,14 @@ def _speckle_strokes(outline: NDArray[np.float64], feature: float, coverage: flo
 
 
 def furrow_strokes(outline: NDArray[np.float64], feature: float, seed: int) -> Strokes:
-    """Main furrows of skin: two families of wandering lines, drawn as chains of strokes of height up to 1."""
+    """Return the main furrows of skin: two families of random lines, as chains of strokes of height up to 1."""
     rng = np.random.default_rng([seed, _FURROWS])
     families = [_lines(rng, outline, feature, direction) for direction in (math.radians(38.0), math.radians(-52.0))]
     return np.concatenate(families)
 
 
 def _lines(rng: np.random.Generator, outline: NDArray[np.float64], feature: float, direction: float) -> Strokes:
-    from scipy.signal import lfilter  # half a second to load, for skin alone
+    from scipy.signal import lfilter  # takes half a second to load and is needed for skin only
 
     radius = 0.5 * math.hypot(outline[1] - outline[0], outline[3] - outline[2])
     centre_x, centre_y = 0.5 * (outline[0] + outline[1]), 0.5 * (outline[2] + outline[3])
@@ -152,11 +151,11 @@ def _lines(rng: np.random.Generator, outline: NDArray[np.float64], feature: floa
 
 def _inside(strokes: Strokes, outline: NDArray[np.float64]) -> Strokes:
     x, y = strokes[:, 0], strokes[:, 1]
-    return strokes[(x >= outline[0]) & (x <= outline[1]) & (y >= outline[2]) & (y <= outline[3])]
+    return np.asarray(strokes[(x >= outline[0]) & (x <= outline[1]) & (y >= outline[2]) & (y <= outline[3])])
 
 
 def _skin_detail_strokes(outline: NDArray[np.float64], feature: float, seed: int) -> Strokes:
-    """Fine lines between the furrows, pores and grain, and large patches of another tone."""
+    """Return fine lines between the furrows, pores and grain, and large patches of another tone."""
     rng = np.random.default_rng([seed, _FINE_LINES])
     x, y = _scattered(rng, outline, 1.0 / (2.6 * feature) ** 2)
     family = np.where(rng.uniform(size=x.size) < 0.55, math.radians(15.0), math.radians(-70.0))
@@ -183,14 +182,14 @@ def _patch_strokes(outline: NDArray[np.float64], size: float, height: float, see
 
 
 def _grain_strokes(outline: NDArray[np.float64], feature: float, seed: int) -> Strokes:
-    """Leather: pebbles between creases (the edges of Voronoi cells), pores, and patches of another tone."""
+    """Return the grain of leather: creases (edges of Voronoi cells), pores, and patches of another tone."""
     rng = np.random.default_rng([seed, _FURROWS])
     cells = Voronoi(np.stack(_scattered(rng, outline, 1.0 / (3.0 * feature) ** 2), axis=1))
     edges = np.array(cells.ridge_vertices)
     first, last = (cells.vertices[edges[(edges >= 0).all(axis=1), end]] for end in (0, 1))
     along = last - first
     length = np.hypot(*along.T)
-    # edges shorter than a crease is wide would make blots, those at the rim of the diagram are endless
+    # edges shorter than the width of a crease would be blots, those at the border of the diagram are infinite
     drawn = (length > 0.3 * feature) & (length < 10.0 * feature)
     count = int(drawn.sum())
     middle = 0.5 * (first + last)[drawn]

@@ -1,10 +1,10 @@
-"""Compiled ray tracing of the digital twin: pin-holes, surfaces, strokes, the exact solution of every camera pixel.
+"""Compiled ray tracing of the virtual rig: pin-holes, surfaces, strokes, the exact solution of every camera pixel.
 
-All kernels that call each other live in this one file on purpose: Numba's on-disk cache notices a change of the file
-that defines a kernel, not of the files it calls into.
+All kernels that call each other are in this one file on purpose: Numba's on-disk cache detects a change of the file
+that defines a kernel, but not of the files that the kernel calls into.
 
 Lengths are in metre and image coordinates in pixel. A surface is a function of the material coordinates (X, Y) and of
-the crosshead position; (X, Y) is where the material point stands in the undeformed planform.
+the crosshead position; (X, Y) is the position of the material point in the undeformed planform.
 """
 
 # mypy: allow-untyped-defs, allow-incomplete-defs
@@ -16,16 +16,16 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
-# Elementwise only, so that results do not depend on the number of threads. Errors as NumPy treats them: a search that
-# leaves the surface shall end in NaN and not in an exception.
+# Elementwise only, so that results do not depend on the number of threads. Error model of NumPy: a search that leaves
+# the surface ends in NaN and not in an exception.
 compiled = njit(cache=True, nogil=True, error_model="numpy")
 in_parallel = njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 
 RIGID, PLATE, SKIN, LEATHER, REFERENCE_PLANE = 0, 1, 2, 3, 4
 PLANE, SPHERE, STEPPED = 0, 1, 2
 
-# A stroke ends where its Gaussian has fallen to exp(-STROKE_REACH / 2) = 5e-5 of its height; this foot is taken off
-# the whole stroke, so that surface and texture stay continuous there.
+# A stroke ends where its Gaussian has fallen to exp(-STROKE_REACH / 2) = 5e-5 of its height. This foot is subtracted
+# from the whole stroke, so that surface and texture are continuous there.
 STROKE_REACH = 20.0
 STROKE_FOOT = math.exp(-0.5 * STROKE_REACH)
 # Half step of the central differences [m]: truncation and rounding errors are both near 1e-10 for details of 0.2 mm.
@@ -34,7 +34,7 @@ CONVERGED = 1e-9  # [px]
 
 
 class StrokeField(NamedTuple):
-    """Anisotropic Gaussian strokes with a cell list: each cell names the strokes that reach into it.
+    """Anisotropic Gaussian strokes with a cell list: each cell lists the strokes that reach into it.
 
     Attributes
     ----------
@@ -55,9 +55,62 @@ class StrokeField(NamedTuple):
     cells: np.ndarray
 
 
+class DeformedSurface(NamedTuple):
+    """The surface of a specimen at one crosshead position.
+
+    Attributes
+    ----------
+    kind : int
+        Which surface function.
+    coefficients : float64 array
+        Its parameters.
+    position : float
+        Crosshead position [m].
+    strokes, start, items, grid, cells
+        Relief, strokes of height [m] added to z, see `StrokeField`; not nested, because Numba does not take nested
+        tuples into parallel loops.
+    """
+
+    kind: int
+    coefficients: np.ndarray
+    position: float
+    strokes: np.ndarray
+    start: np.ndarray
+    items: np.ndarray
+    grid: np.ndarray
+    cells: np.ndarray
+
+
+class LightMaps(NamedTuple):
+    """Maps (row, column) that `light_geometry` fills: projector column and row [px], irradiance, facing cosine [-]."""
+
+    column: np.ndarray
+    row: np.ndarray
+    irradiance: np.ndarray
+    facing: np.ndarray
+
+
+class ShadowSearch(NamedTuple):
+    """Limits of the search for shadows.
+
+    Attributes
+    ----------
+    outline : float64 array (4,)
+        First and last X, first and last Y [m] of the specimen.
+    top : float
+        Largest height of the specimen [m].
+    stride : float
+        Length of a step in plan [m].
+    """
+
+    outline: np.ndarray
+    top: float
+    stride: float
+
+
 @compiled
 def stroke_sum(field, X, Y):
-    """Sum of all strokes at (X, Y) and its derivatives along X and Y."""
+    """Return the sum of all strokes at (X, Y) and its derivatives along X and Y."""
     value = 0.0
     slope_x = 0.0
     slope_y = 0.0
@@ -83,7 +136,7 @@ def stroke_sum(field, X, Y):
 
 @compiled
 def fill_cells(strokes, extent, grid, cells, start, items):
-    """List the strokes of every cell; with ``items`` empty only count them into ``start[cell + 1]``.
+    """List the strokes of every cell; with empty ``items`` only count them into ``start[cell + 1]``.
 
     A stroke is left out of the cells in the corners of its bounding box (half size ``extent``) that its ellipse does
     not reach.
@@ -122,7 +175,10 @@ def _rise(x):
 
 @compiled
 def _rigid_point(c, position, X, Y):
-    """Rigid shape c[0] with parameters c[1:6]; moved by c[6:9], turned by the rotation vector c[9:12] per metre."""
+    """Return a point of a rigid shape c[0] with parameters c[1:6].
+
+    It moves by c[6:9] and rotates by the rotation vector c[9:12] per metre of the crosshead.
+    """
     if c[0] == PLANE:  # height, slopes along X and Y
         z = c[1] + c[2] * X + c[3] * Y
     elif c[0] == SPHERE:  # height of the apex, radius
@@ -150,7 +206,7 @@ def _rigid_point(c, position, X, Y):
 
 @compiled
 def _plate_point(c, position, X, Y):
-    """Uniform tension along y with Poisson contraction; the bow of the plate straightens as the load grows."""
+    """Return a point of a plate in uniform tension along y with Poisson contraction, whose bow straightens."""
     length, poisson, bow, straightening, slope_x, slope_y, twist = c[0], c[1], c[2], c[3], c[4], c[5], c[6]
     strain = position / length
     remaining = bow / (1.0 + position / straightening)
@@ -164,7 +220,7 @@ def _plate_point(c, position, X, Y):
 
 @compiled
 def _skin_point(c, position, X, Y):
-    """Skin pulled along +y by a pad of finite width; anisotropy tilts the strain band and adds a lateral drift."""
+    """Return a point of skin pulled along +y by a pad; anisotropy tilts the strain band and adds a lateral drift."""
     radius_x, radius_y, length, reach, poisson = c[0], c[1], c[2], c[3], c[4]
     tilt, drift, dip = c[5], c[6], c[7]
     t = math.tanh((Y + tilt * X) / length)
@@ -179,10 +235,11 @@ def _skin_point(c, position, X, Y):
 
 @compiled
 def _leather_point(c, position, X, Y):
-    """A fold A sech^2(s/a) that fans out from a screw, flattens without stretching (to second order), and turns.
+    """Return a point of a fold A sech^2(s/a) that fans out from a screw, flattens without stretching, and turns.
 
-    Flattening releases the arc length int (z'^2 - z'_0^2)/2 ds = 2 (A_0^2 - A^2)/a (t^3/3 - t^5/5), t = tanh(s/a),
-    which pushes both sides of the fold apart.
+    Flattening does not stretch to second order. It releases the arc length
+    int (z'^2 - z'_0^2)/2 ds = 2 (A_0^2 - A^2)/a (t^3/3 - t^5/5), t = tanh(s/a), which pushes both sides of the fold
+    apart.
     """
     height, width, across_x, across_y = c[0], c[1], c[2], c[3]
     fold_x, fold_y, screw_x, screw_y = c[4], c[5], c[6], c[7]
@@ -218,20 +275,21 @@ def _smooth_point(kind, c, position, X, Y):
 
 
 @compiled
-def surface_point(kind, c, relief, position, X, Y):
-    """Where the material point (X, Y) is at a crosshead position: x, y, z [m]."""
-    x, y, z = _smooth_point(kind, c, position, X, Y)
-    return x, y, z + stroke_sum(relief, X, Y)[0]
+def surface_point(surface, X, Y):
+    """Return the position x, y, z [m] of the material point (X, Y)."""
+    x, y, z = _smooth_point(surface.kind, surface.coefficients, surface.position, X, Y)
+    return x, y, z + stroke_sum(surface, X, Y)[0]
 
 
 @compiled
-def surface_tangents(kind, c, relief, position, X, Y):
-    """Derivatives of the position along X (three values) and along Y (three values)."""
+def surface_tangents(surface, X, Y):
+    """Return the derivatives of the position along X (three values) and along Y (three values)."""
+    kind, c, position = surface.kind, surface.coefficients, surface.position
     ax, ay, az = _smooth_point(kind, c, position, X + HALF_STEP, Y)
     bx, by, bz = _smooth_point(kind, c, position, X - HALF_STEP, Y)
     ex, ey, ez = _smooth_point(kind, c, position, X, Y + HALF_STEP)
     fx, fy, fz = _smooth_point(kind, c, position, X, Y - HALF_STEP)
-    slope_x, slope_y = stroke_sum(relief, X, Y)[1:]
+    slope_x, slope_y = stroke_sum(surface, X, Y)[1:]
     k = 0.5 / HALF_STEP
     return (
         (ax - bx) * k,
@@ -244,14 +302,14 @@ def surface_tangents(kind, c, relief, position, X, Y):
 
 
 @in_parallel
-def surface_points(kind, c, relief, position, X, Y, x, y, z):
-    """Positions of all material points of a map (NaN in, NaN out)."""
+def surface_points(surface, X, Y, x, y, z):
+    """Fill in the positions x, y, z of all material points of a map (NaN in, NaN out)."""
     for i in prange(X.shape[0]):
         for j in range(X.shape[1]):
             if math.isnan(X[i, j]):
                 x[i, j] = y[i, j] = z[i, j] = np.nan
             else:
-                x[i, j], y[i, j], z[i, j] = surface_point(kind, c, relief, position, X[i, j], Y[i, j])
+                x[i, j], y[i, j], z[i, j] = surface_point(surface, X[i, j], Y[i, j])
 
 
 # Pin-holes -----------------------------------------------------------------------------------------------------------
@@ -271,7 +329,7 @@ def _into_frame(p, x, y, z):
 
 @compiled
 def _through_lens(p, m, n):
-    """Column and row of the direction (m right, n up), and their derivatives by m and by n.
+    """Return column and row of the direction (m right, n up), and their derivatives by m and by n.
 
     Brown's lens in OpenCV's terms, whose y is -n, then a shift that falls off as a Gaussian around a place of the
     image.
@@ -299,7 +357,7 @@ def _through_lens(p, m, n):
 
 @compiled
 def project(p, x, y, z):
-    """Column and row at which a pin-hole sees (or lights) a point."""
+    """Return column and row at which a pin-hole sees (or lights) a point."""
     qx, qy, qz = _into_frame(p, x - p[0], y - p[1], z - p[2])
     column, row, _, _, _, _ = _through_lens(p, -qx / qz, -qy / qz)
     return column, row
@@ -307,7 +365,7 @@ def project(p, x, y, z):
 
 @compiled
 def _project_tangent(p, x, y, z, tx, ty, tz):
-    """Change of column and row when a pin-hole's point (x, y, z) moves along (tx, ty, tz)."""
+    """Return the change of column and row when a pin-hole's point (x, y, z) moves along (tx, ty, tz)."""
     qx, qy, qz = _into_frame(p, x - p[0], y - p[1], z - p[2])
     dx, dy, dz = _into_frame(p, tx, ty, tz)
     dm, dn = (qx * dz / qz - dx) / qz, (qy * dz / qz - dy) / qz
@@ -317,7 +375,7 @@ def _project_tangent(p, x, y, z, tx, ty, tz):
 
 @in_parallel
 def straight_pixels(p, column, row):
-    """Where a pin-hole without its lens would see what it sees at each pixel, by Newton's iteration."""
+    """Fill in where a pin-hole without its lens would see what it sees at each pixel, by Newton's iteration."""
     for i in prange(column.shape[0]):
         for j in range(column.shape[1]):
             m, n = (j - p[14]) / p[12], (p[15] - i) / p[13]
@@ -335,7 +393,7 @@ def straight_pixels(p, column, row):
 
 @in_parallel
 def project_points(p, x, y, z, column, row):
-    """Columns and rows of all points of a map."""
+    """Fill in columns and rows of all points of a map."""
     for i in prange(x.shape[0]):
         for j in range(x.shape[1]):
             column[i, j], row[i, j] = project(p, x[i, j], y[i, j], z[i, j])
@@ -343,7 +401,7 @@ def project_points(p, x, y, z, column, row):
 
 @compiled
 def _on_plane(camera, column, row):
-    """Where the camera ray of a pixel meets z = 0: the start of the search."""
+    """Return where the camera ray of a pixel meets z = 0: the start of the search."""
     m = (column - camera[14]) / camera[12]
     n = (camera[15] - row) / camera[13]
     x = camera[3] * m + camera[4] * n - camera[5]
@@ -353,11 +411,11 @@ def _on_plane(camera, column, row):
 
 
 @in_parallel
-def solve_pixels(camera, kind, c, relief, position, X, Y, residual):
-    """Material point (X, Y) seen by every pixel.
+def solve_pixels(camera, surface, X, Y, residual):
+    """Fill in the material point (X, Y) that every pixel sees.
 
-    Damped Newton iteration that goes along each row from pixel to pixel, extrapolating the start and keeping the
-    Jacobian while it serves. ``residual`` [px] is the distance between the pixel and the projection of the point found.
+    Damped Newton iteration along each row from pixel to pixel; it extrapolates the start and keeps the Jacobian while
+    the iteration converges. ``residual`` [px] is the distance between the pixel and the projection of the point found.
     """
     for i in prange(X.shape[0]):
         base_x, base_y = _on_plane(camera, 0.0, float(i))
@@ -372,9 +430,7 @@ def solve_pixels(camera, kind, c, relief, position, X, Y, residual):
             best = np.inf
             here = False  # whether the Jacobian belongs to the base point
             for _ in range(80):
-                x, y, z = surface_point(
-                    kind, c, relief, position, base_x + fraction * move_x, base_y + fraction * move_y
-                )
+                x, y, z = surface_point(surface, base_x + fraction * move_x, base_y + fraction * move_y)
                 column, row = project(camera, x, y, z)
                 error_c = column - j
                 error_r = row - i
@@ -394,8 +450,8 @@ def solve_pixels(camera, kind, c, relief, position, X, Y, residual):
                 else:
                     slow = True
                 if slow or inverse_xc == 0.0:
-                    x, y, z = surface_point(kind, c, relief, position, base_x, base_y)
-                    ax, ay, az, bx, by, bz = surface_tangents(kind, c, relief, position, base_x, base_y)
+                    x, y, z = surface_point(surface, base_x, base_y)
+                    ax, ay, az, bx, by, bz = surface_tangents(surface, base_x, base_y)
                     ca, ra = _project_tangent(camera, x, y, z, ax, ay, az)
                     cb, rb = _project_tangent(camera, x, y, z, bx, by, bz)
                     determinant = ca * rb - cb * ra
@@ -415,12 +471,13 @@ def solve_pixels(camera, kind, c, relief, position, X, Y, residual):
 
 
 @in_parallel
-def light_geometry(camera, projector, kind, c, relief, position, X, Y, column, row, irradiance, facing):
-    """Projector coordinates, irradiance and camera-facing cosine of every solved pixel (NaN stays NaN).
+def light_geometry(camera, projector, surface, X, Y, maps):
+    """Fill in projector coordinates, irradiance and camera-facing cosine of every solved pixel (NaN stays NaN).
 
     The irradiance is Lambert's cosine times the distance fall-off, 1 on a plane z = 0 at the origin; zero or less means
-    that the surface turns its back to the projector.
+    that the surface faces away from the projector.
     """
+    column, row, irradiance, facing = maps
     px, py, pz = projector[0], projector[1], projector[2]
     reference = math.sqrt(px * px + py * py + pz * pz)
     for i in prange(X.shape[0]):
@@ -428,8 +485,8 @@ def light_geometry(camera, projector, kind, c, relief, position, X, Y, column, r
             if math.isnan(X[i, j]):
                 column[i, j] = row[i, j] = irradiance[i, j] = facing[i, j] = np.nan
                 continue
-            x, y, z = surface_point(kind, c, relief, position, X[i, j], Y[i, j])
-            ax, ay, az, bx, by, bz = surface_tangents(kind, c, relief, position, X[i, j], Y[i, j])
+            x, y, z = surface_point(surface, X[i, j], Y[i, j])
+            ax, ay, az, bx, by, bz = surface_tangents(surface, X[i, j], Y[i, j])
             nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
             norm = math.sqrt(nx * nx + ny * ny + nz * nz)
             lx, ly, lz = px - x, py - y, pz - z
@@ -443,14 +500,14 @@ def light_geometry(camera, projector, kind, c, relief, position, X, Y, column, r
 
 
 @compiled
-def _material_below(kind, c, relief, position, x, y, X, Y):
-    """Material point standing at the plan position (x, y), searched from (X, Y); and its height z."""
+def _material_below(surface, x, y, X, Y):
+    """Return the material point at the plan position (x, y), searched from (X, Y), and its height z."""
     for _ in range(20):
-        px, py, z = surface_point(kind, c, relief, position, X, Y)
+        px, py, z = surface_point(surface, X, Y)
         ex, ey = px - x, py - y
         if abs(ex) + abs(ey) < 1e-9:
             break
-        ax, ay, _az, bx, by, _bz = surface_tangents(kind, c, relief, position, X, Y)
+        ax, ay, _az, bx, by, _bz = surface_tangents(surface, X, Y)
         determinant = ax * by - bx * ay
         X += (bx * ey - by * ex) / determinant
         Y += (ay * ex - ax * ey) / determinant
@@ -458,25 +515,26 @@ def _material_below(kind, c, relief, position, x, y, X, Y):
 
 
 @in_parallel
-def cast_shadows(projector, kind, c, relief, position, outline, top, stride, X, Y, suspected, lit):
-    """Take the light from where the specimen stands between a suspected point and the projector.
+def cast_shadows(projector, surface, search, X, Y, suspected, lit):
+    """Mark suspected points as not lit where the specimen stands between them and the projector.
 
-    The light path is followed from the surface towards the projector in steps of ``stride`` [m] in plan until it is
-    above ``top``, the highest point of the specimen; at each step the surface below is solved exactly.
+    The light path is followed from the surface towards the projector in steps in plan until it is above the highest
+    point of the specimen; at each step the surface below is solved exactly.
     """
+    outline, top, stride = search
     for i in prange(X.shape[0]):
         for j in range(X.shape[1]):
             if not suspected[i, j]:
                 continue
             material_x, material_y = X[i, j], Y[i, j]
-            x, y, z = surface_point(kind, c, relief, position, material_x, material_y)
+            x, y, z = surface_point(surface, material_x, material_y)
             lx, ly, lz = projector[0] - x, projector[1] - y, projector[2] - z
             plan = math.sqrt(lx * lx + ly * ly)
             steps = math.ceil((top - z) / lz * plan / stride)
             for k in range(1, steps + 1):
                 t = k * stride / plan
                 material_x, material_y, height = _material_below(
-                    kind, c, relief, position, x + t * lx, y + t * ly, material_x, material_y
+                    surface, x + t * lx, y + t * ly, material_x, material_y
                 )
                 on_specimen = outline[0] <= material_x <= outline[1] and outline[2] <= material_y <= outline[3]
                 if on_specimen and height > z + t * lz:
@@ -486,7 +544,7 @@ def cast_shadows(projector, kind, c, relief, position, outline, top, stride, X, 
 
 @in_parallel
 def reflectance(texture, floor, X, Y, value):
-    """Reflectance of the painted surface: optical densities add, so it is floor + (1 - floor) exp(-sum of strokes)."""
+    """Fill in the reflectance of the painted surface, floor + (1 - floor) exp(-sum of optical densities)."""
     for i in prange(X.shape[0]):
         for j in range(X.shape[1]):
             if math.isnan(X[i, j]):
@@ -497,7 +555,7 @@ def reflectance(texture, floor, X, Y, value):
 
 @compiled
 def _bars(position, pitch, blur):
-    """Dark bars that are half of the pitch wide, centred on 0, seen through a Gaussian blur: 0 dark, 1 white."""
+    """Return bars half of the pitch wide, centred on 0, seen through a Gaussian blur: 0 dark, 1 white."""
     nearest = position - pitch * math.floor(position / pitch + 0.5)
     white = 1.0
     k = math.sqrt(0.5) / blur
@@ -509,7 +567,9 @@ def _bars(position, pitch, blur):
 
 @in_parallel
 def printed_grid(white, ink, pitch, turn, blur, X, Y, value):
-    """Reflectance of a grid printed on the plane: crossed bars of half the pitch, or with ``blur`` 0 crossed cosines.
+    """Fill in the reflectance of a grid printed on the plane.
+
+    Crossed bars of half the pitch, or with ``blur`` 0 crossed cosines.
 
     ``turn`` [rad] is counter-clockwise as the camera sees it; ``ink`` is the reflectance of the print.
     """

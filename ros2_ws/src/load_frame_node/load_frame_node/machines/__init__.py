@@ -1,4 +1,4 @@
-"""Testing machines without ROS: each is asked for samples, for moves and for a hold."""
+"""Testing machines: each gives samples and accepts requests for moves and for a hold."""
 
 from load_frame_node.machines.description import (
     MachineDescription,
@@ -6,19 +6,19 @@ from load_frame_node.machines.description import (
     ScpiDescription,
     load_machine,
 )
-from load_frame_node.machines.machine import Machine, Sample
+from load_frame_node.machines.machine import LoadMode, Machine, Sample
 from load_frame_node.machines.modbus import ModbusMachine
 from load_frame_node.machines.scpi import ScpiMachine
 from load_frame_node.machines.simulated import SimulatedMachine
 
 
 def open_machine(description: MachineDescription) -> Machine:
-    """Connect to the machine that a description tells of.
+    """Connect to the machine of a description.
 
     Raises
     ------
     MachineError
-        It does not answer.
+        The machine does not answer.
     """
     if isinstance(description, ModbusDescription):
         return ModbusMachine(description)
@@ -26,6 +26,7 @@ def open_machine(description: MachineDescription) -> Machine:
 
 
 __all__ = [
+    "LoadMode",
     "Machine",
     "MachineDescription",
     "ModbusDescription",

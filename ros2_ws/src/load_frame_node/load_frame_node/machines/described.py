@@ -1,4 +1,4 @@
-"""What machines of every protocol do the same way, once a file describes them."""
+"""Machines that a file describes: the part that does not depend on the protocol."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DescriptionT = TypeVar("DescriptionT", bound=MachineSection)
 
 
 class Reading(NamedTuple):
-    """What one question brought: stamp [ns], force [N], position [m]; status and time [s] where they are told."""
+    """One reading: stamp [ns], force [N], position [m]; status and time [s] when the machine reports them."""
 
     stamp_ns: int
     force: float
@@ -24,14 +24,14 @@ class Reading(NamedTuple):
 
 
 class DescribedMachine(ABC, Generic[DescriptionT]):
-    """A machine behind a connection that may be lost and found.
+    """A machine whose connection may be lost and opened again.
 
     Parameters
     ----------
     description
-        Its section of the machine file.
+        Content of the machine file.
     place
-        Where it is reached, for messages.
+        Address of the machine for messages.
 
     Raises
     ------
@@ -55,12 +55,12 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
         Raises
         ------
         MachineError
-            The machine does not answer, or answers with something that is no number.
+            The machine does not answer, or a value of its answer is not a finite number.
         """
         read = self._link.ask("sample", self.read)
         for what, value in (("force", read.force), ("position", read.position), ("time", read.time or 0.0)):
             if not math.isfinite(value):
-                raise MachineError(f"{self.description.name}: sample: {what} is {value}, which is no number")
+                raise MachineError(f"{self.description.name}: sample: {what} is {value}, which is not a number")
         if self.description.status is None or read.status is None:
             mode = self._motion.mode(read.stamp_ns, read.position)
         else:
@@ -69,19 +69,21 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
         return Sample(read.stamp_ns, mode, read.force, read.position, device_ns)
 
     def move_to(self, position: float, speed: float) -> None:
-        """Ask for a move to `position` [m] at `speed` [m/s].
+        """Request a move to `position` [m] at `speed` [m/s].
 
         Raises
         ------
         CrossheadRangeError
-            The description's limits do not allow it. The machine's own limits are in charge; these only keep a slip of
-            the keyboard from reaching it.
+            The move exceeds the limits of the description. These only intercept typing errors; the limits of the
+            machine itself remain decisive.
         MachineError
             The description has no move, or the machine refuses it.
         """
         limits = self.description.limits
         if self.description.move is None or limits is None:
-            raise MachineError(f"{self.description.name}: its description has no move; move it at the machine")
+            raise MachineError(
+                f"{self.description.name}: its description has no move; move the crosshead at the machine"
+            )
         if not (math.isfinite(position) and limits.lowest_mm <= 1e3 * position <= limits.highest_mm):
             raise CrossheadRangeError(
                 f"crosshead position {1e3 * position:g} mm is outside {limits.lowest_mm:g} to {limits.highest_mm:g} mm"
@@ -93,12 +95,12 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
         self._link.ask("move", lambda: self.send_move(position, speed))
 
     def hold(self) -> None:
-        """Ask the machine to stop and hold.
+        """Request a hold: the machine stops and holds its position.
 
         Raises
         ------
         MachineError
-            The description has no hold, or the machine does not take it.
+            The description has no hold, or the machine does not accept it.
         """
         if not self.description.hold:
             raise MachineError(f"{self.description.name}: its description has no hold; stop it at the machine")
@@ -114,16 +116,16 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
 
     @abstractmethod
     def disconnect(self) -> None:
-        """End the connection, whatever state it is in."""
+        """End the connection in whatever state it is."""
 
     @abstractmethod
     def read(self) -> Reading:
-        """Ask for what a sample needs."""
+        """Read force, position, status and time."""
 
     @abstractmethod
     def send_move(self, position: float, speed: float) -> None:
-        """Pass a move on that the description allows."""
+        """Send a move that is within the limits of the description."""
 
     @abstractmethod
     def send_hold(self) -> None:
-        """Pass a hold on; the description has one."""
+        """Send a hold; the description has one."""

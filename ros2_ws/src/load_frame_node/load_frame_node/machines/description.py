@@ -1,4 +1,4 @@
-"""The YAML file that describes how a testing machine is spoken to: registers or commands, units and scales.
+"""YAML file that describes the interface of a testing machine: registers or commands, units and scales.
 
 protocol: modbus
 host: 192.168.1.10
@@ -18,8 +18,8 @@ from typing import Annotated, Any, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
-from fringedic.errors import MachineFileError
-from fringedic.virtual_rig import LoadMode
+from fringedic.errors import ConfigurationError
+from load_frame_node.machines.machine import LoadMode
 
 ForceUnit = Literal["mN", "N", "kN"]
 LengthUnit = Literal["um", "mm", "m"]
@@ -38,7 +38,7 @@ class Section(BaseModel):
 
 
 class Scaled(Section):
-    """A number of the machine and what it means: SI value = (scale * number + offset) in `unit`."""
+    """A number of the machine and its meaning: value = (scale * number + offset) in `unit`."""
 
     unit: str
     scale: float = Field(1.0, description="Per count of the machine; negative where compression counts as positive.")
@@ -51,16 +51,16 @@ class Scaled(Section):
         return self
 
     def si(self, number: float) -> float:
-        """SI value of a number that the machine sent."""
+        """Return the SI value of a number received from the machine."""
         return (self.scale * number + self.offset) * _SI[self.unit]
 
     def number(self, si: float) -> float:
-        """Number to send for an SI value."""
+        """Return the number to send for an SI value."""
         return (si / _SI[self.unit] - self.offset) / self.scale
 
 
 class Modes(Section):
-    """Which numbers or words of the status stand for which mode; what is not listed is UNKNOWN."""
+    """Status values of each mode, numbers or words; every other status is UNKNOWN."""
 
     idle: list[int | str] = []
     moving: list[int | str]
@@ -68,7 +68,7 @@ class Modes(Section):
     fault: list[int | str] = []
 
     def mode(self, status: int | str) -> LoadMode:
-        """Mode that a status stands for."""
+        """Return the mode of a status."""
         for mode in (LoadMode.IDLE, LoadMode.MOVING, LoadMode.HOLD, LoadMode.FAULT):
             if status in getattr(self, mode.name.lower()):
                 return mode
@@ -76,14 +76,14 @@ class Modes(Section):
 
 
 class MotionSection(Section):
-    """How to tell that a crosshead moves when the machine does not say it."""
+    """How motion of the crosshead is recognised when the machine does not report it."""
 
-    slowest_mm_per_s: float = Field(0.01, gt=0, description="Speed from which it counts as moving.")
-    span_s: float = Field(0.2, gt=0, le=10, description="Time over which the speed is taken.")
+    slowest_mm_per_s: float = Field(0.01, gt=0, description="Speed above which the crosshead counts as moving.")
+    span_s: float = Field(0.2, gt=0, le=10, description="Time over which the speed is determined.")
 
 
 class Limits(Section):
-    """What may be asked of the machine through this file. The machine's own limits stay in charge."""
+    """Range of the requests sent to the machine. The limits of the machine itself remain decisive."""
 
     lowest_mm: float
     highest_mm: float
@@ -97,14 +97,16 @@ class Limits(Section):
 
 
 class MachineSection(Section):
-    """What every protocol has."""
+    """Keys of every protocol."""
 
     name: str = "testing machine"
-    timeout_s: float = Field(0.5, gt=0, le=60, description="For one answer.")
+    timeout_s: float = Field(0.5, gt=0, le=60, description="Longest wait for one answer.")
     motion: MotionSection = MotionSection()
-    limits: Limits | None = Field(None, description="Moves beyond are refused here already; needed for moves.")
+    limits: Limits | None = Field(
+        None, description="Moves beyond them are not sent to the machine; required for moves."
+    )
 
-    # what a protocol makes of these is its own
+    # each protocol declares these with its own type
     status: Any = None
     move: Any = None
     hold: Any = None
@@ -122,32 +124,32 @@ class Register(Section):
 
 
 class ForceRegister(Register, Scaled):
-    """Where the force stands."""
+    """Register of the force."""
 
     unit: ForceUnit = "N"
 
 
 class LengthRegister(Register, Scaled):
-    """Where a position stands."""
+    """Register of a position."""
 
     unit: LengthUnit = "mm"
 
 
 class SpeedRegister(Register, Scaled):
-    """Where a speed stands."""
+    """Register of a speed."""
 
     unit: SpeedUnit = "mm/s"
 
 
 class TimeRegister(Register, Scaled):
-    """Where the machine's own time of a sample stands."""
+    """Register of the time of a sample on the clock of the machine."""
 
     type: NumberType = "uint32"
     unit: TimeUnit = "ms"
 
 
 class StatusRegister(Register, Modes):
-    """Where the machine's state stands."""
+    """Register of the state of the machine."""
 
     type: NumberType = "uint16"
 
@@ -167,7 +169,7 @@ class Switch(Section):
 
 
 class ModbusMove(Section):
-    """What makes the crosshead move."""
+    """Registers that start a move."""
 
     position: LengthRegister
     speed: SpeedRegister
@@ -175,16 +177,16 @@ class ModbusMove(Section):
 
 
 class ModbusDescription(MachineSection):
-    """A machine that speaks Modbus TCP."""
+    """A machine with Modbus TCP."""
 
     protocol: Literal["modbus"]
     host: str
     port: int = Field(502, ge=1, le=65535)
-    device: int = Field(1, ge=0, le=255, description="Number of the device behind the address.")
-    word_order: Literal["big", "little"] = Field("big", description="Of numbers in several registers.")
+    device: int = Field(1, ge=0, le=255, description="Unit identifier of the device at this address.")
+    word_order: Literal["big", "little"] = Field("big", description="Order of the registers of one number.")
     force: ForceRegister
     position: LengthRegister
-    time: TimeRegister | None = Field(None, description="The machine's clock, to tell how it drifts.")
+    time: TimeRegister | None = Field(None, description="Clock of the machine; its drift is reported.")
     status: StatusRegister | None = None
     move: ModbusMove | None = None
     hold: Switch | None = None
@@ -196,37 +198,37 @@ class ModbusDescription(MachineSection):
 
 
 class Query(Scaled):
-    """A question whose answer is a number."""
+    """A query whose answer is a number."""
 
     query: str
 
 
 class ForceQuery(Query):
-    """Question for the force."""
+    """Query of the force."""
 
     unit: ForceUnit = "N"
 
 
 class LengthQuery(Query):
-    """Question for the position."""
+    """Query of the position."""
 
     unit: LengthUnit = "mm"
 
 
 class TimeQuery(Query):
-    """Question for the machine's own time."""
+    """Query of the time on the clock of the machine."""
 
     unit: TimeUnit = "ms"
 
 
 class StatusQuery(Modes):
-    """Question for the machine's state."""
+    """Query of the state of the machine."""
 
     query: str
 
 
 class ScpiMove(Section):
-    """What makes the crosshead move: commands with {position} and {speed}."""
+    """Commands that start a move, with {position} and {speed}."""
 
     commands: list[str] = Field(min_length=1)
     position_unit: LengthUnit = "mm"
@@ -238,31 +240,31 @@ class ScpiMove(Section):
             try:
                 command.format(position=0.0, speed=0.0)
             except (KeyError, IndexError, ValueError) as error:
-                raise ValueError(f"'{command}': only {{position}} and {{speed}} can stand in braces") from error
+                raise ValueError(f"'{command}': only {{position}} and {{speed}} are allowed in braces") from error
         if "{position" not in "".join(self.commands):
-            raise ValueError("no command names {position}")
+            raise ValueError("no command contains {position}")
         return self
 
     def texts(self, position: float, speed: float) -> list[str]:
-        """Commands for a move to `position` [m] at `speed` [m/s]."""
+        """Return the commands for a move to `position` [m] at `speed` [m/s]."""
         numbers = {"position": position / _SI[self.position_unit], "speed": speed / _SI[self.speed_unit]}
         return [command.format(**numbers) for command in self.commands]
 
 
 class ScpiDescription(MachineSection):
-    """A machine that speaks text commands (SCPI) over anything VISA reaches."""
+    """A machine with text commands (SCPI) over a VISA resource."""
 
     protocol: Literal["scpi"]
     resource: str = Field(description="VISA resource, such as TCPIP::192.168.1.10::5025::SOCKET or ASRL/dev/ttyUSB0.")
     backend: str = Field("@py", description="VISA library of PyVISA.")
     termination: str = "\n"
-    start: list[str] = Field([], description="Commands after connecting.")
+    start: list[str] = Field([], description="Commands sent after connecting.")
     force: ForceQuery
     position: LengthQuery
-    time: TimeQuery | None = Field(None, description="The machine's clock, to tell how it drifts.")
+    time: TimeQuery | None = Field(None, description="Clock of the machine; its drift is reported.")
     status: StatusQuery | None = None
     move: ScpiMove | None = None
-    hold: list[str] = Field([], description="Commands that stop and hold.")
+    hold: list[str] = Field([], description="Commands that request a hold.")
 
     @model_validator(mode="after")
     def _moves_can_be_stopped(self) -> ScpiDescription:
@@ -281,15 +283,15 @@ def load_machine(path: str | os.PathLike[str]) -> MachineDescription:
 
     Raises
     ------
-    MachineFileError
-        The file cannot be read, or a key is unknown, missing or out of its range; the message names file and key.
+    ConfigurationError
+        The file cannot be read, or a key is unknown, missing or out of range; the message names file and key.
     """
     try:
         content = yaml.safe_load(Path(path).read_text("utf-8"))
     except OSError as error:
-        raise MachineFileError(f"{path}: cannot be read: {error.strerror}") from error
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise MachineFileError(f"{path}: is not YAML: {error}") from error
+        raise ConfigurationError(f"{path}: is not YAML: {error}") from error
     try:
         return _DESCRIPTION.validate_python(content)
     except ValidationError as error:
@@ -297,11 +299,11 @@ def load_machine(path: str | os.PathLike[str]) -> MachineDescription:
             f"{'.'.join(map(str, each['loc'][1:])) or 'protocol'}: {each['msg'].removeprefix('Value error, ')}"
             for each in error.errors()
         )
-        raise MachineFileError(f"{path}: {problems}") from error
+        raise ConfigurationError(f"{path}: {problems}") from error
 
 
 def _check_that_moves_can_be_stopped(description: MachineDescription) -> None:
     if description.move is not None and not description.hold:
-        raise ValueError("move is given and hold is not: what can be moved has to be stopped, too")
+        raise ValueError("move is given without hold: a machine that can be moved must also be stopped; add hold")
     if description.move is not None and description.limits is None:
-        raise ValueError("move is given and limits are not: say how far and how fast may be asked for")
+        raise ValueError("move is given without limits; add limits with lowest_mm, highest_mm and fastest_mm_per_s")

@@ -1,18 +1,28 @@
-"""What the load frame node needs of a testing machine."""
+"""Interface of a testing machine, and the parts that several kinds of machines share."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
 from collections.abc import Callable
+from enum import IntEnum
 from typing import NamedTuple, Protocol, TypeVar
 
 from fringedic.errors import MachineError, MachineGoneError
-from fringedic.virtual_rig import LoadMode
 
 Answer = TypeVar("Answer")
 
-_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 8.0  # between attempts to reach a machine that is gone
+_FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 8.0  # between two attempts to connect to a lost machine
+
+
+class LoadMode(IntEnum):
+    """What a machine does, numbered as the modes of fringedic_msgs/LoadState."""
+
+    UNKNOWN = 0
+    IDLE = 1
+    MOVING = 2
+    HOLD = 3
+    FAULT = 4
 
 
 class Sample(NamedTuple):
@@ -21,15 +31,15 @@ class Sample(NamedTuple):
     Attributes
     ----------
     stamp_ns
-        When it was acquired, on this computer's clock [ns].
+        Time of acquisition on the clock of this computer [ns].
     mode
-        What the machine is doing.
+        What the machine does.
     force
-        [N], tension positive.
+        Force [N], tension positive.
     position
-        Crosshead [m], positive in the direction of tension.
+        Position of the crosshead [m], positive in the direction of tension.
     device_ns
-        The same moment on the machine's own clock [ns]; None where it does not tell.
+        The same time on the clock of the machine [ns]; None when the machine does not report it.
     """
 
     stamp_ns: int
@@ -40,9 +50,10 @@ class Sample(NamedTuple):
 
 
 class Machine(Protocol):
-    """A testing machine. Its limits and its emergency stop are its own; it may refuse whatever it is asked for.
+    """A testing machine.
 
-    Its methods may block, and are called by one thread at a time.
+    Limits and emergency stop belong to the machine, which may refuse every request. The methods may block; one thread
+    at a time calls them.
     """
 
     def sample(self) -> Sample:
@@ -51,46 +62,46 @@ class Machine(Protocol):
         Raises
         ------
         MachineError
-            There is no sample; the message says why. The next call may succeed.
+            There is no sample; the message gives the reason. The next call may succeed.
         """
         ...
 
     def move_to(self, position: float, speed: float) -> None:
-        """Ask for a move to `position` [m] at `speed` [m/s].
+        """Request a move to `position` [m] at `speed` [m/s].
 
         Raises
         ------
         CrossheadRangeError
-            The position or the speed is outside what the machine offers; nothing moves.
+            The position or the speed is outside the range of the machine, which does not move.
         MachineError
-            The machine does not take the request.
+            The machine does not accept the request.
         """
         ...
 
     def hold(self) -> None:
-        """Ask the machine to stop and hold.
+        """Request a hold: the machine stops and holds its position.
 
         Raises
         ------
         MachineError
-            The machine does not take the request.
+            The machine does not accept the request.
         """
         ...
 
     def close(self) -> None:
-        """Let go of the machine."""
+        """Release the machine."""
         ...
 
 
 class Motion:
-    """Tells from positions alone whether a crosshead moves, for machines that do not say it.
+    """Mode of a crosshead from its positions alone, for machines that do not report it.
 
     Parameters
     ----------
     slowest
-        Speed from which it counts as moving [m/s].
+        Speed above which the crosshead counts as moving [m/s].
     span
-        Time over which the speed is taken [s].
+        Time over which the speed is determined [s].
     """
 
     def __init__(self, slowest: float, span: float) -> None:
@@ -99,7 +110,7 @@ class Motion:
         self._past: deque[tuple[int, float]] = deque()
 
     def mode(self, stamp_ns: int, position: float) -> LoadMode:
-        """MOVING or HOLD; UNKNOWN until positions cover the span, and when the clock jumped back."""
+        """Return MOVING or HOLD; UNKNOWN until the positions cover the span, and after a clock that jumped back."""
         if self._past and stamp_ns <= self._past[-1][0]:
             self._past.clear()
         self._past.append((stamp_ns, position))
@@ -113,12 +124,12 @@ class Motion:
 
 
 class Link:
-    """The connection to a machine: opened again, with pauses that double up to 8 s, after it was lost.
+    """Connection to a machine; a lost one is opened again, with pauses that double up to 8 s.
 
     Parameters
     ----------
     name
-        Of the machine, for messages.
+        Name of the machine for messages.
     open_connection
         Connects, or raises `MachineGoneError`.
     close_connection
@@ -139,9 +150,9 @@ class Link:
         Raises
         ------
         MachineGoneError
-            It is not connected, or does not answer.
+            The machine is not connected or does not answer.
         MachineError
-            It refuses; the messages name the machine and what was asked for.
+            The machine refuses the request. Both messages name the machine and the request.
         """
         self._connect(what)
         try:
@@ -162,12 +173,14 @@ class Link:
             return
         wait = self._next_attempt - time.monotonic()
         if wait > 0:
-            raise MachineGoneError(f"{self._name}: {what}: not connected; trying again in {wait:.1f} s")
+            raise MachineGoneError(f"{self._name}: {what}: not connected; the next attempt is in {wait:.1f} s")
         try:
             self._open_connection()
         except MachineGoneError as error:
             self._lose()
-            raise MachineGoneError(f"{self._name}: {what}: {error}; check its cable, address and power") from error
+            raise MachineGoneError(
+                f"{self._name}: {what}: {error}; check cable, address and power of the machine"
+            ) from error
         self._connected = True
         self._pause = _FIRST_PAUSE_S
 

@@ -1,4 +1,4 @@
-"""Testing machines that speak Modbus TCP."""
+"""Testing machines with Modbus TCP."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ _LARGEST_BLOCK = 125  # registers that one Modbus request may read
 
 
 class ModbusMachine(DescribedMachine[ModbusDescription]):
-    """Registers and coils of a machine, as its description names them.
+    """Machine with the registers and coils of its description.
 
-    All that a sample needs is read in one request where its registers lie close enough together, so that force,
-    position and status belong to the same moment.
+    A sample is read in one request when its registers are close enough to each other, so that force, position and
+    status belong to the same time.
     """
 
     def __init__(self, description: ModbusDescription) -> None:
@@ -39,7 +39,7 @@ class ModbusMachine(DescribedMachine[ModbusDescription]):
         self._client.close()
 
     def read(self) -> Reading:
-        """Read the registers; the machine did it between the question and the answer."""
+        """Read the registers; the stamp is the middle between request and answer."""
         description = self.description
         further = (description.status, description.time)
         places: list[Register] = [description.force, description.position]
@@ -58,14 +58,14 @@ class ModbusMachine(DescribedMachine[ModbusDescription]):
     def send_move(self, position: float, speed: float) -> None:
         """Write position and speed, then start the move."""
         move = self.description.move
-        assert move is not None, "asked for only when described"
+        assert move is not None, "sent only when described"
         self._write(move.position, move.position.number(position))
         self._write(move.speed, move.speed.number(speed))
         self._switch(move.start)
 
     def send_hold(self) -> None:
-        """Write what stops the machine."""
-        assert self.description.hold is not None, "asked for only when described"
+        """Write the coil or register that requests a hold."""
+        assert self.description.hold is not None, "sent only when described"
         self._switch(self.description.hold)
 
     def _numbers(self, places: list[Register]) -> list[float]:
@@ -82,7 +82,9 @@ class ModbusMachine(DescribedMachine[ModbusDescription]):
         read = self._client.read_input_registers if table == "input" else self._client.read_holding_registers
         answer = self._answered(read, first, count=count)
         if len(answer.registers) != count:
-            raise MachineError(f"{count} registers from {first} on asked for, {len(answer.registers)} came")
+            raise MachineError(
+                f"{count} registers from {first} on were requested, {len(answer.registers)} were received"
+            )
         return list(answer.registers)
 
     def _number(self, registers: list[int], place: Register) -> float:
@@ -90,7 +92,7 @@ class ModbusMachine(DescribedMachine[ModbusDescription]):
         number = self._client.convert_from_registers(
             registers[: _REGISTERS[place.type]], kind, word_order=self.description.word_order
         )
-        assert isinstance(number, (int, float)), "only types of numbers are described"
+        assert isinstance(number, (int, float)), "every described type is a number"
         return number
 
     def _write(self, place: Register, number: float) -> None:

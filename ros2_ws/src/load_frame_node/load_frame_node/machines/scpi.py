@@ -1,4 +1,4 @@
-"""Testing machines that speak text commands (SCPI), over sockets, serial lines or whatever else VISA reaches."""
+"""Testing machines with text commands (SCPI) over sockets, serial lines and every other VISA resource."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from load_frame_node.machines.description import Query, ScpiDescription
 
 
 class ScpiMachine(DescribedMachine[ScpiDescription]):
-    """Questions and commands of a machine, as its description words them."""
+    """Machine with the queries and commands of its description."""
 
     def __init__(self, description: ScpiDescription) -> None:
         self._resource: Any = None
         super().__init__(description, description.resource)
 
     def connect(self) -> None:
-        """Open the resource and send the commands of the start."""
+        """Open the resource and send the start commands."""
         description = self.description
         try:
             self._resource = pyvisa.ResourceManager(description.backend).open_resource(
@@ -41,10 +41,10 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
             try:
                 resource.close()
             except (pyvisa.Error, OSError):
-                return  # it was lost already
+                return  # the connection was lost before
 
     def read(self) -> Reading:
-        """Ask for force, position, status and time, in this order; the stamp is the middle of them."""
+        """Query force, position, status and time, in this order; the stamp is the middle of the queries."""
         description = self.description
         before = time.time_ns()
         force = self._number("force", description.force)
@@ -53,16 +53,16 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
         own_time = None if description.time is None else self._number("time", description.time)
         stamp = (before + time.time_ns()) // 2
         is_number = status is not None and status.lstrip("+-").isdigit()
-        told = int(status) if status is not None and is_number else status
-        return Reading(stamp, force, position, told, own_time)
+        reported = int(status) if status is not None and is_number else status
+        return Reading(stamp, force, position, reported, own_time)
 
     def send_move(self, position: float, speed: float) -> None:
         """Send the commands of a move."""
-        assert self.description.move is not None, "asked for only when described"
+        assert self.description.move is not None, "sent only when described"
         self._send(self.description.move.texts(position, speed))
 
     def send_hold(self) -> None:
-        """Send the commands that stop the machine."""
+        """Send the commands that request a hold."""
         self._send(self.description.hold)
 
     def _number(self, what: str, query: Query) -> float:
@@ -70,9 +70,9 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
         try:
             return query.si(float(answer))
         except ValueError:
-            # perhaps the late answer to an earlier question: a new connection begins afresh
+            # possibly the late answer to an earlier query: a new connection starts without pending answers
             raise MachineGoneError(
-                f"{what}: '{query.query}' was answered with '{answer}', which is no number"
+                f"{what}: '{query.query}' was answered with '{answer}', which is not a number"
             ) from None
 
     def _answer(self, query: str) -> str:

@@ -1,47 +1,53 @@
-"""The machine of the virtual rig, in the time of this computer."""
+"""Machine of the virtual rig, driven by the clock of this computer."""
 
 from __future__ import annotations
 
 import time
 
-from fringedic.virtual_rig import SimulatedLoadFrame
-from load_frame_node.machines.machine import Sample
+from fringedic.virtual_rig import CrossheadState, SimulatedLoadFrame
+from load_frame_node.machines.machine import LoadMode, Sample
+
+_MODES = {
+    CrossheadState.IDLE: LoadMode.IDLE,
+    CrossheadState.MOVING: LoadMode.MOVING,
+    CrossheadState.HOLDING: LoadMode.HOLD,
+}
 
 
 class SimulatedMachine:
-    """Lets the simulated machine's time pass as this computer's clock does."""
+    """Simulated machine whose time advances with the clock of this computer."""
 
     def __init__(self, machine: SimulatedLoadFrame) -> None:
         self._machine = machine
         self._stamp_ns = time.time_ns()
 
     def sample(self) -> Sample:
-        """Advance to the present and read."""
-        self._pass_time()
-        mode, force, position = self._machine.sample()
-        return Sample(self._stamp_ns, mode, force, position)
+        """Advance to the present time and read."""
+        self._advance()
+        state, force, position = self._machine.sample()
+        return Sample(self._stamp_ns, _MODES[state], force, position)
 
     def move_to(self, position: float, speed: float) -> None:
-        """Start a move with the machine's ramps.
+        """Start a move with the speed ramps of the machine.
 
         Raises
         ------
         CrossheadRangeError
-            The position or the speed is outside the machine's range.
+            The position or the speed is outside the range of the machine.
         """
-        self._pass_time()
+        self._advance()
         self._machine.move_to(position, speed)
 
     def hold(self) -> None:
-        """Stop with the machine's ramp."""
-        self._pass_time()
+        """Stop with the speed ramp of the machine, then hold."""
+        self._advance()
         self._machine.hold()
 
     def close(self) -> None:
-        """Nothing to let go of."""
+        """Do nothing: there is no connection."""
 
-    def _pass_time(self) -> None:
+    def _advance(self) -> None:
         now = time.time_ns()
-        # a clock that was set back must not turn the machine's time back
+        # the time of the machine never decreases, even when the clock of this computer is set back
         self._machine.advance(1e-9 * max(now - self._stamp_ns, 0))
         self._stamp_ns = now

@@ -1,0 +1,203 @@
+"""Connection to a GenICam camera: its settings, its stream and its acquisition."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass, field
+from typing import Any
+
+from camera_node.drivers.aravis_library import Aravis
+from camera_node.drivers.aravis_settings import PIXEL_TYPES, AravisSettings, Trigger
+from fringedic.errors import CameraError
+from fringedic.recording.clocks import DeviceClock
+
+_BUFFERS = 16  # frames that may wait in this process: half a second at 30 frames/s
+_LARGEST_DEVIATION = 0.05  # of the exposure time that a camera sets, relative to the requested one
+
+
+@dataclass
+class AravisConnection:
+    """An open camera and its stream.
+
+    Attributes
+    ----------
+    camera, stream
+        Objects of Aravis; None after `abandon`.
+    asked_exposure_time, exposure_time
+        Requested exposure time, and the one that the camera set [s].
+    automatic
+        Settings that the camera could control by itself: "exposure_time", "gain".
+    lost
+        Set when another program has taken over the camera, or it was restarted.
+    clocks
+        Clock of the camera by exposure time: cameras stamp the start or the end of an exposure without reporting which.
+    last_frame
+        Number that the camera gave to the last frame.
+    running
+        Whether the acquisition runs.
+    """
+
+    camera: Any
+    stream: Any
+    asked_exposure_time: float
+    exposure_time: float
+    automatic: tuple[str, ...]
+    lost: threading.Event
+    clocks: dict[float, DeviceClock] = field(default_factory=dict)
+    last_frame: int | None = None
+    running: bool = False
+
+    def abandon(self) -> None:
+        """Release a camera that does not answer, in a thread: Aravis needs ten seconds for it."""
+        parts = [self.stream, self.camera]
+        self.stream = self.camera = None
+        threading.Thread(target=parts.clear, daemon=True).start()
+
+    def start(self) -> None:
+        """Start the acquisition, unless it runs."""
+        if not self.running:
+            self.camera.start_acquisition()
+            self.running = True
+            self.last_frame = None
+
+    def stop(self) -> None:
+        """Stop the acquisition and discard the frames that wait."""
+        if self.running:
+            self.running = False
+            self.camera.stop_acquisition()
+            self.discard_waiting()
+
+    def discard_waiting(self) -> None:
+        """Discard frames that arrived between two requests."""
+        while (buffer := self.stream.try_pop_buffer()) is not None:
+            self.stream.push_buffer(buffer)
+        self.last_frame = None
+
+    def refuse_automatic(self, aravis: Aravis) -> None:
+        """Check that the camera does not control exposure time or gain by itself.
+
+        Raises
+        ------
+        CameraError
+            It does.
+        """
+        for what in self.automatic:
+            if getattr(self.camera, f"get_{what}_auto")() != aravis.module.Auto.OFF:
+                name = what.replace("_", " ")
+                raise CameraError(
+                    f"automatic {name} is on, so grey levels of different frames cannot be compared; it was off when "
+                    "the camera was connected: check which program has switched it on"
+                )
+
+
+def connect(aravis: Aravis, settings: AravisSettings) -> AravisConnection:
+    """Open a camera, apply its settings and create its stream.
+
+    Raises
+    ------
+    CameraError
+        There is no such camera, or it refuses a setting; the message names it.
+    """
+    ask = aravis.ask
+    camera = ask("camera", lambda: aravis.camera(settings.camera))
+    _set_pixel_format(aravis, camera, settings.pixel_format)
+    _set_region(aravis, camera, settings.region)
+    automatic = _switch_automatic_off(aravis, camera)
+    exposure_time = ask("exposure time", lambda: set_exposure_time(camera, settings.exposure_time))
+    if ask("gain", camera.is_gain_available):
+        ask("gain", lambda: _check_range(camera.get_gain_bounds(), settings.gain, "dB"))
+        ask("gain", lambda: camera.set_gain(settings.gain))
+    if camera.is_gv_device():
+        ask("packet size", lambda: _set_packet_size(camera, settings.packet_size))
+    set_trigger(aravis, camera, settings)
+    lost = threading.Event()
+    camera.get_device().connect("control-lost", lambda _: lost.set())
+    stream = ask("stream", lambda: camera.create_stream(None, None))
+    for _ in range(_BUFFERS):
+        stream.push_buffer(aravis.module.Buffer.new_allocate(camera.get_payload()))
+    return AravisConnection(camera, stream, settings.exposure_time, exposure_time, automatic, lost)
+
+
+def set_trigger(aravis: Aravis, camera: Any, settings: AravisSettings) -> None:
+    """Set the event that starts an exposure.
+
+    Raises
+    ------
+    CameraError
+        The camera does not offer it.
+    """
+    trigger, ask = settings.trigger, aravis.ask
+    if trigger is Trigger.INTERNAL:
+        ask("trigger", camera.clear_triggers)
+    else:
+        source = "Software" if trigger is Trigger.SOFTWARE else settings.trigger_line
+        ask("trigger", lambda: camera.set_trigger(source))
+    if trigger is Trigger.EXTERNAL_LEVEL:
+        ask("trigger level", lambda: camera.set_string("TriggerActivation", "LevelHigh"))
+        ask("exposure as long as the level", lambda: camera.set_string("ExposureMode", "TriggerWidth"))
+
+
+def set_exposure_time(camera: Any, wanted: float) -> float:
+    """Set an exposure time and return the one that the camera has set [s].
+
+    Raises
+    ------
+    CameraError
+        The exposure time is outside the range of the camera, or differs too much from the one that it has set.
+    """
+    _check_range(camera.get_exposure_time_bounds(), 1e6 * wanted, "µs")
+    camera.set_exposure_time(1e6 * wanted)
+    taken = 1e-6 * camera.get_exposure_time()
+    if abs(taken - wanted) > _LARGEST_DEVIATION * wanted:
+        raise CameraError(
+            f"the camera set an exposure time of {1e3 * taken:g} ms instead of {1e3 * wanted:g} ms; choose another"
+        )
+    return taken
+
+
+def _set_pixel_format(aravis: Aravis, camera: Any, pixel_format: str) -> None:
+    if pixel_format not in PIXEL_TYPES:
+        raise CameraError(f"pixel format {pixel_format}: use {', '.join(PIXEL_TYPES)}")
+    offered = aravis.ask("pixel formats", camera.dup_available_pixel_formats_as_strings)
+    if pixel_format not in offered:
+        raise CameraError(f"the camera has no pixel format {pixel_format}; it has {', '.join(offered)}")
+    aravis.ask("pixel format", lambda: camera.set_pixel_format_from_string(pixel_format))
+
+
+def _switch_automatic_off(aravis: Aravis, camera: Any) -> tuple[str, ...]:
+    """Switch automatic exposure and gain off, and return which of them the camera has."""
+    automatic, off = [], aravis.module.Auto.OFF
+    if aravis.ask("automatic exposure", camera.is_exposure_auto_available):
+        aravis.ask("automatic exposure", lambda: camera.set_exposure_time_auto(off))
+        automatic.append("exposure_time")
+    if aravis.ask("automatic gain", camera.is_gain_auto_available):
+        aravis.ask("automatic gain", lambda: camera.set_gain_auto(off))
+        automatic.append("gain")
+    return tuple(automatic)
+
+
+def _set_packet_size(camera: Any, size: int) -> None:
+    if size:
+        camera.gv_set_packet_size(size)
+    else:
+        camera.gv_auto_packet_size()
+
+
+def _set_region(aravis: Aravis, camera: Any, region: tuple[int, int, int, int] | None) -> None:
+    sensor = aravis.ask("sensor size", camera.get_sensor_size)
+    wanted = region or (0, 0, sensor.width, sensor.height)
+    if wanted[0] + wanted[2] > sensor.width or wanted[1] + wanted[3] > sensor.height:
+        raise CameraError(f"region {list(wanted)} leaves the sensor of {sensor.width}x{sensor.height} px")
+    aravis.ask("region", lambda: camera.set_region(*wanted))
+    given = aravis.ask("region", camera.get_region)
+    if (given.x, given.y, given.width, given.height) != wanted:
+        raise CameraError(
+            f"region {list(wanted)} is not possible on this camera, the nearest is "
+            f"{[given.x, given.y, given.width, given.height]} (column, row, width, height)"
+        )
+
+
+def _check_range(bounds: tuple[float, float], value: float, unit: str) -> None:
+    lowest, highest = bounds
+    if not lowest <= value <= highest:
+        raise CameraError(f"{value:g} {unit} is outside {lowest:g} to {highest:g} {unit}")

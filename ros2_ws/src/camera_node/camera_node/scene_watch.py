@@ -1,0 +1,132 @@
+"""Scene in front of a virtual camera, from the messages of projector, load frame and stage."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Literal
+
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+from sensor_msgs.msg import Image
+
+from camera_node.drivers import PlacedPlane, Scene, ShownPattern
+from fringedic.errors import CameraError
+from fringedic_msgs.msg import LoadState, ReferencePlane
+from fringedic_ros.images import image_array
+from fringedic_ros.qos import LATCHED, LATEST
+from fringedic_ros.stamps import to_nanoseconds
+from fringedic_ros.waiting import Condition
+
+_KEPT_PATTERNS = 16  # the latest pattern and earlier ones that a slow projector may still show
+
+
+class SceneWatch:
+    """Collects the messages that describe the scene while it is open.
+
+    A real camera needs none of them: a load frame at 1 kHz would cost half a processor core.
+
+    Parameters
+    ----------
+    node
+        Owner of the subscriptions.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._changed = Condition(node)
+        self._subscriptions: list[Subscription] = []
+        self._patterns: deque[Image] = deque(maxlen=_KEPT_PATTERNS)
+        self._load: LoadState | None = None
+        self._plane: PlacedPlane | None = None
+        self._placed_ns = 0
+
+    def open(self) -> None:
+        """Subscribe to the topics of the scene."""
+        create = self._node.create_subscription
+        self._subscriptions = [
+            create(Image, "projector/image", self._take_pattern, LATCHED),
+            create(LoadState, "load_frame/state", self._take_load, LATEST),
+            create(ReferencePlane, "reference_plane/state", self._take_plane, LATCHED),
+        ]
+
+    def close(self) -> None:
+        """Unsubscribe."""
+        while self._subscriptions:
+            self._node.destroy_subscription(self._subscriptions.pop())
+
+    def latest(self, exposure_time: float) -> Scene:
+        """Return the scene of a free run: the latest patterns, with the specimen at its latest position."""
+        position = 0.0 if self._load is None else self._load.position
+        return Scene(self._node.get_clock().now().nanoseconds, self._shown(), position, None, exposure_time)
+
+    async def scene(self, shown_ns: int, placed_ns: int, exposure_time: float, timeout_s: float) -> Scene:
+        """Return the scene of an exposure that begins now, as soon as all messages about it have arrived.
+
+        Parameters
+        ----------
+        shown_ns
+            Stamp of the pattern on the screen [ns]; 0 without projector.
+        placed_ns
+            Stamp of the state of the reference plane [ns]; 0 without stage.
+        exposure_time
+            Exposure time [s].
+        timeout_s
+            Longest wait for each message [s].
+
+        Raises
+        ------
+        WaitTimeoutError
+            A message did not arrive.
+        CameraError
+            The projector shows a later pattern.
+        """
+        stamp = self._node.get_clock().now().nanoseconds + round(exposure_time * 1e9 / 2)
+        if not self._subscriptions:
+            return Scene(stamp, (), 0.0, None, exposure_time)
+        await self._await_pattern(shown_ns, timeout_s)
+        if placed_ns > self._placed_ns:
+            await self._changed.wait(
+                lambda: self._placed_ns >= placed_ns, timeout_s, "reference_plane/state of the placed object"
+            )
+        if self._node.count_publishers("load_frame/state"):
+            await self._changed.wait(
+                lambda: self._load is not None and to_nanoseconds(self._load.header.stamp) >= stamp,
+                timeout_s,
+                "a sample of load_frame/state during the exposure",
+            )
+        position = 0.0 if self._load is None else self._load.position
+        return Scene(stamp, self._shown(), position, self._plane, exposure_time)
+
+    async def _await_pattern(self, shown_ns: int, timeout_s: float) -> None:
+        if not shown_ns:
+            return
+        await self._changed.wait(
+            lambda: self._shown_ns() >= shown_ns, timeout_s, f"the pattern shown at {shown_ns} ns on projector/image"
+        )
+        if self._shown_ns() != shown_ns:
+            raise CameraError(
+                f"the projector already shows another pattern than that of {shown_ns} ns; measure the step again"
+            )
+
+    def _take_pattern(self, message: Image) -> None:
+        self._patterns.append(message)
+        self._changed.notify()
+
+    def _take_load(self, message: LoadState) -> None:
+        self._load = message
+        self._changed.notify()
+
+    def _take_plane(self, message: ReferencePlane) -> None:
+        surface: Literal["plain", "grid"] = "grid" if message.kind == ReferencePlane.GRID else "plain"
+        there = message.kind != ReferencePlane.SPECIMEN
+        self._plane = PlacedPlane(surface, message.angle, message.height) if there else None
+        self._placed_ns = to_nanoseconds(message.header.stamp)
+        self._changed.notify()
+
+    def _shown_ns(self) -> int:
+        """Return the stamp of the latest pattern [ns]; 0 before the first."""
+        return to_nanoseconds(self._patterns[-1].header.stamp) if self._patterns else 0
+
+    def _shown(self) -> tuple[ShownPattern, ...]:
+        """Return the latest patterns, oldest first."""
+        return tuple(ShownPattern(image_array(each), to_nanoseconds(each.header.stamp)) for each in self._patterns)

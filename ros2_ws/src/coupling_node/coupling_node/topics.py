@@ -1,0 +1,15 @@
+"""Topics that the coupling node subscribes to, relative to the namespace of the rig."""
+
+INPUTS = (
+    "calibration",
+    "experiment/reference",
+    "experiment/step",
+    "camera/exposure",
+    "phase/status",
+    "phase/map",
+    "phase/sigma",
+    "dic/status",
+    "dic/displacement",
+    "dic/sigma",
+    "dic/camera_info",
+)

@@ -1,0 +1,126 @@
+"""Frames of a step: one pattern after the other is shown and exposed."""
+
+from __future__ import annotations
+
+import time
+
+from builtin_interfaces.msg import Time
+from rclpy.node import Node
+
+from experiment_node.active_goal import StepFailure
+from experiment_node.experiment_parameters import ExperimentParameters
+from experiment_node.load_watch import LoadWatch
+from experiment_node.running_step import RunningStep
+from fringedic.patterns.pattern import ProjectedPattern
+from fringedic_msgs.action import MeasureStep
+from fringedic_msgs.srv import CaptureFrame, ShowPattern
+from fringedic_ros.stamps import to_nanoseconds
+
+Result = MeasureStep.Result
+CAPTURE_ERRORS = {
+    CaptureFrame.Request.CAMERA_TIMEOUT: Result.CAMERA_TIMEOUT,
+    CaptureFrame.Request.CAMERA_FAILED: Result.CAMERA_FAILED,
+    CaptureFrame.Request.NO_SUBSCRIBER: Result.NO_SUBSCRIBER,
+}
+
+
+class FrameTaker:
+    """Client of `projector/show` and `camera/capture`.
+
+    Parameters
+    ----------
+    node
+        Owner of the clients.
+    load
+        Observes the load frame, whose motion is often the cause of a failed capture.
+
+    Attributes
+    ----------
+    placed
+        Stamp of `reference_plane/state` for the object in front of the camera; the camera waits for that message.
+    """
+
+    def __init__(self, node: Node, load: LoadWatch) -> None:
+        self.placed = Time()
+        self._node = node
+        self._load = load
+        self._show = node.create_client(ShowPattern, "projector/show")
+        self._capture = node.create_client(CaptureFrame, "camera/capture")
+
+    def servers(self) -> list[int]:
+        """Return how many servers of each service are known."""
+        return [self._node.count_services(client.srv_name) for client in (self._show, self._capture)]
+
+    async def show(self, step: RunningStep, pattern: ProjectedPattern, parameters: ExperimentParameters) -> Time:
+        """Show a pattern and return the stamp of it.
+
+        Raises
+        ------
+        StepFailure
+            PROJECTOR_TIMEOUT, PROJECTOR_FAILED.
+        """
+        request = ShowPattern.Request(
+            kind=int(pattern.kind),
+            pitch=pattern.pitch,
+            shift=pattern.shift,
+            shifts=pattern.shifts,
+            orientation=int(pattern.orientation),
+        )
+        response = await step.goal.call(
+            self._show, request, parameters.projector_timeout_s, Result.PROJECTOR_TIMEOUT, str(pattern)
+        )
+        if response.error_code != ShowPattern.Request.NONE:
+            raise StepFailure(Result.PROJECTOR_FAILED, f"{pattern}: {response.error_message}")
+        return response.shown
+
+    async def capture(
+        self, step: RunningStep, index: int, pattern: ProjectedPattern, shown: Time, parameters: ExperimentParameters
+    ) -> None:
+        """Expose frame `index` of a step after its pattern was `shown`.
+
+        Raises
+        ------
+        StepFailure
+            CAMERA_TIMEOUT, CAMERA_FAILED, NO_SUBSCRIBER; LOAD_NOT_HELD when the machine explains the failure.
+        """
+        first = index == 0
+        request = self._request(step, index, pattern, shown, parameters)
+        # the first frame waits for subscribers; the camera reports which are missing, a time-out here would not
+        timeout = parameters.camera_timeout_s + (parameters.start_timeout_s if first else 0.0)
+        response = await step.goal.call(self._capture, request, timeout, Result.CAMERA_TIMEOUT, f"frame {index}")
+        if response.error_code != CaptureFrame.Request.NONE:
+            self._load.check_latest(parameters)  # a virtual camera needs the load frame
+            code = CAPTURE_ERRORS.get(response.error_code, Result.CAMERA_FAILED)
+            raise StepFailure(code, f"frame {index}: {response.error_message}")
+        stamp = to_nanoseconds(response.stamp)
+        if not first and stamp <= step.stamp:
+            raise StepFailure(
+                Result.CAMERA_FAILED,
+                f"frame {index} is stamped {1e-9 * (step.stamp - stamp):.3f} s before frame {index - 1}: the clock "
+                "jumped back; measure the step again, and do not set the clock during a test",
+            )
+        step.stamps.append(stamp)
+        step.exposed = time.monotonic()
+
+    def _request(
+        self, step: RunningStep, index: int, pattern: ProjectedPattern, shown: Time, parameters: ExperimentParameters
+    ) -> CaptureFrame.Request:
+        # at the first frame of each step the camera, which may have been restarted, waits for its subscribers
+        topics = ("camera/image_raw", "camera/exposure")
+        images, exposures = (self._node.count_subscribers(topic) if index == 0 else 0 for topic in topics)
+        return CaptureFrame.Request(
+            experiment=step.experiment.name,
+            step=step.number,
+            index=index,
+            count=len(step.patterns),
+            kind=int(pattern.kind),
+            orientation=int(pattern.orientation),
+            pitch=pattern.pitch,
+            shift=pattern.shift,
+            shifts=pattern.shifts,
+            exposure_time=parameters.exposure_time(index, pattern),
+            shown=shown,
+            placed=self.placed,
+            image_subscribers=images,
+            exposure_subscribers=exposures,
+        )

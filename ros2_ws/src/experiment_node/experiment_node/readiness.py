@@ -1,0 +1,125 @@
+"""Readiness before the first frame: all nodes that need the messages of a step have to be connected."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Collection
+from typing import Any
+
+from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
+from rclpy.node import Node
+
+from experiment_node.active_goal import ActiveGoal
+from experiment_node.experiment_parameters import ExperimentParameters
+from experiment_node.frame_taker import FrameTaker
+from experiment_node.running_step import RunningStep
+from experiment_node.topics import PUBLISHED, READERS
+from fringedic_msgs.action import MeasureStep
+from fringedic_ros.matching import Matching
+from fringedic_ros.qos import EVENTS
+from fringedic_ros.waiting import Condition
+
+Result = MeasureStep.Result
+CONNECTING_TIME = 1.0  # [s] from the last node that connects to the first exposure
+_QUIET_TOPICS = ("camera/image_raw", "camera/exposure")
+
+
+class Readiness:
+    """Tracks which publishers are connected, and waits until a step can begin.
+
+    Parameters
+    ----------
+    node
+        Owner of the subscriptions.
+    changed
+        Notified when a publisher connects or disconnects.
+    frames
+        Its services have to be there.
+    """
+
+    def __init__(self, node: Node, changed: Condition, frames: FrameTaker) -> None:
+        self._node = node
+        self._changed = changed
+        self._frames = frames
+        self._connected: dict[str, bool] = {}
+        self._connected_at = time.monotonic()
+        self._graph_changed = True
+        self._matching = Matching(node, PUBLISHED, READERS)
+
+    def subscribe(self, kind: type[Any], topic: str, callback: Callable[[Any], None]) -> None:
+        """Subscribe to a topic of every step, and keep in mind whether its publisher is connected."""
+        self._connected[topic] = False
+
+        def matched(event: QoSSubscriptionMatchedInfo) -> None:
+            self._connected[topic] = event.current_count > 0
+            if event.current_count_change > 0:
+                self._graph_changed = True
+            self._connected_at = time.monotonic()
+            self._changed.notify()
+
+        events = SubscriptionEventCallbacks(matched=matched)
+        self._node.create_subscription(kind, topic, callback, EVENTS, event_callbacks=events)
+
+    def forget(self) -> None:
+        """Check all connections again before the next step: a node has started."""
+        self._graph_changed, self._connected_at = True, time.monotonic()
+
+    async def await_nodes(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+        """Wait until all nodes of a step are connected, once per experiment and after each change of the graph.
+
+        A message that is published before a node is connected never reaches that node.
+
+        Raises
+        ------
+        StepFailure
+            NO_SUBSCRIBER.
+        """
+
+        def absent() -> list[str]:
+            needed = ("camera/exposure", *(f"{name}/status" for name in step.nodes))
+            return [topic for topic in needed if not self._connected[topic]]
+
+        timeout = parameters.start_timeout_s
+        await step.goal.wait(
+            lambda: not absent(),
+            timeout,
+            lambda: (Result.NO_SUBSCRIBER, f"no node publishes {', '.join(absent())}; start the nodes they belong to"),
+        )
+        await self._await_quiet_graph(step)
+        await self.reach_readers(step.goal, step.nodes, timeout)
+
+    def is_outdated(self, step: RunningStep) -> bool:
+        """Return whether the connections must be checked before this step."""
+        if self._graph_changed:
+            self._graph_changed = step.experiment.ready = False
+        return not step.experiment.ready
+
+    async def reach_readers(self, goal: ActiveGoal, nodes: Collection[str], timeout_s: float) -> None:
+        """Wait until the publishers of these nodes are connected to all readers of their topics.
+
+        Raises
+        ------
+        StepFailure
+            NO_SUBSCRIBER.
+        """
+        self._matching.forget()
+        await goal.wait_polling(
+            lambda: not self._matching.unmatched(nodes),
+            timeout_s,
+            lambda: (
+                Result.NO_SUBSCRIBER,
+                f"{', '.join(self._matching.unmatched(nodes))}: not all subscribers are connected; restart the nodes",
+            ),
+        )
+
+    async def _await_quiet_graph(self, step: RunningStep) -> None:
+        """Wait until no further node has connected for a time: nodes discover each other one by one."""
+
+        def endpoints() -> list[int]:
+            return [self._node.count_subscribers(topic) for topic in _QUIET_TOPICS] + self._frames.servers()
+
+        found, since = endpoints(), self._connected_at
+        while (left := since + CONNECTING_TIME - time.monotonic()) > 0:
+            await step.goal.pause(min(left, 0.1))
+            if found != (found := endpoints()):
+                since = time.monotonic()

@@ -1,0 +1,105 @@
+"""Messages of a recording, in the order of publishing and cut into steps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+
+from rclpy.serialization import deserialize_message, serialize_message
+
+from experiment_node.messages import header_stamp
+from experiment_node.topics import CALIBRATION, EXPOSURE, IMAGE, STEP
+from fringedic.frames.records import stamp_of
+from fringedic.recording.definitions import type_hash
+from fringedic.recording.reader import BagReader
+from fringedic.recording.topics import RawMessage
+from fringedic.rig.model import RigModel
+from fringedic_msgs.msg import Exposure, StepStatus
+from fringedic_ros.records import calibration_message
+from fringedic_ros.stamps import to_nanoseconds
+
+# Topics whose messages concern one step only.
+OF_ONE_STEP = (IMAGE, "camera/camera_info", EXPOSURE, STEP)
+
+
+@dataclass
+class RecordedStep:
+    """Messages of one step in the order of publishing, from its BEGIN to the BEGIN of the next one.
+
+    Attributes
+    ----------
+    begin
+        The message of the stage BEGIN; None for the messages before the first step of a recording.
+    messages
+        The messages, under names relative to the rig.
+    """
+
+    begin: StepStatus | None
+    messages: list[RawMessage] = field(default_factory=list)
+
+    @property
+    def number(self) -> int | None:
+        """Number of the step; None before the first one."""
+        return None if self.begin is None else self.begin.step
+
+    @property
+    def frames(self) -> int:
+        """Number of images."""
+        return sum(message.topic == IMAGE for message in self.messages)
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the last frame of the sequence is present with its exposure record.
+
+        Then the nodes answer by themselves, with an error if an earlier frame is missing.
+        """
+        images = {header_stamp(each.data) for each in self.messages if each.topic == IMAGE}
+        for message in self.messages:
+            if message.topic == EXPOSURE:
+                exposure = deserialize_message(message.data, Exposure)
+                if exposure.index == exposure.count - 1 and to_nanoseconds(exposure.header.stamp) in images:
+                    return True
+        return False
+
+    def without(self, *topics: str) -> RecordedStep:
+        """Return the step without the messages of some topics."""
+        return RecordedStep(self.begin, [message for message in self.messages if message.topic not in topics])
+
+
+def recorded_messages(bag: BagReader, names: Mapping[str, str]) -> Iterator[RawMessage]:
+    """Yield messages under relative names; a calibration of an older definition is converted to the present one.
+
+    Parameters
+    ----------
+    bag
+        The recording.
+    names
+        Relative name by full name of the topics to read.
+    """
+    for message in bag.published(names):
+        name, data = names[message.topic], message.data
+        if name == CALIBRATION and bag.topics[message.topic].hash != type_hash("fringedic_msgs/msg/RigCalibration"):
+            recorded = bag.decode(message.topic, data)
+            model, frame = RigModel.from_message(recorded), recorded.header.frame_id
+            data = serialize_message(calibration_message(model, stamp_ns=stamp_of(recorded), frame_id=frame))
+        yield message._replace(topic=name, data=data)
+
+
+def split_steps(messages: Iterable[RawMessage]) -> Iterator[RecordedStep]:
+    """Cut messages with relative topic names, in the order of publishing, at the BEGIN of each step."""
+    current = RecordedStep(None)
+    for message in messages:
+        if message.topic == STEP:
+            status = deserialize_message(message.data, StepStatus)
+            if status.stage == StepStatus.BEGIN:
+                yield current
+                current = RecordedStep(status)
+        current.messages.append(message)
+    yield current
+
+
+def ends_step(message: RawMessage) -> bool:
+    """Return whether a message ends its step: the stage END or ERROR."""
+    if message.topic != STEP:
+        return False
+    return deserialize_message(message.data, StepStatus).stage in (StepStatus.END, StepStatus.ERROR)

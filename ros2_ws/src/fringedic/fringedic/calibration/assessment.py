@@ -1,0 +1,336 @@
+"""From fits to a result: residuals of every plane beside the predicted noise, sigmas, and warnings."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+import numpy as np
+import xarray as xr
+
+from fringedic.calibration.findings import CalibrationWarning
+from fringedic.calibration.fit import Solution, information_criterion
+from fringedic.calibration.fit_results import Candidate, Parameter, PlaneResult
+from fringedic.calibration.geometry import SCALES, Camera, place_plane, predict, rig_model
+from fringedic.calibration.models import ModelFitter, scatter_of
+from fringedic.calibration.outliers import unusual_ripple
+from fringedic.calibration.planes import CalibrationPlanes
+from fringedic.calibration.result import RigCalibration
+from fringedic.calibration.variants import ModelVariant
+from fringedic.camera.findings import Finding
+from fringedic.errors import CalibrationError
+from fringedic.rig.geometry import PARAMETERS, parameter_values
+from fringedic.rig.model import RigModel
+from fringedic.rig.uncertainty import position_errors
+
+WIDEST_FIELD = 2.0  # width over camera distance (an angle of view of 90 degree); wider means wrong angles
+NEAREST, FARTHEST = 0.01, 50.0  # [m] of the camera from the plane; the scale is wrong beyond these
+_STEP = 1e-5  # of a parameter's scale, for central differences
+_RIPPLE = 2e-3 * 2 * math.pi  # [rad] the noise of a usual sequence (q = 8, 1 grey level); averaging does not reduce it
+_OUTLIERS = 1e-3  # share of the pixels; noise alone has none beyond six standard deviations
+_SPREAD = math.radians(8)  # range of angles below which the heights are poorly calibrated
+_ADVISED_PLANES = 5  # from which an outlier can be found
+
+_TITLES: dict[str, tuple[str, str, float]] = {
+    "camera_distance": ("camera distance h0", "mm", 1e-3),
+    "projector_across": ("projector base d", "mm", 1e-3),
+    "projector_height": ("projector distance hp", "mm", 1e-3),
+    "projector_focal_length": ("projector focal length", "px", 1.0),
+    "projector_turn": ("projector turned in the plane of the rig", "degree", math.radians(1)),
+    "projector_nod": ("projector turned out of the plane of the rig", "degree", math.radians(1)),
+    "projector_roll": ("projector roll", "degree", math.radians(1)),
+    "projector_k1": ("projector distortion k1", "1", 1.0),
+    "projector_along": ("projector position along the fringes", "mm", 1e-3),
+    "projector_principal": ("projector axis relative to the middle of its image", "px", 1.0),
+    "axis_across": ("rotation axis: position across the fringes", "mm", 1e-3),
+    "axis_height": ("rotation axis: height", "mm", 1e-3),
+    "axis_skew": ("rotation axis relative to the direction of the fringes", "degree", math.radians(1)),
+    "axis_slope": ("rotation axis relative to the reference plane", "degree", math.radians(1)),
+    "phase_offset": ("phase on the rotation axis", "fringe", 2 * math.pi),
+    "axis_position": ("rotation axis: position across the fringes", "mm", 1e-3),
+    "camera_tilt_x": ("camera tilt about x", "degree", math.radians(1)),
+    "camera_tilt_y": ("camera tilt about y", "degree", math.radians(1)),
+    "pixel_size": ("pixel size", "µm", 1e-6),
+}
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Name of a calibration, where it comes from and when it was made."""
+
+    identifier: str
+    source: str
+    created: datetime
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """The planes and the model that a calibration uses.
+
+    Attributes
+    ----------
+    used
+        Indices of the fitted planes.
+    problems
+        What is wrong with the planes that were rejected, by index.
+    fits
+        The fits of all models.
+    variant
+        The chosen one.
+    """
+
+    used: tuple[int, ...]
+    problems: Mapping[int, Finding]
+    fits: Mapping[ModelVariant, Solution]
+    variant: ModelVariant
+
+    @property
+    def solution(self) -> Solution:
+        """The fit of the chosen model."""
+        return self.fits[self.variant]
+
+
+def assess(fitter: ModelFitter, selection: Selection, origin: Origin) -> RigCalibration:
+    """Return the calibration with its figures and warnings.
+
+    Raises
+    ------
+    CalibrationError
+        The rig would look at a field wider than any lens sees, or the camera would be nearer or farther than that of
+        any rig: angles or lengths of the wrong unit.
+    """
+    camera, planes, solution = fitter.camera, fitter.planes, selection.solution
+    _check_size(camera, solution.values["camera_distance"], bool(np.any(planes.placement.angles)))
+    model = _with_covariance(camera, solution, origin)
+    results, maps = zip(
+        *(_plane_result(fitter, selection, model, index) for index in range(len(planes.blocks))), strict=True
+    )
+    fitted = [results[index] for index in selection.used]
+    held_out = [results[index].systematic for index in planes.held_out]
+    calibration = RigCalibration(
+        model=model,
+        pitch=camera.pitch,
+        orientation=camera.orientation,
+        variant=selection.variant,
+        candidates=tuple(_candidates(fitter, selection)),
+        planes=results,
+        parameters=tuple(_parameter(name, i, solution) for i, name in enumerate(solution.names)),
+        correlation=_correlation(solution.covariance),
+        chi_square=solution.reduced_chi_square,
+        residual=_root_mean([plane.residual for plane in fitted]),
+        predicted=_root_mean([plane.predicted for plane in fitted]),
+        systematic=_root_mean([plane.systematic for plane in fitted]),
+        held_out=_root_mean(held_out) if held_out else math.nan,
+        height_sigma=_height_sigma(fitter, selection, model),
+        principal_effect=fitter.principal_effect(selection.variant, selection.used, solution),
+        residual_map=_residual_map(maps, planes),
+        warnings=(),
+        created=origin.created,
+    )
+    return dataclasses.replace(calibration, warnings=tuple(_warnings(calibration, fitter, selection.used)))
+
+
+def _check_size(camera: Camera, distance: float, turned: bool) -> None:
+    """Refuse a rig of an impossible size: phases do not determine the size, and fit as well with a wrong unit."""
+    width = camera.pixel_size * max(camera.width / camera.pixel_aspect, camera.height)
+    if width > WIDEST_FIELD * distance:
+        wrong = "angles are too large; are they in radian?" if turned else "heights are too large; are they in metre?"
+        raise CalibrationError(
+            f"the camera would stand {1e3 * distance:.3g} mm from a field of {1e3 * width:.3g} mm: the {wrong}"
+        )
+    if not NEAREST < distance < FARTHEST:
+        raise CalibrationError(
+            f"the camera would stand {distance:.3g} m from a field of {width:.3g} m: are the grid's pitch, the pixel "
+            "size and heights given in metre and angles in radian (in files: millimetre, degree)?"
+        )
+
+
+def _with_covariance(camera: Camera, solution: Solution, origin: Origin) -> RigModel:
+    """Return the fitted rig with the covariance of the model's own parameters (linear propagation)."""
+    rig = rig_model(camera, solution.values)
+    names = tuple(PARAMETERS)
+    columns = []
+    for name in solution.names:
+        step = _STEP * SCALES.get(name, 1e-3)
+        sides = [
+            parameter_values(rig_model(camera, {**solution.values, name: solution.values[name] + side}), names)
+            for side in (step, -step)
+        ]
+        columns.append((sides[0] - sides[1]) / (2 * step))
+    jacobian = np.stack(columns, axis=1)
+    covariance = jacobian @ solution.covariance @ jacobian.T
+    known = np.diag(covariance) > 0
+    return dataclasses.replace(
+        rig,
+        identifier=origin.identifier,
+        source=origin.source,
+        parameter_names=tuple(name for name, use in zip(names, known, strict=True) if use),
+        covariance=tuple(covariance[np.ix_(known, known)].ravel().tolist()),
+    )
+
+
+def _plane_result(
+    fitter: ModelFitter, selection: Selection, model: RigModel, index: int
+) -> tuple[PlaneResult, np.ndarray]:
+    """Return the figures of a plane, and the residual of its blocks as height [m] (n, m)."""
+    placement, plane = fitter.placement, fitter.planes.blocks[index]
+    residual = _residual(fitter, selection.solution, index)
+    slope = np.abs(_slope(fitter, model, index))
+    height = residual * slope
+    sensitivity = math.sqrt(float(np.nanmean(slope**2)))
+    block = math.sqrt(float(np.nanmean(residual**2)))
+    block_noise = math.sqrt(float(np.nanmean(plane.sigma**2)))
+    pixels = math.sqrt(plane.scatter * plane.noise**2 + max(0.0, block**2 - block_noise**2))
+    result = PlaneResult(
+        name=placement.name(index),
+        angle=float(placement.angles[index]),
+        height=float(placement.heights[index]),
+        fitted=index in selection.used,
+        residual_phase=pixels,
+        predicted_phase=plane.noise,
+        residual=pixels * sensitivity,
+        predicted=plane.noise * sensitivity,
+        systematic=math.sqrt(float(np.nanmean(height**2))),
+        systematic_noise=math.sqrt(float(np.nanmean((plane.sigma * slope) ** 2))),
+        chi_square=(pixels / plane.noise) ** 2,
+        valid=plane.valid,
+        outliers=plane.outliers,
+        ripple=plane.ripple,
+        problem=selection.problems.get(index),
+    )
+    return result, height
+
+
+def _residual(fitter: ModelFitter, solution: Solution, index: int) -> np.ndarray:
+    """Return measured - predicted phase of the blocks of a plane [rad], (n, m)."""
+    plane = fitter.planes.blocks[index]
+    column, row = fitter.camera.ideal(*np.meshgrid(plane.column, plane.row))
+    pixels = np.stack([column.ravel(), row.ravel(), np.ones(column.size)], axis=-1)
+    predicted = predict(fitter.camera, solution.values, fitter.placement, (index,), (pixels,)).reshape(column.shape)
+    result: np.ndarray = plane.phase - predicted
+    return result
+
+
+def _slope(fitter: ModelFitter, model: RigModel, index: int) -> np.ndarray:
+    """Return dz/dphi of the blocks of a plane [m/rad], (n, m)."""
+    phase, camera = fitter.planes.blocks[index].as_phase_map(), fitter.camera
+    slope: np.ndarray = model.reconstruct(phase, camera.pitch, orientation=camera.orientation)["dz_dphi"].to_numpy()
+    return slope
+
+
+def _candidates(fitter: ModelFitter, selection: Selection) -> Iterator[Candidate]:
+    scatter = scatter_of(selection.fits)
+    reference = information_criterion(selection.solution, scatter)
+    for variant, fit in selection.fits.items():
+        model = rig_model(fitter.camera, fit.values)
+        squares = [
+            math.sqrt(float(np.nanmean((_residual(fitter, fit, index) * _slope(fitter, model, index)) ** 2)))
+            for index in selection.used
+        ]
+        yield Candidate(
+            variant,
+            len(fit.names),
+            fit.reduced_chi_square,
+            information_criterion(fit, scatter) - reference,
+            _root_mean(squares),
+        )
+
+
+def _height_sigma(fitter: ModelFitter, selection: Selection, model: RigModel) -> float:
+    """Return the largest standard deviation of z due to the calibration, at the corners of the fitted planes [m]."""
+    camera, values = fitter.camera, selection.solution.values
+    largest = 0.0
+    for index in selection.used:
+        plane = fitter.planes.blocks[index]
+        column, row = np.meshgrid(plane.column[[0, -1]], plane.row[[0, -1]])
+        normal, offset = place_plane(camera, values, *fitter.placement.of(index, values))
+        rays = np.stack([*camera.ideal(column, row), np.ones(column.shape)], axis=-1) @ model.ray_matrix.T
+        along = (offset - normal[2] * model.camera_distance) / (rays @ normal)
+        z = model.camera_distance + along * rays[..., 2]
+        errors = position_errors(model, column, row, z, camera.orientation)
+        largest = max(largest, float(np.sqrt(np.sum(errors[:, 2] ** 2, axis=0)).max()))
+    return largest
+
+
+def _residual_map(maps: Sequence[np.ndarray], planes: CalibrationPlanes) -> xr.Dataset:
+    blocks = planes.blocks
+    dims = ("plane", "row", "column")
+    units = {"units": "m"}
+    return xr.Dataset(
+        {
+            "residual": (dims, np.array(maps, np.float32), units | {"long_name": "residual of block means as height"}),
+            "phase": (
+                dims,
+                np.array([each.phase for each in blocks]),
+                {"units": "rad", "long_name": "absolute phase at the centre of blocks"},
+            ),
+            "sigma": (
+                dims,
+                np.array([each.sigma for each in blocks], np.float32),
+                {"units": "rad", "long_name": "standard deviation of the phase of blocks"},
+            ),
+        },
+        coords={"plane": planes.names, "row": blocks[0].row, "column": blocks[0].column},
+    )
+
+
+def _parameter(name: str, index: int, solution: Solution) -> Parameter:
+    if name.startswith("angle_error"):
+        title, unit, scale = f"error of the angle of image {name.rsplit('_', 1)[1]}", "degree", math.radians(1)
+    elif name.startswith("height_error"):
+        title, unit, scale = f"error of the height of image {name.rsplit('_', 1)[1]}", "mm", 1e-3
+    else:
+        title, unit, scale = _TITLES[name]
+    sigma = math.sqrt(max(0.0, float(solution.covariance[index, index])))
+    return Parameter(name, title, unit, solution.values[name] / scale, sigma / scale)
+
+
+def _correlation(covariance: np.ndarray) -> np.ndarray:
+    sigma = np.sqrt(np.diag(covariance))
+    result: np.ndarray = covariance / np.where(sigma > 0, np.outer(sigma, sigma), 1.0)
+    return result
+
+
+def _root_mean(values: Sequence[float]) -> float:
+    return math.sqrt(sum(value**2 for value in values) / len(values))
+
+
+def _warnings(calibration: RigCalibration, fitter: ModelFitter, used: Sequence[int]) -> Iterator[Finding]:
+    yield from _warnings_of_images(calibration, fitter)
+    yield from _common_ripple(fitter, used)
+    angles, heights = fitter.placement.angles[list(used)], fitter.placement.heights[list(used)]
+    if not np.ptp(heights) and np.ptp(angles) < _SPREAD:
+        yield Finding(CalibrationWarning.NARROW_ANGLES, values={"span": float(np.ptp(angles))})
+    if fitter.camera.plane is None:
+        yield Finding(CalibrationWarning.TILT_UNKNOWN)
+    elif fitter.pin_hole is None:
+        yield Finding(CalibrationWarning.TILT_FROM_ONE_PLANE)
+    if len(used) < _ADVISED_PLANES:
+        yield Finding(CalibrationWarning.FEW_PLANES, values={"count": len(used)})
+    if not calibration.tested:
+        yield Finding(CalibrationWarning.NOT_TESTED)
+    if calibration.height_sigma > calibration.predicted:
+        yield Finding(CalibrationWarning.UNCERTAIN_HEIGHT, values={"sigma": calibration.height_sigma})
+
+
+def _warnings_of_images(calibration: RigCalibration, fitter: ModelFitter) -> Iterator[Finding]:
+    for plane in calibration.planes:
+        if plane.problem:
+            yield dataclasses.replace(plane.problem, subject=plane.name)
+    for plane in calibration.planes:
+        if plane.outliers > _OUTLIERS:
+            yield Finding(CalibrationWarning.OUTLIERS, plane.name, {"share": plane.outliers})
+    for index, plane in enumerate(calibration.planes):
+        ripple = unusual_ripple(index, fitter.planes.blocks)
+        if ripple and not plane.problem:
+            yield Finding(CalibrationWarning.RIPPLE, plane.name, {"amplitude": ripple})
+
+
+def _common_ripple(fitter: ModelFitter, used: Sequence[int]) -> Iterator[Finding]:
+    usual = np.nanmedian(np.array([fitter.planes.blocks[index].ripple for index in used]), axis=0)
+    if np.any(usual > _RIPPLE):
+        values = {"harmonic": int(np.nanargmax(usual)) + 1, "amplitude": float(np.nanmax(usual))}
+        yield Finding(CalibrationWarning.COMMON_RIPPLE, values=values)

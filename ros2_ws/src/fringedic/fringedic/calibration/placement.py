@@ -1,0 +1,120 @@
+"""Angles and heights of the reference plane, as they were entered; names of the images."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fringedic.errors import CalibrationError, ImageError
+
+FEWEST_PLANES = 3  # of a fit; the closed form needs two
+LARGEST_ANGLE = math.radians(70)  # larger angles are probably in degree
+SMALLEST_TURN = math.radians(0.05)  # planes closer to each other than this carry no information
+SMALLEST_MOVE = 20e-6  # the same for translated planes [m]
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Where the planes are, as far as it is known.
+
+    Attributes
+    ----------
+    angles, heights : (plane,)
+        As stated [rad], [m].
+    """
+
+    angles: np.ndarray
+    heights: np.ndarray
+
+    @classmethod
+    def stated(cls, count: int, angles: Sequence[float] | None, heights: Sequence[float] | None) -> Placement:
+        """Return the placement of `count` planes; None stands for 0 everywhere.
+
+        Raises
+        ------
+        CalibrationError
+            A number is not finite, or the angles cannot be radians.
+        ImageError
+            The lists have other lengths.
+        """
+        turn = np.zeros(count) if angles is None else np.asarray(angles, float)
+        lift = np.zeros(count) if heights is None else np.asarray(heights, float)
+        for name, values in (("angles", turn), ("heights", lift)):
+            if values.shape != (count,):
+                raise ImageError(f"{values.size} {name} for {count} phase maps: give one for each")
+            if not np.isfinite(values).all():
+                raise CalibrationError(f"{name} are {values}: they have to be finite numbers")
+        if count and np.abs(turn).max() > LARGEST_ANGLE:
+            largest = turn[np.argmax(np.abs(turn))]
+            raise CalibrationError(
+                f"an angle of {largest:g} rad is {math.degrees(largest):.0f} degree; the camera does not see such a "
+                "plane. Angles are expected in radian: were they given in degree?"
+            )
+        return cls(turn, lift)
+
+    def name(self, index: int) -> str:
+        """Return the name of an image for people: "image 3 (angle +5 degree)"."""
+        height = f", height {1e3 * self.heights[index]:+g} mm" if np.any(self.heights) else ""
+        return f"image {index + 1} (angle {math.degrees(self.angles[index]):+.4g} degree{height})"
+
+    def of(self, index: int, values: Mapping[str, float]) -> tuple[float, float]:
+        """Return angle [rad] and height [m] of a plane, including its errors among the parameters."""
+        return (
+            float(self.angles[index]) + values.get(angle_error(index), 0.0),
+            float(self.heights[index]) + values.get(height_error(index), 0.0),
+        )
+
+    def apart(self, first: int, second: int) -> bool:
+        """Return whether two planes are at different positions."""
+        return bool(
+            abs(self.angles[first] - self.angles[second]) > SMALLEST_TURN
+            or abs(self.heights[first] - self.heights[second]) > SMALLEST_MOVE
+        )
+
+    def turned(self, planes: Sequence[int]) -> bool:
+        """Return whether some planes have different angles."""
+        return bool(np.ptp(self.angles[list(planes)]) > SMALLEST_TURN)
+
+    def check_positions(self, planes: Sequence[int]) -> None:
+        """Raise an error unless the planes have enough different positions for a fit.
+
+        Raises
+        ------
+        CalibrationError
+            There are fewer than three planes, angles or heights.
+        """
+        if len(planes) < FEWEST_PLANES:
+            raise CalibrationError(
+                f"{len(planes)} planes to fit: at least {FEWEST_PLANES} at different angles are needed, better 7"
+            )
+        chosen = list(planes)
+        different = max(
+            _count_different(self.angles[chosen], SMALLEST_TURN), _count_different(self.heights[chosen], SMALLEST_MOVE)
+        )
+        if different < FEWEST_PLANES:
+            raise CalibrationError(
+                f"the planes have {different} different positions only: at least {FEWEST_PLANES} angles "
+                f"(more than {math.degrees(SMALLEST_TURN):g} degree apart) or as many heights are needed"
+            )
+
+
+def angle_error(index: int) -> str:
+    """Return the name of the parameter that is the error of a plane's angle [rad]."""
+    return f"angle_error_{index + 1}"
+
+
+def height_error(index: int) -> str:
+    """Return the name of the parameter that is the error of a plane's height [m]."""
+    return f"height_error_{index + 1}"
+
+
+def _count_different(values: np.ndarray, apart: float) -> int:
+    """Return how many values differ from each other by more than `apart`."""
+    count, last = 0, -math.inf
+    for value in np.sort(values):
+        if value - last > apart:
+            count, last = count + 1, value
+    return count

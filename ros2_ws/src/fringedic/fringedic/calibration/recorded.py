@@ -1,0 +1,152 @@
+"""A recorded calibration, computed again without ROS by the same functions as in the running system."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any
+
+from fringedic.calibration.session import CalibrationSession, Plane, PlaneKind, PlaneQuality, Setting
+from fringedic.errors import RecordingError
+from fringedic.frames.collector import FrameCollector, Stack
+from fringedic.recording.frames import RecordedMessage, events
+from fringedic.recording.reader import BagReader
+from fringedic.steps.phase import phase_step
+from fringedic.steps.recorded_parameters import RecordedParameters
+
+_TOPICS = ("camera/image_raw", "camera/exposure", "node_parameters")
+
+
+@dataclass(frozen=True)
+class RecordedPlane:
+    """A plane of a recorded calibration that was just measured.
+
+    Attributes
+    ----------
+    step
+        Its step in the recording.
+    kind
+        Printed grid or plain plane.
+    angle
+        Of the plane [rad].
+    quality
+        How well it was measured; None for a grid.
+    """
+
+    step: int
+    kind: PlaneKind
+    angle: float
+    quality: PlaneQuality | None = None
+
+
+def calibrate_recording(
+    path: str | os.PathLike[str], *, progress: Callable[[RecordedPlane], None] = lambda _: None
+) -> CalibrationSession:
+    """Calibrate the rig once more from a recording: the latest planes in it, and the grids before them.
+
+    With the same version of this library the numbers are those of the running system, bit by bit.
+
+    Parameters
+    ----------
+    path
+        The recording of a calibration.
+    progress
+        Called with every plane that was measured.
+
+    Returns
+    -------
+    CalibrationSession
+        With ``grid``, ``result`` and ``drift``.
+
+    Raises
+    ------
+    RecordingError
+        The recording contains no calibration, or planes whose frames are incomplete, or no grid before them.
+    CalibrationError
+        The planes do not give a calibration; the message gives the reason.
+    """
+    reader = BagReader(path)
+    planes = {(each.experiment, each.step): each for each in _messages(reader, "experiment/plane")}
+    wanted, name = _latest(planes)
+    if not wanted:
+        raise RecordingError(f"{path} holds no calibration: a grid, and planes after it")
+    replay = _Replay(name)
+    for stack, parameters in _stacks(reader, wanted):
+        wanted.discard((stack.experiment, stack.step))
+        progress(replay.measure(planes.pop((stack.experiment, stack.step)), stack, parameters))
+    if wanted:
+        steps = ", ".join(f"step {step} of '{experiment}'" for experiment, step in sorted(wanted))
+        raise RecordingError(f"{path}: frames are missing of {steps}")
+    replay.session.calibrate(datetime.fromtimestamp(1e-9 * stack.stamp, UTC))
+    return replay.session
+
+
+class _Replay:
+    """Gives the recorded grids and planes of one calibration to a session."""
+
+    def __init__(self, name: str) -> None:
+        self.session = CalibrationSession()
+        self._name = name
+        self._sigma_grid = 0.0
+        self._begun = False
+
+    def measure(self, plane: Any, stack: Stack, parameters: RecordedParameters) -> RecordedPlane:
+        """Measure one plane, described by its ``fringedic_msgs/ReferencePlane``."""
+        if plane.kind == PlaneKind.GRID:
+            self._measure_grid(plane, stack)
+            return RecordedPlane(stack.step, PlaneKind.GRID, plane.angle)
+        measured = phase_step(stack, parameters.phase)
+        if not self._begun:
+            self._begin(plane, stack, parameters)
+        quality = self.session.add_plane(
+            Plane(plane.angle, plane.height, plane.held_out, measured.phase, measured.sigma)
+        )
+        return RecordedPlane(stack.step, PlaneKind.PLANE, plane.angle, quality)
+
+    def _measure_grid(self, plane: Any, stack: Stack) -> None:
+        if plane.angle:
+            self.session.measure_tilted_grid(stack.frames, plane.angle)
+        else:
+            self.session.measure_grid(stack.frames, plane.grid_pitch)
+        self._sigma_grid = plane.sigma_angle
+
+    def _begin(self, plane: Any, stack: Stack, parameters: RecordedParameters) -> None:
+        rig = parameters.settings(None).rig["experiment"]
+        size = (rig["projector_width_px"], rig["projector_height_px"])
+        finest = stack.patterns[-1]
+        self.session.locate_pin_hole(self._sigma_grid, finest.orientation)
+        self.session.begin(Setting(self._name, size, finest, plane.sigma_angle, plane.sigma_height))
+        self._begun = True
+
+
+def _latest(planes: Mapping[tuple[str, int], Any]) -> tuple[set[tuple[str, int]], str]:
+    """Return the steps of the latest calibration with those of the grids before it, and its name; empty without one."""
+    grids: set[tuple[str, int]] = set()
+    steps: dict[str, set[tuple[str, int]]] = {}
+    for key, plane in planes.items():
+        if plane.kind == PlaneKind.GRID:
+            # grids on the tilted plane belong to the same experiment
+            grids = {key, *(grids if plane.angle else ())}
+        elif grids:
+            steps.setdefault(key[0], set(grids)).add(key)
+    return (steps[name], name) if (name := next(reversed(steps), "")) else (set(), "")
+
+
+def _messages(reader: BagReader, name: str) -> Iterator[Any]:
+    topic = reader.find(name)[name]
+    for message in reader.published([topic]):
+        yield reader.decode(topic, message.data)
+
+
+def _stacks(reader: BagReader, wanted: set[tuple[str, int]]) -> Iterator[tuple[Stack, RecordedParameters]]:
+    """Iterate over the stacks of every wanted step with the parameters that were in force."""
+    parameters, collector = RecordedParameters({}), FrameCollector()
+    for event in events(reader, reader.find(*_TOPICS)):
+        if isinstance(event, RecordedMessage):
+            parameters.take(event.message)
+        elif (event.record.experiment, event.record.step) in wanted:
+            stack = collector.add(event.record, event.image)
+            if stack is not None:
+                yield stack, parameters

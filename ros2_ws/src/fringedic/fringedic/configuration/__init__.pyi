@@ -1,0 +1,4 @@
+from .programme import Programme as Programme
+from .rig_file import RigFile as RigFile
+from .rig_file import load_programme as load_programme
+from .rig_file import load_rig_file as load_rig_file

@@ -1,0 +1,261 @@
+"""Rig file: one YAML file in mm, degree and pixel that describes a whole rig."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Discriminator, Field, Tag, model_validator
+
+from fringedic.configuration.calibration_section import CalibrationSection, calibration_metadata
+from fringedic.configuration.programme import Programme
+from fringedic.configuration.sections import (
+    FINEST_DEFAULT_PITCH_PX,
+    MILLI,
+    VIRTUAL_RIG,
+    CameraSection,
+    ExtensometerSection,
+    LoadFrameSection,
+    NodesSection,
+    ProjectorSection,
+    RecordingSection,
+    ReferencePlaneSection,
+    SequenceSection,
+)
+from fringedic.configuration.virtual_calibration import calibration_of
+from fringedic.configuration.yaml_section import Section, load_sections
+from fringedic.errors import ConfigurationError, FringedicError
+from fringedic.metadata import CalibrationMetadata, HardwareMetadata, Metadata, NoiseFloorMetadata, SpecimenMetadata
+from fringedic.patterns.pattern import ProjectedPattern
+from fringedic.patterns.sequences import step_sequence
+from fringedic.rig.model import RigModel
+from fringedic.virtual_rig import VirtualRigConfiguration
+
+Calibration = Annotated[
+    Annotated[str, Tag("file")] | Annotated[CalibrationSection, Tag("values")],
+    Discriminator(lambda value: "values" if isinstance(value, (Mapping, CalibrationSection)) else "file"),
+]
+
+
+# Keys of earlier versions, and what to write instead
+REPLACED_KEYS = {
+    "nodes.coupling.watch_region_px": "is replaced by nodes.coupling.drift_marker_px with the same order: first "
+    "column, first row, width, height",
+    "extensometer.pad_px": "is replaced by extensometer.subset_px",
+}
+
+
+class RigFile(Section):
+    """The content of a rig file."""
+
+    namespace: str = Field("rig", pattern=r"^([A-Za-z]\w*(/[A-Za-z]\w*)*)?$", description="ROS namespace of the rig.")
+    camera: CameraSection = Field(description="The camera.")
+    projector: ProjectorSection | None = Field(None, description="The projector; without one only white frames.")
+    sequence: SequenceSection = Field(SequenceSection(), description="The fringe patterns of one step.")
+    calibration: Calibration | None = Field(
+        None,
+        description="Parameters of the calibration, the path of a calibration file (relative to this file), or "
+        "virtual_rig for the exact parameters of the virtual rig.",
+    )
+    reference_plane: ReferencePlaneSection = Field(
+        ReferencePlaneSection(), description="The plane that calibrates the rig."
+    )
+    load_frame: LoadFrameSection | None = Field(None, description="The testing machine.")
+    extensometer: ExtensometerSection | None = Field(None, description="The virtual extensometer between the steps.")
+    nodes: NodesSection = Field(NodesSection(), description="Parameters of the processing nodes.")
+    noise_floor_file: str | None = Field(
+        None, description="Noise floor from `fringedic noise`, relative to this file; it is part of every recording."
+    )
+    region_file: str | None = Field(
+        None,
+        description="Polygons from `fringedic region`, relative to this file: where the displacement is measured.",
+    )
+    virtual_rig: dict[str, Any] | None = Field(
+        None, description="The virtual rig, as of `fringedic.virtual_rig.VirtualRigConfiguration`."
+    )
+    recording: RecordingSection = Field(RecordingSection(), description="What is recorded, and where.")
+    specimen: SpecimenMetadata = Field(SpecimenMetadata(), description="Metadata of the specimen.")
+    hardware: HardwareMetadata = Field(HardwareMetadata(), description="Metadata of the hardware.")
+    programme: Programme | None = Field(None, description="The load steps; a programme file replaces them.")
+
+    @model_validator(mode="after")
+    def _virtual_parts_have_their_rig(self) -> RigFile:
+        users = [
+            name
+            for name, used in (
+                ("camera.source: virtual", self.camera.source == "virtual"),
+                ("projector.source: virtual", self.projector is not None and self.projector.source == "virtual"),
+                ("calibration: virtual_rig", self.calibration == VIRTUAL_RIG),
+                ("load_frame.source: simulated", self.load_frame is not None and self.load_frame.source == "simulated"),
+            )
+            if used
+        ]
+        if users and self.virtual_rig is None:
+            raise ValueError(f"{users[0]} needs the section virtual_rig, for example virtual_rig: {{preset: plate}}")
+        return self
+
+    @model_validator(mode="after")
+    def _relative_phases_are_wanted(self) -> RigFile:
+        if self.sequence.fringe_order == "one_image" and self.nodes.phase.relative_phase != "accept":
+            raise ValueError(
+                "sequence.fringe_order: one_image measures phases up to a multiple of a fringe, and shapes that may be "
+                "wrong by as many; set nodes.phase.relative_phase: accept to accept this"
+            )
+        return self
+
+    def virtual_configuration(self) -> VirtualRigConfiguration:
+        """Return the virtual rig of this file, which must have one."""
+        return VirtualRigConfiguration.from_dict(self.virtual_rig or {})
+
+    def camera_size(self) -> tuple[int, int] | None:
+        """Return (width, height) of the images [px], None when it is known from the image files only."""
+        return self._size(self.camera, "camera")
+
+    def projector_size(self) -> tuple[int, int] | None:
+        """Return (width, height) of the projector's image [px], None without a projector."""
+        return None if self.projector is None else self._size(self.projector, "projector")
+
+    def grid_pitch(self) -> float | None:
+        """Return the pitch of the printed grid [m], None when it is not known."""
+        if self.reference_plane.grid_pitch_mm is not None:
+            return self.reference_plane.grid_pitch_mm * MILLI
+        if self.virtual_rig is not None:
+            return self.virtual_configuration().stage.grid_pitch_mm * MILLI
+        return None
+
+    def pitches(self) -> list[float]:
+        """Return the fringe pitches, coarse to fine [projector pixel]; empty without a projector."""
+        size = self.projector_size()
+        if size is None:
+            return []
+        if self.sequence.pitches_px is not None:
+            return list(self.sequence.pitches_px)
+        return [size[0] / part for part in (1, 5, 20, 80) if part == 1 or size[0] / part >= FINEST_DEFAULT_PITCH_PX]
+
+    def patterns(self) -> list[ProjectedPattern]:
+        """Return the patterns of the frames of one step, in their order."""
+        size, sequence = self.projector_size(), self.sequence
+        if size is None:
+            return []
+        pitches = self.pitches()
+        shown = step_sequence(
+            *size,
+            pitches,
+            [sequence.shifts] * len(pitches),
+            sequence.orientation,
+            sequence.fringe_order,
+            grey_frame=sequence.grey_frame,
+        )
+        return [pattern for pattern in shown.patterns for _ in sequence.exposures_ms or [0]]
+
+    def metadata(self, path: str | os.PathLike[str]) -> Metadata:
+        """Return the metadata of specimen, hardware, calibration and noise floor; `path` is that of this file."""
+        known = CalibrationMetadata()
+        if isinstance(self.calibration, str) and self.calibration != VIRTUAL_RIG:
+            known = calibration_metadata(Path(path).parent / self.calibration)
+        noise = NoiseFloorMetadata()
+        if self.noise_floor_file is not None:
+            noise = NoiseFloorMetadata.load(Path(path).parent / self.noise_floor_file)
+        return Metadata(specimen=self.specimen, hardware=self.hardware, calibration=known, noise=noise)
+
+    def _size(self, section: CameraSection | ProjectorSection, name: str) -> tuple[int, int] | None:
+        if section.source == "virtual":
+            part = getattr(self.virtual_configuration(), name)
+            size = (part.columns, part.rows)
+            given = (section.width or size[0], section.height or size[1])
+            if given != size:
+                raise ConfigurationError(
+                    f"{name} is {given[0]}x{given[1]} px, the virtual rig's {name} has {size[0]}x{size[1]} px; "
+                    "remove width and height to use those"
+                )
+            return size
+        if section.width is None or section.height is None:
+            return None
+        return section.width, section.height
+
+
+def load_rig_file(path: str | os.PathLike[str]) -> RigFile:
+    """Read and check a rig file.
+
+    Parameters
+    ----------
+    path
+        A YAML file.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be read, or a key is unknown, missing, replaced or out of its range; the message names file and
+        key.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> file = Path(tempfile.mkdtemp(), "rig.yaml")
+    >>> _ = file.write_text("{camera: {source: virtual}, virtual_rig: {preset: plate, size: tiny}}")
+    >>> load_rig_file(file).camera_size()
+    (160, 120)
+    """
+    rig = load_sections(Path(path), RigFile, REPLACED_KEYS)
+    try:
+        rig.camera_size()
+        rig.projector_size()
+        if rig.virtual_rig is not None:
+            rig.virtual_configuration()
+        load_calibration(rig, path)
+    except FringedicError as error:
+        raise ConfigurationError(f"{path}: {error}") from error
+    return rig
+
+
+def load_programme(path: str | os.PathLike[str]) -> Programme:
+    """Read and check a programme of load steps.
+
+    Parameters
+    ----------
+    path
+        A YAML file.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be read, or a key is unknown, missing or out of its range; the message names file and key.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> file = Path(tempfile.mkdtemp(), "programme.yaml")
+    >>> _ = file.write_text("ramp: {to_mm: 0.5, steps: 3}")
+    >>> [step.position_mm for step in load_programme(file).load_steps()]
+    [0.0, 0.25, 0.5]
+    """
+    return load_sections(Path(path), Programme)
+
+
+def load_calibration(rig: RigFile, path: str | os.PathLike[str]) -> RigModel | None:
+    """Return the calibration that a rig file contains or names, None when it has none.
+
+    Parameters
+    ----------
+    rig
+        The content of the rig file.
+    path
+        The rig file; the path of a calibration file is relative to it.
+
+    Raises
+    ------
+    ConfigurationError
+        The calibration file cannot be read.
+    """
+    if rig.calibration is None:
+        return None
+    if isinstance(rig.calibration, CalibrationSection):
+        return rig.calibration.rig_model(str(path))
+    if rig.calibration == VIRTUAL_RIG:
+        return calibration_of(rig.virtual_configuration())
+    file = Path(path).parent / rig.calibration
+    if not file.is_file():
+        raise ConfigurationError(f"calibration: there is no file {file}")
+    return RigModel.from_yaml(file)

@@ -1,0 +1,285 @@
+"""Sections of a rig file: camera, projector, sequence, reference plane, load frame, nodes, recording.
+
+Positions in an image are (column, row).
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from fringedic.configuration.yaml_section import Section
+from fringedic.patterns.sequences import FringeOrder
+from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
+
+MILLI = 1e-3
+# Angles [degree] of the plane for another image of its grid: below the first the perspective hides in the noise of the
+# grid (benchmarks/distortion.py), at the second it is clear and the grid is still in focus
+_LEAST_TURN, _GOOD_TURN = 2.0, 12.0
+FINEST_DEFAULT_PITCH_PX = 8.0  # finer fringes lose their modulation in most projector lenses
+VIRTUAL_RIG = "virtual_rig"
+
+
+class CameraSection(Section):
+    """The camera of the rig."""
+
+    source: Literal["virtual", "files", "video", "aravis", "v4l2", "topic"] = Field(
+        description="Source of the images. virtual: the virtual rig; files: a folder; video: a video file; aravis: a "
+        "GigE or USB3 Vision camera; v4l2: a USB camera (UVC); topic: any camera with a ROS 2 driver of its own."
+    )
+    width: int | None = Field(None, ge=16, le=32768, description="Image width [px]; known from a virtual rig.")
+    height: int | None = Field(None, ge=16, le=32768, description="Image height [px]; known from a virtual rig.")
+    exposure_ms: float = Field(10.0, gt=0, le=60e3, description="Exposure time [ms].")
+    settle_ms: float = Field(
+        0.0, ge=0, le=60e3, description="Time between the request of a pattern and the exposure [ms]."
+    )
+    files: str | None = Field(
+        None,
+        description="Images for the source 'files', a folder or a pattern such as a/*.tif; file of the source 'video'.",
+    )
+    topic: str | None = Field(None, description="Images of the source 'topic', such as /cam/image_raw.")
+    stamp_of: Literal["start", "middle", "end"] = Field(
+        "end", description="Moment of the exposure that stamps of the sources 'topic' and 'v4l2' refer to; end is safe."
+    )
+    camera: str = Field(
+        "", description="Identifier or network address of a real camera, path of a 'v4l2' camera; empty: the only one."
+    )
+    pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono16"] = Field(
+        "Mono8", description="Pixel format of a real camera."
+    )
+    first_column: int = Field(0, ge=0, le=32768, description="First column of the used part of the sensor [px].")
+    first_row: int = Field(0, ge=0, le=32768, description="First row of the used part of the sensor [px].")
+    gain_db: float = Field(0.0, ge=-100, le=100, description="Gain of a real camera [dB].")
+    trigger: Literal["internal", "software", "external_edge", "external_level"] = Field(
+        "software", description="Trigger of the exposures of a real camera."
+    )
+    trigger_line: str = Field("Line1", description="Input of a real camera for external triggers.")
+    packet_size_byte: int = Field(0, ge=0, le=65535, description="Size of network packets [byte]; 0: the largest.")
+
+    @model_validator(mode="after")
+    def _files_belong_to_their_source(self) -> CameraSection:
+        if (self.source in ("files", "video")) != (self.files is not None):
+            raise ValueError("source: files needs the key files, and so does video; other sources do not use it")
+        if (self.source == "topic") != (self.topic is not None):
+            raise ValueError("source: topic needs the key topic, and only this source uses it")
+        if self.source == "v4l2" and not self.camera:
+            raise ValueError("source: v4l2 needs the key camera, a path such as /dev/video0")
+        if self.source in ("aravis", "v4l2", "topic") and (self.width is None or self.height is None):
+            raise ValueError(f"source: {self.source} needs width and height, the size of its images")
+        return self
+
+    @property
+    def exposure_time(self) -> float:
+        """Exposure time [s]."""
+        return self.exposure_ms * MILLI
+
+    @property
+    def settle_time(self) -> float:
+        """Time between pattern and exposure [s]."""
+        return self.settle_ms * MILLI
+
+
+class ProjectorSection(Section):
+    """The projector of the rig."""
+
+    source: Literal["virtual", "display"] = Field(
+        "virtual",
+        description="Destination of the patterns. virtual: the virtual rig; display: a projector on this computer.",
+    )
+    display: int = Field(0, ge=0, le=15, description="Number of the projector among this computer's displays, from 0.")
+    width: int | None = Field(None, ge=16, le=32768, description="Image width [px]; known from a virtual rig.")
+    height: int | None = Field(None, ge=16, le=32768, description="Image height [px]; known from a virtual rig.")
+    response_curve: str | None = Field(
+        None, description="YAML file of the response curve that the patterns correct for, relative to this file."
+    )
+
+    @model_validator(mode="after")
+    def _display_has_a_size(self) -> ProjectorSection:
+        if self.source == "display" and (self.width is None or self.height is None):
+            raise ValueError("source: display needs width and height, the projector's own resolution")
+        return self
+
+
+class SequenceSection(Section):
+    """The fringe patterns of one step."""
+
+    pitches_px: list[Annotated[float, Field(ge=2)]] | None = Field(
+        None,
+        min_length=1,
+        max_length=8,
+        description="Fringe pitches, coarse to fine [projector pixel]; the coarsest covers the visible width. "
+        "By default the projector's width, a fifth, a twentieth and an eightieth of it, none below 8 px.",
+    )
+    shifts: int = Field(4, ge=3, le=64, description="Phase shifts per pitch.")
+    orientation: Literal["vertical", "horizontal"] = Field("vertical", description="Direction of the fringes.")
+    fringe_order: FringeOrder = Field(
+        "pitches",
+        description="Source of the fringe orders. pitches: each coarser pitch for the next finer one; gray_code: a "
+        "Gray code of the finest pitch; one_image: none, a single image of the finest pitch, for fast events.",
+    )
+    grey_frame: bool = Field(
+        False, description="With one_image: a frame in grey light before it, which removes the texture of the surface."
+    )
+    exposures_ms: list[Annotated[float, Field(gt=0, le=60e3)]] | None = Field(
+        None,
+        min_length=2,
+        max_length=8,
+        description="Exposure times of every pattern [ms], for surfaces with glare and dark parts; by default the "
+        "camera's exposure_ms alone.",
+    )
+
+    @model_validator(mode="after")
+    def _coarse_to_fine(self) -> SequenceSection:
+        pitches = self.pitches_px or []
+        if any(fine >= coarse for coarse, fine in pairwise(pitches)):
+            raise ValueError("pitches_px must become smaller from one to the next")
+        return self
+
+    @model_validator(mode="after")
+    def _exposures_differ(self) -> SequenceSection:
+        if len(set(self.exposures_ms or [])) < len(self.exposures_ms or []):
+            raise ValueError("exposures_ms must differ from each other")
+        return self
+
+    @property
+    def exposure_times(self) -> list[float]:
+        """Exposure times of every pattern [s]; empty: the camera's own."""
+        return [time * MILLI for time in self.exposures_ms or ()]
+
+
+class ReferencePlaneSection(Section):
+    """The plane that calibrates the rig, and its angles and heights."""
+
+    grid_pitch_mm: float | None = Field(
+        None, gt=0, description="Pitch of the printed grid [mm]; known from a virtual rig."
+    )
+    grid_angles_degree: list[Annotated[float, Field(gt=-80, lt=80)]] | None = Field(
+        None,
+        description="Angles of the grid besides 0 [degree], on both sides: they separate a tilted camera from a "
+        "decentred lens. By default those of angles_degree that are nearest to -12 and 12; [] for none.",
+    )
+    grid_frames: int = Field(8, ge=1, le=1000, description="Frames of the grid that are averaged.")
+    angles_degree: list[Annotated[float, Field(gt=-80, lt=80)]] = Field(
+        [0.0, -18.0, -12.0, -6.0, 6.0, 12.0, 18.0],
+        min_length=1,
+        description="Angles of the plain plane [degree]; above 0 the +x side is nearer to the camera. The first is "
+        "measured again at the end.",
+    )
+    heights_mm: list[float] | None = Field(None, description="Heights of the same planes [mm]; by default 0.")
+    held_out: list[Annotated[int, Field(ge=1)]] = Field(
+        [5], description="Numbers of the planes, from 1, that test the calibration and are not part of the fit."
+    )
+    sigma_angle_degree: float = Field(0.0, ge=0, le=10, description="Standard deviation of a single angle [degree].")
+    sigma_height_mm: float = Field(0.0, ge=0, le=10, description="Standard deviation of a single height [mm].")
+
+    @model_validator(mode="after")
+    def _lists_belong_together(self) -> ReferencePlaneSection:
+        count = len(self.angles_degree)
+        if self.heights_mm is not None and len(self.heights_mm) != count:
+            raise ValueError(f"{count} angles_degree and {len(self.heights_mm)} heights_mm: give one of each per plane")
+        if any(number > count for number in self.held_out):
+            raise ValueError(f"held_out names planes {self.held_out}, but there are {count}")
+        grid = self.grid_angles_degree
+        if grid and not min(grid) <= -_LEAST_TURN < _LEAST_TURN <= max(grid):
+            raise ValueError(f"grid_angles_degree {grid}: angles on both sides are needed, at least {_LEAST_TURN:g}")
+        return self
+
+    @property
+    def grid_angles(self) -> list[float]:
+        """Angles of the plane with the grid on it besides 0 [rad]."""
+        chosen = self.grid_angles_degree
+        if chosen is None:
+            sides = [[angle for angle in self.angles_degree if side * angle >= _LEAST_TURN] for side in (-1, 1)]
+            chosen = [min(side, key=lambda angle: abs(abs(angle) - _GOOD_TURN)) for side in sides] if all(sides) else []
+        return [math.radians(angle) for angle in chosen]
+
+    @property
+    def angles(self) -> list[float]:
+        """Angles of the planes [rad]."""
+        return [math.radians(angle) for angle in self.angles_degree]
+
+    @property
+    def heights(self) -> list[float]:
+        """Heights of the planes [m]."""
+        return [height * MILLI for height in self.heights_mm or [0.0] * len(self.angles_degree)]
+
+    @property
+    def sigma_angle(self) -> float:
+        """Standard deviation of a single angle [rad]."""
+        return math.radians(self.sigma_angle_degree)
+
+    @property
+    def sigma_height(self) -> float:
+        """Standard deviation of a single height [m]."""
+        return self.sigma_height_mm * MILLI
+
+
+class LoadFrameSection(Section):
+    """The testing machine."""
+
+    source: Literal["simulated", "machine", "controller", "external"] = Field(
+        "simulated",
+        description="Source of force and position. simulated: the machine of the virtual rig; machine: one that a file "
+        "describes; controller: joint states and wrench of ros2_control; external: a node that publishes "
+        "load_frame/state.",
+    )
+    file: str | None = Field(None, description="Machine file of the source 'machine', relative to this file.")
+    joint_states_topic: str = Field("/joint_states", description="Joint states of the source 'controller'.")
+    joint: str = Field("crosshead", description="Joint of the source 'controller'.")
+    wrench_topic: str = Field("/wrench", description="Wrench of the source 'controller'.")
+    force_axis: Literal["x", "y", "z"] = Field("z", description="Axis of the force of the source 'controller'.")
+    force_sign: Literal[-1, 1] = Field(1, description="-1 when the controller's tension is negative.")
+    rate_hz: float = Field(100.0, gt=0, le=1000, description="Rate of the samples of force and position [Hz].")
+    hold_required: bool = Field(True, description="Whether a step fails when the machine does not hold.")
+    load_drift_n: float = Field(
+        0.0, ge=0, le=1e6, description="Largest change of the force during the exposures of a step [N]; 0: any."
+    )
+    position_drift_um: float = Field(
+        0.0, ge=0, le=1e6, description="Largest change of the crosshead position during the exposures [µm]; 0: any."
+    )
+
+    @model_validator(mode="after")
+    def _file_belongs_to_its_source(self) -> LoadFrameSection:
+        if (self.source == "machine") != (self.file is not None):
+            raise ValueError("source: machine needs the key file, and only this source uses it")
+        return self
+
+
+class ExtensometerSection(Section):
+    """Two points of the surface whose distance is measured in a free run of the camera between the steps."""
+
+    first_px: list[Annotated[int, Field(ge=0, le=32768)]] = Field(
+        min_length=2, max_length=2, description="Column and row of the first point in the reference image [px]."
+    )
+    second_px: list[Annotated[int, Field(ge=0, le=32768)]] = Field(
+        min_length=2, max_length=2, description="Column and row of the second point [px]."
+    )
+    subset_px: int = Field(48, ge=16, le=256, description="Width of the subset around each point [px].")
+    rate_hz: float = Field(30.0, gt=0, le=1000, description="Rate of the frames of the free run [Hz].")
+    largest_sigma_ustrain: float = Field(
+        1000.0, gt=0, le=1e6, description="Standard deviation above which a strain is invalid [µstrain]."
+    )
+
+
+class NodesSection(Section):
+    """Parameters of the processing nodes."""
+
+    phase: PhaseParameters = Field(PhaseParameters(), description="Parameters of the phase node.")
+    dic: DicParameters = Field(DicParameters(), description="Parameters of the dic node.")
+    coupling: CouplingParameters = Field(CouplingParameters(), description="Parameters of the coupling node.")
+
+
+class RecordingSection(Section):
+    """What is recorded, and where."""
+
+    folder: str = Field("recordings", description="Folder for recordings, relative to the working directory.")
+    process: bool = Field(
+        True, description="Whether steps are measured during the test; false: all are measured at the end."
+    )
+    derived: bool = Field(True, description="Whether phase maps, displacements and clouds are recorded, too.")
+    compression: Literal["zstd", "none"] = Field(
+        "none", description="Compression; zstd saves a fifth of the space for two to three times the processor time."
+    )

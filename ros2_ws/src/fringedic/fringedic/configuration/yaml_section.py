@@ -1,0 +1,92 @@
+"""YAML files of sections with known keys, and messages about wrong keys."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from fringedic.errors import ConfigurationError
+
+Model = TypeVar("Model", bound=BaseModel)
+# Names of the members of unions in paths of pydantic, which are not keys of the file
+_MEMBERS = ("values", "file", "a step", "a ramp", "a cycle")
+
+
+class Section(BaseModel):
+    """Base of all sections: refuses unknown keys, other types, NaN and infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+def load_sections(path: Path, model: type[Model], replaced: Mapping[str, str] | None = None) -> Model:
+    """Read and check a file.
+
+    Parameters
+    ----------
+    path
+        A YAML file.
+    model
+        Its sections.
+    replaced
+        Paths of keys of earlier versions, and the end of the sentence that says what to write instead.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be read, or a key is unknown, missing, replaced or out of its range; the message names file and
+        key.
+    """
+    try:
+        content = yaml.safe_load(path.read_text("utf-8"))
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from error
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{path}: is not YAML: {error}") from error
+    if not isinstance(content, dict):
+        raise ConfigurationError(f"{path}: is empty or has no 'key: value'; keys are {_keys(model)}")
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        problems = "; ".join(_problem(model, each, replaced or {}) for each in error.errors())
+        raise ConfigurationError(f"{path}: {problems}") from error
+
+
+def _problem(model: type[BaseModel], error: Mapping[str, Any], replaced: Mapping[str, str]) -> str:
+    """Return one sentence about one wrong key: where, what, and what is allowed."""
+    place = [part for part in error["loc"] if part not in _MEMBERS]
+    name = ".".join(map(str, place)) or "file"
+    if error["type"] == "extra_forbidden" and name in replaced:
+        return f"{name} {replaced[name]}"
+    if error["type"] == "extra_forbidden":
+        return f"{name}: unknown key; known are {_keys(_section_at(model, place[:-1]))}"
+    if error["type"] == "missing":
+        return f"{name}: is missing"
+    words = f"{name}: {error['msg'].removeprefix('Value error, ')}"
+    return words if isinstance(error["input"], dict) else f"{words} (it is {error['input']!r})"
+
+
+def _section_at(model: type[BaseModel], place: Sequence[str | int]) -> type[BaseModel]:
+    """Return the section that a key path leads to."""
+    for position, part in enumerate(place):
+        if isinstance(part, str):
+            found = _sections_in(model.model_fields[part].annotation)
+            # of several that an entry of a list can be, the one that has the next key
+            following = next((each for each in place[position + 1 :] if isinstance(each, str)), None)
+            fitting = [each for each in found if following in each.model_fields]
+            model = next(iter(fitting or found), model)
+    return model
+
+
+def _sections_in(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    inner = [_sections_in(argument) for argument in getattr(annotation, "__args__", ())]
+    return [section for sections in inner for section in sections]
+
+
+def _keys(model: type[BaseModel]) -> str:
+    return ", ".join(model.model_fields)

@@ -1,0 +1,9 @@
+from .extensometer import StrainReading as StrainReading
+from .extensometer import VirtualExtensometer as VirtualExtensometer
+from .increments import accumulate as accumulate
+from .measure import Reference as Reference
+from .measure import measure_displacement as measure_displacement
+from .transfer import error_correlation as error_correlation
+from .transfer import noise_gain as noise_gain
+from .transfer import shortest_period as shortest_period
+from .transfer import transfer_function as transfer_function

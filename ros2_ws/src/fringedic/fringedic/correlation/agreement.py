@@ -1,0 +1,163 @@
+"""Where a measured displacement is valid, and its standard uncertainty, from the residuals of the fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fringedic.correlation import cell_kernels, node_kernels
+from fringedic.correlation.dense import TEXTURE, Field
+from fringedic.correlation.interpolation import tabulate_noise_gain
+from fringedic.correlation.pyramid import DERIVATIVE_NOISE, Level, count_nodes
+from fringedic.correlation.window import Window
+from fringedic.errors import CorrelationError, ErrorCode
+
+f4 = np.float32
+
+NOISE_GAIN = tabulate_noise_gain()
+# Smallest adjusted coefficient of determination of a valid point, and smallest share of the textured windows that has
+# to agree; test_another_scene_is_refused_by_every_window and test_patch_that_changed.
+SMALLEST_EXPLAINED = 0.25
+SMALLEST_AGREEMENT = 0.1
+# Share of a window with texture, and share of agreeing pixels next to a point, of a valid point;
+# test_a_bare_patch_is_not_measured and test_a_still_surface_beside_the_specimen.
+SMALLEST_COVERAGE = 1 / 2
+SMALLEST_SHARE = 1 / 3
+FEW = 20  # values from which a variance is known to 30 %: sqrt(2 / 20)
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Result at the nodes.
+
+    Attributes
+    ----------
+    displacement, sigma : (2, node row, node column) float32
+        Displacement and its standard uncertainty [px].
+    valid : (node row, node column) bool
+        Where they hold.
+    """
+
+    displacement: np.ndarray
+    sigma: np.ndarray
+    valid: np.ndarray
+
+
+def adjust_determination(correlation: np.ndarray, speckles: np.ndarray) -> np.ndarray:
+    """Return r^2 of a fit, adjusted for its parameters (two of motion, two of brightness).
+
+    With few independent speckles any two windows can be made to agree. The adjustment is limited to a factor of 10.
+
+    Parameters
+    ----------
+    correlation
+        Correlation coefficients, any shape.
+    speckles
+        Numbers of independent values.
+    """
+    freedom = np.maximum(speckles - 1, 1e-6)
+    return np.asarray(1 - (1 - np.clip(correlation, 0, 1) ** 2) * freedom / np.maximum(freedom - 4, freedom / 10))
+
+
+def count_textured_cells(level: Level, cell: int) -> int:
+    """Count the cells of a reference with a tenth of the gradient energy of its richest parts: a match is expected."""
+    cells = np.empty((cell_kernels.GYY + 1, *count_nodes(level.shape, cell)), f4)
+    cell_kernels.accumulate_gradients(level.along_x, level.along_y, cell, cells)
+    energy = np.empty(cells.shape[1:], f4)
+    node_kernels.average_gradient_energy(cells, energy)
+    return int(np.count_nonzero(energy > 0.1 * np.quantile(energy, 0.95)))
+
+
+def check_agreement(agreed: int, offered: int) -> None:
+    """Refuse a pair of images of which less than a tenth of the textured reference agrees.
+
+    Raises
+    ------
+    CorrelationError
+        With the code NO_CORRELATION.
+    """
+    if agreed <= SMALLEST_AGREEMENT * offered:
+        raise CorrelationError(
+            f"the deformed image does not correlate with the reference: {agreed} of {offered} windows with texture "
+            "agree. Check that both show the same surface, in focus; give `initial` from the step before if the motion "
+            "between them is large",
+            code=ErrorCode.NO_CORRELATION,
+        )
+
+
+def assess(field: Field, window: Window, offered: int) -> Nodes:
+    """Estimate the uncertainty of a finished field and decide where it is valid.
+
+    The covariance of a point is s^2 H^-1 times the mean of T^2 (Sutton, Orteu, Schreier 2009, section 5.6, with the
+    window's weights). s^2 is the local variance of the residual, corrected for the noise that interpolation averages
+    out, times the ratio of `_compare_with_white_noise`. A point is valid where at least half of its window is seen and
+    has texture beyond that of noise alone, where a third of its neighbourhood agrees (a window that extends over a
+    border also contains the motion of the other side), and where f and g correlate.
+
+    Parameters
+    ----------
+    field
+        From `estimate_nodes`.
+    window
+        It was measured with.
+    offered
+        Number of nodes that could have been measured.
+
+    Raises
+    ------
+    CorrelationError
+        Hardly any point agrees.
+
+    References
+    ----------
+    M. A. Sutton, J.-J. Orteu, H. W. Schreier (2009), Image correlation for shape, motion and deformation measurements,
+    Springer.
+    """
+    cells, sums, cell2 = field.cells, field.sums, window.cell**2
+    shape = sums.shape[1:]
+    estimate = np.empty((5, *shape), f4)
+    node_kernels.estimate_uncertainty(
+        field.nodes, cells, sums, NOISE_GAIN, window.gains.noise, DERIVATIVE_NOISE / 2 * cell2, TEXTURE, estimate
+    )
+    sigma, tau, rich, own = estimate[:2], estimate[2], estimate[3:4], estimate[4]
+    covered = np.empty_like(rich)
+    node_kernels.apply_window(rich, window.taps, covered)
+    # Agreement is evaluated in a window twice as large: a few speckles can always be made to agree.
+    wide = np.empty_like(sums)
+    node_kernels.apply_window(sums, window.taps, wide)
+    share, smallest = np.empty(shape, f4), np.empty(shape, f4)
+    node_kernels.measure_agreement(sums, wide, 4 * np.pi * window.deviation**2, share, smallest)
+    valid = (covered[0] >= f4(cell2 * SMALLEST_COVERAGE)) & (own > f4(SMALLEST_SHARE))
+    valid &= (smallest > f4(TEXTURE) * tau) & (share > SMALLEST_EXPLAINED)
+    check_agreement(int(np.count_nonzero(valid)), offered)
+    sigma *= f4(np.sqrt(_compare_with_white_noise(field, window, tau / f4(DERIVATIVE_NOISE / 2 * cell2), valid)))
+    # What is not valid keeps a usual value, so that interpolation between nodes does not overshoot next to it.
+    usual = np.median(sigma[:, valid][:, ::8])
+    return Nodes(field.nodes[:2], np.where(valid, sigma, usual), valid)
+
+
+def _compare_with_white_noise(field: Field, window: Window, pixel: np.ndarray, valid: np.ndarray) -> float:
+    """Return the variance of the sums of gradient times residual over that for independent residuals.
+
+    Only these sums move the displacement. Residuals of noise are independent. Residuals of interpolation, where grey
+    levels change faster than pixels follow, alternate from pixel to pixel and hardly change the sums; residuals of a
+    blurred or compressed noise agree and change the sums more. The sums that the fit left are compared with those that
+    it leaves of independent residuals, both through V: about the frequencies that T passes.
+
+    `pixel` is the local variance of the residual. Few values are uncertain and count as independent.
+    """
+    u, v = field.moved
+    gxx, gxy, gyy = field.cells[[cell_kernels.GXX, cell_kernels.GXY, cell_kernels.GYY]]
+    left = np.stack(
+        [field.cells[cell_kernels.GXE] - gxx * u - gxy * v, field.cells[cell_kernels.GYE] - gxy * u - gyy * v]
+    )
+    white = pixel * np.stack([gxx, gyy])
+    taps = np.zeros(node_kernels.REACH + 1, f4)
+    taps[: window.narrow_taps.size] = window.narrow_taps
+    through, expected = np.empty_like(left), np.empty_like(white)
+    node_kernels.apply_window(left, taps, through)
+    node_kernels.apply_window(white, taps**2, expected)
+    values = through[:, valid] ** 2 / np.maximum(expected[:, valid], f4(1e-30))
+    number = 2 * window.gains.independent * values.shape[1]
+    return float((number * float(values.mean()) / window.gains.left + FEW) / (number + FEW))

@@ -1,0 +1,323 @@
+"""Compiled loops of one warp: residuals of the displaced image and their weighted sums over cells.
+
+Sums are taken inside a cell only, so results do not depend on the number of threads.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+from fringedic.correlation.image_kernels import BORDER
+from fringedic.correlation.resampling_kernels import interpolate_row
+
+f4 = np.float32
+
+# Pixels that are interpolated together.
+GROUP = 16
+# Columns that are processed together for all rows of a cell: their scratch arrays stay in the fastest cache.
+BLOCK = 256
+
+
+class ImagePair(NamedTuple):
+    """Arrays of a reference and a deformed image on one level, as the kernels take them.
+
+    Attributes
+    ----------
+    values, along_x, along_y : (row, column) float32
+        Grey levels of the reference, NaN where not usable, and its derivatives [1/px].
+    coefficients : (row + 2 BORDER, column + 2 BORDER) float32
+        Spline coefficients of the deformed image.
+    weights : (3, 6) float32
+        Polynomials of the interpolation kernel, `interpolation.WEIGHTS`.
+    """
+
+    values: np.ndarray
+    along_x: np.ndarray
+    along_y: np.ndarray
+    coefficients: np.ndarray
+    weights: np.ndarray
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _sum_cells(line: np.ndarray, cell: int, out: np.ndarray) -> None:
+    """Sum a line over its cells; the last cell may be incomplete. Only strides known to the compiler are vectorised."""
+    whole = line.size // cell
+    if cell == 4:
+        for j in range(whole):
+            out[j] = (line[4 * j] + line[4 * j + 1]) + (line[4 * j + 2] + line[4 * j + 3])
+    else:
+        for j in range(whole):
+            out[j] = line[j * cell]
+        for k in range(1, cell):
+            for j in range(whole):
+                out[j] += line[j * cell + k]
+    if whole < out.size:
+        out[whole] = np.sum(line[whole * cell :])
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _interpolate_group(
+    coefficients: np.ndarray,
+    weights: np.ndarray,
+    corner: tuple[int, int],
+    along_x: np.ndarray,
+    along_y: np.ndarray,
+    keys: np.ndarray,
+    key: int,
+    out: np.ndarray,
+) -> None:
+    """Interpolate those pixels of a block whose integer displacement is `key`, with contiguous loads and no gathers.
+
+    `corner` is the place of the first of the 6 x 6 coefficients of the first pixel. `along_x` and `along_y` are
+    distances from the middle of the six pixels, see `interpolation.WEIGHTS`.
+    """
+    top, left = corner
+    right = left + out.size + 5
+    c0, c1, c2 = coefficients[top, left:right], coefficients[top + 1, left:right], coefficients[top + 2, left:right]
+    c3, c4, c5 = coefficients[top + 3, left:right], coefficients[top + 4, left:right], coefficients[top + 5, left:right]
+    p0, p1, p2, p3, p4, p5 = weights[0, 0], weights[0, 1], weights[0, 2], weights[0, 3], weights[0, 4], weights[0, 5]
+    q0, q1, q2, q3, q4, q5 = weights[1, 0], weights[1, 1], weights[1, 2], weights[1, 3], weights[1, 4], weights[1, 5]
+    r0, r1, r2, r3, r4, r5 = weights[2, 0], weights[2, 1], weights[2, 2], weights[2, 3], weights[2, 4], weights[2, 5]
+    for i in range(out.size):
+        x = along_x[i]
+        y = along_y[i]
+        x2 = x * x
+        y2 = y * y
+        even0, odd0 = p0 + x2 * (p2 + x2 * p4), x * (p1 + x2 * (p3 + x2 * p5))
+        even1, odd1 = q0 + x2 * (q2 + x2 * q4), x * (q1 + x2 * (q3 + x2 * q5))
+        even2, odd2 = r0 + x2 * (r2 + x2 * r4), x * (r1 + x2 * (r3 + x2 * r5))
+        a0, a5 = even0 + odd0, even0 - odd0
+        a1, a4 = even1 + odd1, even1 - odd1
+        a2, a3 = even2 + odd2, even2 - odd2
+        even0, odd0 = p0 + y2 * (p2 + y2 * p4), y * (p1 + y2 * (p3 + y2 * p5))
+        even1, odd1 = q0 + y2 * (q2 + y2 * q4), y * (q1 + y2 * (q3 + y2 * q5))
+        even2, odd2 = r0 + y2 * (r2 + y2 * r4), y * (r1 + y2 * (r3 + y2 * r5))
+        b0, b5 = even0 + odd0, even0 - odd0
+        b1, b4 = even1 + odd1, even1 - odd1
+        b2, b3 = even2 + odd2, even2 - odd2
+        s = b0 * (a0 * c0[i] + a1 * c0[i + 1] + a2 * c0[i + 2] + a3 * c0[i + 3] + a4 * c0[i + 4] + a5 * c0[i + 5])
+        s += b1 * (a0 * c1[i] + a1 * c1[i + 1] + a2 * c1[i + 2] + a3 * c1[i + 3] + a4 * c1[i + 4] + a5 * c1[i + 5])
+        s += b2 * (a0 * c2[i] + a1 * c2[i + 1] + a2 * c2[i + 2] + a3 * c2[i + 3] + a4 * c2[i + 4] + a5 * c2[i + 5])
+        s += b3 * (a0 * c3[i] + a1 * c3[i + 1] + a2 * c3[i + 2] + a3 * c3[i + 3] + a4 * c3[i + 4] + a5 * c3[i + 5])
+        s += b4 * (a0 * c4[i] + a1 * c4[i + 1] + a2 * c4[i + 2] + a3 * c4[i + 3] + a4 * c4[i + 4] + a5 * c4[i + 5])
+        s += b5 * (a0 * c5[i] + a1 * c5[i + 1] + a2 * c5[i + 2] + a3 * c5[i + 3] + a4 * c5[i + 4] + a5 * c5[i + 5])
+        if keys[i] == key:
+            out[i] = s
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _interpolate_block(
+    coefficients: np.ndarray,
+    weights: np.ndarray,
+    row: int,
+    column: int,
+    along_x: np.ndarray,
+    along_y: np.ndarray,
+    keys: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Interpolate a block of whole groups of pixels that begins at (row, column).
+
+    `keys` contains the integer displacement of each pixel; neighbours with the same one are processed together.
+    """
+    other = 0
+    for c in range(keys.size):
+        other += keys[c] != keys[0]
+    done = 0
+    while done < keys.size:
+        key = keys[done]
+        begin = done - done % GROUP
+        if other == 0:
+            done = keys.size
+        while done < keys.size and keys[done] == key:
+            done += 1
+        end = min(done + (GROUP - 1) - (done - 1 + GROUP) % GROUP, keys.size)
+        top = row + (key >> 15) - 16384 + BORDER - 2
+        left = column + begin + (key & 32767) - 16384 + BORDER - 2
+        _interpolate_group(
+            coefficients,
+            weights,
+            (top, left),
+            along_x[begin:end],
+            along_y[begin:end],
+            keys[begin:end],
+            key,
+            out[begin:end],
+        )
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _compute_residual(
+    images: ImagePair,
+    lines: np.ndarray,
+    cell: int,
+    r: int,
+    begin: int,
+    scratch: np.ndarray,
+    keys: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Compute e(p) = f(p) - gain(p) g(p + d(p)) - offset(p) in row r for the `out.size` pixels from column `begin` on.
+
+    `lines` (4, 2 + node row + 2, column) contains d_x, d_y, gain and offset resampled to the columns of the image. A
+    pixel is NaN if any of its 36 coefficients is. `scratch` (7, at least GROUP more than `out`) and `keys` are work
+    arrays; rows 2 and 3 of `scratch` contain gain and offset afterwards.
+    """
+    rows, columns = images.values.shape
+    size = out.size
+    whole = -(-size // GROUP) * GROUP
+    position = (r - 0.5 * (cell - 1)) / cell
+    for channel in range(4):
+        interpolate_row(lines[channel], position, begin, scratch[channel, :size])
+    dx, dy, gain, offset = scratch[0, :whole], scratch[1, :whole], scratch[2, :whole], scratch[3, :whole]
+    along_x, along_y, grey = scratch[4, :whole], scratch[5, :whole], scratch[6, :whole]
+    key = keys[:whole]
+    lowest, leftmost = f4(-4), f4(-4)
+    highest, rightmost = f4(rows + 3), f4(columns + 3)
+    for c in range(whole):
+        y = min(max(dy[c] + f4(r), lowest), highest)
+        fy = np.floor(y)
+        along_y[c] = y - fy - f4(0.5)
+        key[c] = (np.int32(fy) - np.int32(r) + np.int32(16384)) << 15
+    for c in range(whole):
+        x = min(max(dx[c] + f4(begin + c), leftmost), rightmost)
+        fx = np.floor(x)
+        along_x[c] = x - fx - f4(0.5)
+        key[c] += np.int32(fx) - np.int32(begin + c) + np.int32(16384)
+    key[size:] = key[size - 1]
+    _interpolate_block(images.coefficients, images.weights, r, begin, along_x, along_y, key, grey)
+    source = images.values[r, begin : begin + size]
+    for c in range(size):
+        out[c] = source[c] - gain[c] * grey[c] - offset[c]
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy", fastmath={"contract"})
+def average_residuals(images: ImagePair, lines: np.ndarray, cell: int, every: int, out: np.ndarray) -> None:
+    """Average abs(e), see `_compute_residual`, over each cell of every `every`-th node row.
+
+    NaN where no pixel is seen in both images.
+    """
+    rows, columns = images.values.shape
+    block = BLOCK // cell * cell
+    for line in prange(out.shape[0]):
+        scratch, keys = np.zeros((7, block + GROUP), f4), np.empty(block + GROUP, np.int32)
+        residual, numbers = np.empty(block, f4), np.empty(block // cell, f4)
+        total, count = np.empty(block, f4), np.empty(block, f4)
+        first = line * every * cell
+        for begin in range(0, columns, block):
+            size = min(block, columns - begin)
+            total[:] = f4(0)
+            count[:] = f4(0)
+            e = residual[:size]
+            for r in range(first, min(first + cell, rows)):
+                _compute_residual(images, lines, cell, r, begin, scratch, keys, e)
+                for c in range(size):
+                    good = e[c] == e[c]
+                    total[c] += abs(e[c]) if good else f4(0)
+                    count[c] += f4(1) if good else f4(0)
+            means = out[line, begin // cell : begin // cell + -(-size // cell)]
+            _sum_cells(total[:size], cell, means)
+            _sum_cells(count[:size], cell, numbers[: means.size])
+            for k in range(means.size):
+                means[k] = means[k] / numbers[k] if numbers[k] > f4(0) else f4(np.nan)
+
+
+# Channels of the sums of each cell. The last one is the number of pixels that could be compared.
+GXX, GXY, GYY, W, WF, WFF, WE, WEF, WEE, GXE, GYE, SEEN = range(12)
+CHANNELS = 12
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _add_products(
+    w: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray, sum_ab: np.ndarray, sum_ac: np.ndarray
+) -> None:
+    """Add w a b to one line and w a c to another."""
+    for k in range(w.size):
+        wa = w[k] * a[k]
+        sum_ab[k] += wa * b[k]
+        sum_ac[k] += wa * c[k]
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy", fastmath={"contract"})
+def accumulate_cells(
+    images: ImagePair,
+    lines: np.ndarray,
+    cell: int,
+    limit: float,
+    lowest: float,
+    highest: float,
+    out: np.ndarray,
+) -> None:
+    """Sum f, its gradient and the residual e with weights over each cell, out (CHANNELS, node row, node column).
+
+    See `_compute_residual` for e. Weights are one up to abs(e) = limit, decrease as Tukey's biweight and are zero from
+    twice the limit on: noise keeps its full weight, glare and decorrelated pixels have none. Pixels where g would have
+    to be below `lowest` or above `highest` have no weight either: saturation cuts their residuals on one side.
+    """
+    values, along_x, along_y, _, _ = images
+    rows, columns = values.shape
+    inverse = f4(1.0 / limit)
+    low, high = f4(lowest), f4(highest)
+    block = BLOCK // cell * cell
+    for node in prange(out.shape[1]):
+        sums = np.empty((CHANNELS, block), f4)
+        scratch, keys = np.zeros((7, block + GROUP), f4), np.empty(block + GROUP, np.int32)
+        residual, kept, clean_f, clean_e = (
+            np.empty(block, f4),
+            np.empty(block, f4),
+            np.empty(block, f4),
+            np.empty(block, f4),
+        )
+        for begin in range(0, columns, block):
+            size = min(block, columns - begin)
+            end = begin + size
+            sums[:] = f4(0)
+            e, weight, grey, rest = residual[:size], kept[:size], clean_f[:size], clean_e[:size]
+            w, wf, we, seen = sums[W, :size], sums[WF, :size], sums[WE, :size], sums[SEEN, :size]
+            for r in range(node * cell, min(node * cell + cell, rows)):
+                _compute_residual(images, lines, cell, r, begin, scratch, keys, e)
+                f, gx, gy = values[r, begin:end], along_x[r, begin:end], along_y[r, begin:end]
+                gain, offset = scratch[2, :size], scratch[3, :size]
+                for c in range(size):
+                    good = e[c] == e[c]
+                    rest[c] = e[c] if good else f4(0)
+                    grey[c] = f[c] if good else f4(0)
+                for c in range(size):
+                    over = min(max(abs(rest[c]) * inverse - f4(1), f4(0)), f4(1))
+                    share = f4(1) - over * over
+                    weight[c] = share * share if e[c] == e[c] else f4(0)
+                for c in range(size):
+                    inside = gain[c] * low < f[c] - offset[c] and f[c] - offset[c] < gain[c] * high and e[c] == e[c]
+                    weight[c] = weight[c] if inside else f4(0)
+                    seen[c] += f4(1) if inside else f4(0)
+                # Two sums at a time: compilers vectorise loops that write to few arrays.
+                _add_products(weight, gx, gx, gy, sums[GXX, :size], sums[GXY, :size])
+                _add_products(weight, gy, gy, rest, sums[GYY, :size], sums[GYE, :size])
+                _add_products(weight, rest, gx, rest, sums[GXE, :size], sums[WEE, :size])
+                _add_products(weight, grey, grey, rest, sums[WFF, :size], sums[WEF, :size])
+                for c in range(size):
+                    w[c] += weight[c]
+                    wf[c] += weight[c] * grey[c]
+                for c in range(size):
+                    we[c] += weight[c] * rest[c]
+            for channel in range(CHANNELS):
+                _sum_cells(
+                    sums[channel, :size], cell, out[channel, node, begin // cell : begin // cell + -(-size // cell)]
+                )
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def accumulate_gradients(along_x: np.ndarray, along_y: np.ndarray, cell: int, out: np.ndarray) -> None:
+    """Sum the products of the gradient over each cell, out (GYY + 1, node row, node column)."""
+    rows, columns = along_x.shape
+    for node in prange(out.shape[1]):
+        sums, one = np.zeros((GYY + 1, columns), f4), np.ones(columns, f4)
+        unused = np.empty(columns, f4)
+        for r in range(node * cell, min(node * cell + cell, rows)):
+            _add_products(one, along_x[r], along_x[r], along_y[r], sums[GXX], sums[GXY])
+            _add_products(one, along_y[r], along_y[r], along_x[r], sums[GYY], unused)
+        for channel in range(GYY + 1):
+            _sum_cells(sums[channel], cell, out[channel, node])

@@ -1,0 +1,3 @@
+from .writing import FORMATS as FORMATS
+from .writing import Exported as Exported
+from .writing import export_dataset as export_dataset

@@ -1,0 +1,2 @@
+from .animation import save_animation as save_animation
+from .maps import save_pictures as save_pictures

@@ -1,0 +1,116 @@
+"""Animations of a map over the steps."""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+
+from fringedic.errors import DatasetError, optional_import
+from fringedic.figures.maps import map_figure, redraw_map
+from fringedic.figures.panels import Panel
+from fringedic.results.attributes import origin_text
+
+if TYPE_CHECKING:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.colors import Colormap
+    from PIL import Image
+
+FRAMES = 60  # of longer experiments every n-th step is shown
+FRAME_MS, LAST_FRAME_MS = 250, 1500
+_GREYS = 40  # of the 256 colours of a GIF; all others are colours of the map, so that no artificial contours appear
+
+
+def save_animation(dataset: xr.Dataset, file: str | os.PathLike[str], panel: Panel) -> Path:
+    """Write a map over the steps as a GIF with one colour scale for all steps.
+
+    Parameters
+    ----------
+    dataset
+        From `fringedic.open_experiment`.
+    file
+        The GIF.
+    panel
+        The map and its unit.
+
+    Raises
+    ------
+    DatasetError
+        No step has the map.
+    FringedicError
+        The package ``matplotlib`` or ``pillow`` is not installed.
+    """
+    path = Path(file)
+    path.write_bytes(animation(dataset, panel))
+    return path
+
+
+def animation(dataset: xr.Dataset, panel: Panel) -> bytes:
+    """Return a map over the steps as a GIF; see `save_animation`."""
+    with optional_import("figures"):
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from PIL import Image
+    steps = _measured(dataset, panel.name)
+    if not steps:
+        raise DatasetError(f"no step has the map {panel.name}")
+    steps = steps[:: -(-len(steps) // FRAMES)]
+    limits = _limits(dataset, panel, steps)
+    figure = map_figure(dataset.sel(step=steps[0]), panel, limits, title=_title(steps[0], panel))
+    canvas, palette = FigureCanvasAgg(figure), _palette(figure.axes[0].images[0].get_cmap())
+    frames: list[Image.Image] = []
+    for step in steps:
+        if frames:
+            redraw_map(figure, dataset.sel(step=step), panel, title=_title(step, panel))
+        frames.append(_drawn(canvas).quantize(palette=palette, dither=Image.Dither.NONE))
+    stream = io.BytesIO()
+    durations = [FRAME_MS] * (len(frames) - 1) + [LAST_FRAME_MS]
+    frames[0].save(
+        stream,
+        format="GIF",
+        save_all=True,
+        append_images=frames[1:],
+        duration=durations,
+        loop=0,
+        comment=origin_text(dataset).encode("ascii"),
+    )
+    return stream.getvalue()
+
+
+def _drawn(canvas: FigureCanvasAgg) -> Image.Image:
+    from PIL import Image
+
+    canvas.draw()  # type: ignore[no-untyped-call]
+    pixels = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+    return Image.fromarray(pixels).convert("RGB")
+
+
+def _palette(colours: Colormap) -> Image.Image:
+    """Return a picture with the colours of a map, and greys for axes and texts."""
+    from PIL import Image
+
+    shades = np.concatenate([colours(np.linspace(0, 1, 256 - _GREYS))[:, :3], np.linspace([0] * 3, [1] * 3, _GREYS)])
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(np.round(255 * shades).astype(np.uint8).tobytes())
+    return palette
+
+
+def _title(step: int, panel: Panel) -> str:
+    return f"step {step}: {panel.title}"
+
+
+def _measured(dataset: xr.Dataset, name: str) -> list[int]:
+    if name not in dataset:
+        return []
+    return [int(step) for step in dataset["step"].values if np.isfinite(dataset[name].sel(step=step).values).any()]
+
+
+def _limits(dataset: xr.Dataset, panel: Panel, steps: Sequence[int]) -> tuple[float, float]:
+    """Return the ends of the colour scale over all steps, in the panel's unit."""
+    ends = [np.nanpercentile(dataset[panel.name].sel(step=step).values, (0.5, 99.5)) / panel.factor for step in steps]
+    low, high = float(min(end[0] for end in ends)), float(max(end[1] for end in ends))
+    return (low, high) if high > low else (low - 0.5, low + 0.5)

@@ -1,0 +1,200 @@
+"""Interactive charts: the surface with its displacement, and curves over the steps."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from fringedic.errors import DatasetError, optional_import
+
+with optional_import("report"):
+    import plotly.graph_objects as go
+
+MILLI, MICRO, MEGA = 1e-3, 1e-6, 1e6
+SURFACE_POINTS = 160  # along the longer side
+VECTORS = 22  # along the longer side
+_LONGEST_VECTOR = 0.12  # of the surface's longer side
+_STRAINS = ("e_11", "e_22", "e_12")
+_LAYOUT: dict[str, Any] = {
+    "template": "plotly_white",
+    "margin": {"l": 60, "r": 20, "t": 50, "b": 50},
+    "height": 380,
+}
+
+
+def surface_chart(step: xr.Dataset) -> go.Figure:
+    """Return the moved surface of a step [mm], coloured by w [µm], with its displacement as lines.
+
+    Raises
+    ------
+    DatasetError
+        The step has no surface.
+    """
+    arrays = {name: _thinned(step[name].values, SURFACE_POINTS) for name in "xyzuvw"}
+    if not np.isfinite(arrays["w"]).any():
+        raise DatasetError(f"step {int(step.step)} has no surface")
+    at = [(arrays[axis] + arrays[way]) / MILLI for axis, way in zip("xyz", "uvw", strict=True)]
+    unmeasured = ~np.isfinite(at[0] + at[1] + at[2])
+    for values in at:
+        values[unmeasured] = np.nan
+    figure = go.Figure(
+        go.Surface(
+            x=_filled(at[0]),
+            y=_filled(at[1]),
+            z=_short(at[2], 5),
+            surfacecolor=_short(arrays["w"] / MICRO, 3),
+            colorscale="Viridis",
+            colorbar={"title": "w [µm]"},
+            hovertemplate="x %{x:.3f} mm<br>y %{y:.3f} mm<br>z %{z:.4f} mm<br>w %{surfacecolor:.2f} µm<extra></extra>",
+        )
+    )
+    title = f"Step {int(step.step)}: surface"
+    lines, heads, factor = _vectors(step)
+    if len(heads[0]):
+        title += f" and displacement x {factor:.3g}, from the line's end to its dot"
+        along = dict(zip("xyz", lines, strict=True))
+        figure.add_trace(go.Scatter3d(**along, mode="lines", line={"color": "crimson", "width": 3}, hoverinfo="skip"))
+        tips = dict(zip("xyz", heads, strict=True))
+        figure.add_trace(go.Scatter3d(**tips, mode="markers", marker={"color": "crimson", "size": 2}, hoverinfo="skip"))
+    axes: dict[str, Any] = {f"{axis}axis_title": f"{axis} [mm]" for axis in "xyz"}
+    axes |= {"aspectmode": "data", "camera": {"eye": {"x": 0.6, "y": -1.9, "z": 1.6}}}
+    figure.update_layout(**{**_LAYOUT, "height": 620}, title=title, scene=axes, showlegend=False)
+    return figure
+
+
+def _vectors(step: xr.Dataset) -> tuple[list[np.ndarray], list[np.ndarray], float]:
+    """Return the displacement as separate lines [mm], their heads, and the factor of their length.
+
+    The lines are above the surface: where it sinks they end on it, where it rises they start from it.
+    """
+    thin = {name: _thinned(step[name].values, VECTORS).astype(np.float64) for name in "xyzuvw"}
+    known = np.isfinite(sum(thin.values()))
+    length = np.sqrt(thin["u"] ** 2 + thin["v"] ** 2 + thin["w"] ** 2)[known]
+    if not length.size or length.max() == 0:
+        return [np.zeros(0)] * 3, [np.zeros(0)] * 3, 1.0
+    size = max(np.ptp(thin[axis][known]) for axis in "xy")
+    factor = _LONGEST_VECTOR * size / length.max()
+    before = np.where(thin["w"][known] < 0, factor, 0.0)
+    lines, heads = [], []
+    for axis, way in zip("xyz", "uvw", strict=True):
+        moved = thin[way][known]
+        tail = thin[axis][known] + moved - before * moved
+        head = tail + factor * moved
+        lines.append(_short(np.stack([tail, head, np.full_like(tail, np.nan)], axis=-1).ravel() / MILLI, 4))
+        heads.append(_short(head / MILLI, 4))
+    return lines, heads, factor
+
+
+def curve_charts(dataset: xr.Dataset, section: float | None) -> list[go.Figure]:
+    """Return displacement, strain and force over the steps, and force or stress over strain.
+
+    Parameters
+    ----------
+    dataset
+        The experiment.
+    section
+        Area that carries the force [m²], None when it is not known.
+    """
+    numbers = dataset["step"].values
+    figures = [
+        _over("Median displacement", "step", "displacement [µm]", numbers, _medians(dataset, "uvw", MICRO)),
+    ]
+    strains = _medians(dataset, _STRAINS, MICRO)
+    if strains:
+        figures.append(_over("Median strain", "step", "strain [µm/m]", numbers, strains))
+    force, position = dataset["force"].values, dataset["position"].values / MILLI
+    if np.isfinite(force).any():
+        if np.isfinite(position).any():
+            curve = {"force": force}
+            figures.append(_over("Force over crosshead position", "position [mm]", "force [N]", position, curve))
+        largest = max(strains, key=lambda name: _range(strains[name]), default=None)
+        if largest is not None:
+            title, label, values = "Force over strain", "force [N]", force
+            if section is not None:
+                title, label, values = "Stress over strain", "stress [MPa]", force / section / MEGA
+            figures.append(_over(title, f"median {largest} [µm/m]", label, strains[largest], {label: values}))
+    return [figure for figure in figures if figure.data]
+
+
+def extensometer_charts(
+    dataset: xr.Dataset, gauges: Mapping[str, xr.Dataset], section: float | None
+) -> list[go.Figure]:
+    """Return the strain of virtual extensometers over the steps, and force or stress over it.
+
+    Parameters
+    ----------
+    dataset
+        The experiment.
+    gauges
+        From `fringedic.extensometer`, by name.
+    section
+        Area that carries the force [m²], None when it is not known.
+    """
+    if not gauges:
+        return []
+    strains = {name: each["strain"].values / MICRO for name, each in gauges.items()}
+    over_steps = _over("Virtual extensometers", "step", "strain [µm/m]", dataset["step"].values, strains)
+    for trace, each in zip(over_steps.data, gauges.values(), strict=True):
+        if "sigma_strain" in each:
+            trace.error_y = {"type": "data", "array": (each["sigma_strain"].values / MICRO).tolist()}
+    figures = [over_steps]
+    force = dataset["force"].values
+    if np.isfinite(force).any():
+        title, label, load = "Force over their strain", "force [N]", force
+        if section is not None:
+            title, label, load = "Stress over their strain", "stress [MPa]", force / section / MEGA
+        curves = go.Figure()
+        for name, strain in strains.items():
+            curves.add_trace(go.Scatter(x=strain.tolist(), y=load.tolist(), mode="lines+markers", name=name))
+        layout = {"title": title, "xaxis_title": "strain [µm/m]", "yaxis_title": label, "hovermode": "closest"}
+        figures.append(curves.update_layout(**_LAYOUT, **layout, showlegend=len(gauges) > 1))
+    return figures
+
+
+def _range(values: np.ndarray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.ptp(finite)) if finite.size else 0.0
+
+
+def _medians(dataset: xr.Dataset, names: Iterable[str], unit: float) -> dict[str, np.ndarray]:
+    """Return the median over all points of each step, in a unit; quantities that no step has are left out."""
+    medians: dict[str, np.ndarray] = {}
+    for name in names:
+        if name not in dataset:
+            continue
+        values = np.full(dataset.sizes["step"], np.nan)
+        for index in range(len(values)):
+            values_of_step = dataset[name].isel(step=index).values
+            if np.isfinite(values_of_step).any():
+                values[index] = np.nanmedian(values_of_step) / unit
+        if np.isfinite(values).any():
+            medians[name] = values
+    return medians
+
+
+def _over(title: str, across: str, up: str, x: np.ndarray, curves: dict[str, np.ndarray]) -> go.Figure:
+    figure = go.Figure()
+    for name, values in curves.items():
+        figure.add_trace(go.Scatter(x=x.tolist(), y=values.tolist(), mode="lines+markers", name=name))
+    figure.update_layout(
+        **_LAYOUT, title=title, xaxis_title=across, yaxis_title=up, showlegend=len(curves) > 1, hovermode="closest"
+    )
+    return figure
+
+
+def _thinned(values: np.ndarray, points: int) -> np.ndarray:
+    thin = max(1, -(-max(values.shape) // points))
+    return values[thin // 2 :: thin, thin // 2 :: thin]
+
+
+def _filled(positions: np.ndarray) -> np.ndarray:
+    """Return positions without gaps, as the chart needs them; points without z are not drawn."""
+    finite = positions[np.isfinite(positions)]
+    return _short(np.where(np.isfinite(positions), positions, finite.mean()), 4)
+
+
+def _short(values: np.ndarray, digits: int) -> np.ndarray:
+    return np.round(values.astype(np.float32), digits)

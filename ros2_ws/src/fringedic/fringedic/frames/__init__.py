@@ -1,0 +1,5 @@
+"""Exposed frames: records, complete stacks, exposure times, image files, image messages, regions, camera noise."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

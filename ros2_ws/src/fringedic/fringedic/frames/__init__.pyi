@@ -1,0 +1,10 @@
+from .collector import FrameCollector as FrameCollector
+from .collector import Stack as Stack
+from .exposures import merge_exposures as merge_exposures
+from .messages import cloud_arrays as cloud_arrays
+from .messages import image_array as image_array
+from .noise import CameraNoise as CameraNoise
+from .records import FrameRecord as FrameRecord
+from .records import frame_record as frame_record
+from .records import stamp_of as stamp_of
+from .region import Region as Region

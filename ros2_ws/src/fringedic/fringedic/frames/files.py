@@ -1,0 +1,53 @@
+"""Reads grey levels from image files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from fringedic.errors import ImageError
+from fringedic.frames.grey import luminance
+
+IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
+
+
+def read_grey(path: Path) -> np.ndarray:
+    """Return the grey levels of an image file; colours and palettes become their luminance.
+
+    Parameters
+    ----------
+    path
+        File of a format that OpenCV reads, see ``IMAGE_SUFFIXES``.
+
+    Returns
+    -------
+    ndarray
+        uint8 or uint16, shape (row, column).
+
+    Raises
+    ------
+    ImageError
+        The file is missing, is no image, or has another pixel type.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "image.png"
+    ...     _ = cv2.imwrite(str(file), np.full((2, 3), 4000, np.uint16))
+    ...     read_grey(file)
+    array([[4000, 4000, 4000],
+           [4000, 4000, 4000]], dtype=uint16)
+    """
+    try:
+        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+    except OSError as error:
+        raise ImageError(f"{path} cannot be read: {error.strerror}") from error
+    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    if image is None:
+        raise ImageError(f"{path} is not an image that can be read")
+    if image.dtype not in (np.uint8, np.uint16):
+        raise ImageError(f"{path} has pixels of type {image.dtype}; 8 or 16 bits are needed")
+    return image if image.ndim == 2 else luminance(image)

@@ -1,0 +1,254 @@
+"""Regions of the camera's image: polygons and their masks."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from fringedic.errors import ImageError
+
+SUBPIXEL_BITS = 4  # of the corners, when they are drawn
+Point = tuple[float, float]
+"""A position (column, row) in an image [px]."""
+
+
+class _PolygonEntry(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    points: list[tuple[float, float]] = Field(min_length=3)
+    hole: bool = False
+
+
+class _RegionFile(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    width: int = Field(ge=1)
+    height: int = Field(ge=1)
+    polygons: list[_PolygonEntry] = Field(min_length=1)
+
+
+@dataclass(frozen=True)
+class Polygon:
+    """A closed polygon.
+
+    Attributes
+    ----------
+    points
+        Corners (column, row) [px], at least three.
+    hole
+        Cut out of the polygons before it instead of filled.
+
+    Raises
+    ------
+    ImageError
+        There are fewer than three corners.
+    """
+
+    points: tuple[Point, ...]
+    hole: bool = False
+
+    def __post_init__(self) -> None:
+        if len(self.points) < 3:
+            raise ImageError(f"a polygon has {len(self.points)} corners: it needs at least three")
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of the camera's image, bounded by polygons; positions are (column, row) [px].
+
+    Pixels on the boundary of a polygon belong to it.
+
+    Attributes
+    ----------
+    polygons
+        In the order in which they are filled or cut out.
+    width, height
+        Size of the images in which the region was drawn [px]; None for a region that is not bound to a size.
+
+    Raises
+    ------
+    ImageError
+        `polygons` contains something else than polygons.
+
+    Examples
+    --------
+    >>> region = Region.rectangle((1, 0), (3, 1))
+    >>> region.mask_for((3, 5)).astype(int)
+    array([[0, 1, 1, 1, 0],
+           [0, 1, 1, 1, 0],
+           [0, 0, 0, 0, 0]])
+    """
+
+    polygons: tuple[Polygon, ...]
+    width: int | None = None
+    height: int | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.polygons, tuple) or not all(isinstance(each, Polygon) for each in self.polygons):
+            raise ImageError(
+                "a region consists of polygons: use Region.rectangle(first, last) or Region.polygon(corners), "
+                "with positions (column, row)"
+            )
+
+    @classmethod
+    def rectangle(cls, first: Point, last: Point) -> Region:
+        """Return the rectangle between two opposite corners (column, row) [px], both included."""
+        (left, top), (right, bottom) = first, last
+        return cls.polygon([(left, top), (right, top), (right, bottom), (left, bottom)])
+
+    @classmethod
+    def polygon(cls, corners: Sequence[Point]) -> Region:
+        """Return the region inside one polygon.
+
+        Parameters
+        ----------
+        corners
+            (column, row) [px], at least three.
+
+        Raises
+        ------
+        ImageError
+            There are fewer than three corners.
+
+        Examples
+        --------
+        >>> int(Region.polygon([(0, 0), (4, 0), (0, 4)]).mask_for((5, 5)).sum())
+        15
+        """
+        return cls((Polygon(tuple((float(column), float(row)) for column, row in corners)),))
+
+    def mask(self) -> np.ndarray:
+        """Return the mask for images of the region's own size: booleans (row, column), True inside.
+
+        Raises
+        ------
+        ImageError
+            The region is not bound to a size of images.
+        """
+        if self.width is None or self.height is None:
+            raise ImageError("the region has no image size: ask for the mask of an image by mask_for(shape)")
+        return self._filled(self.width, self.height)
+
+    def mask_for(self, shape: tuple[int, ...]) -> np.ndarray:
+        """Return the mask for an image of a shape (row, column): booleans, True inside.
+
+        Raises
+        ------
+        ImageError
+            The region was drawn in an image of another size, or is empty.
+        """
+        if self.width is not None and tuple(shape) != (self.height, self.width):
+            raise ImageError(
+                f"the region was drawn in an image of {self.width}x{self.height} px, this one has "
+                f"{shape[1]}x{shape[0]} px: draw it again with 'fringedic region'"
+            )
+        mask = self._filled(shape[1], shape[0])
+        if not mask.any():
+            raise ImageError("the region is empty: its holes leave nothing to measure")
+        return mask
+
+    def mask_at(self, columns: ArrayLike, rows: ArrayLike) -> np.ndarray:
+        """Return which points of a grid of pixels lie in the region.
+
+        Parameters
+        ----------
+        columns, rows
+            Pixel positions of the grid lines, shapes (column,) and (row,) [px], such as the coordinates of a dataset.
+
+        Returns
+        -------
+        ndarray
+            Booleans (row, column), True inside.
+
+        Examples
+        --------
+        >>> Region.rectangle((4, 0), (8, 4)).mask_at(columns=[0, 4, 8, 12], rows=[0, 4, 8]).astype(int)
+        array([[0, 1, 1, 0],
+               [0, 1, 1, 0],
+               [0, 0, 0, 0]])
+        """
+        column, row = np.asarray(columns, int), np.asarray(rows, int)
+        mask = self._filled(int(column.max()) + 1, int(row.max()) + 1)
+        return np.asarray(mask[np.ix_(row, column)])
+
+    def _filled(self, width: int, height: int) -> np.ndarray:
+        mask = np.zeros((height, width), np.uint8)
+        for polygon in self.polygons:
+            corners = np.round(np.array(polygon.points) * (1 << SUBPIXEL_BITS)).astype(np.int32)
+            cv2.fillPoly(mask, [corners], 0 if polygon.hole else 1, shift=SUBPIXEL_BITS)
+        return mask.astype(bool)
+
+    def to_text(self) -> str:
+        """Return the region as one line of YAML, the form of the parameter ``region`` of the dic node."""
+        return yaml.safe_dump(self._content(), default_flow_style=True, width=10**6).strip()
+
+    @classmethod
+    def from_text(cls, text: str) -> Region:
+        """Read what `to_text` or `save` wrote.
+
+        Raises
+        ------
+        ImageError
+            The text is no region.
+        """
+        try:
+            found = _RegionFile.model_validate(yaml.safe_load(text))
+        except yaml.YAMLError as error:
+            raise ImageError(f"region: no YAML: {error}") from error
+        except ValidationError as error:
+            problems = "; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors())
+            raise ImageError(f"region: {problems}") from error
+        polygons = tuple(Polygon(tuple(polygon.points), polygon.hole) for polygon in found.polygons)
+        return cls(polygons, found.width, found.height)
+
+    def save(self, picture: str | os.PathLike[str]) -> tuple[Path, Path]:
+        """Write the mask as an image (white inside), and beside it the polygons as YAML; return both paths.
+
+        Raises
+        ------
+        ImageError
+            The region is not bound to a size of images, or the image cannot be written.
+        OSError
+            The polygons cannot be written.
+        """
+        target = Path(picture)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            written = cv2.imwrite(str(target), self.mask().astype(np.uint8) * 255)
+        except cv2.error as error:
+            raise ImageError(f"{target}: cannot be written as an image; take a name that ends in .png") from error
+        if not written:
+            raise ImageError(f"{target}: cannot be written")
+        corners = target.with_suffix(".yaml")
+        head = "# Region of interest: corners are [column, row] in pixels of the camera's image, holes are cut out\n"
+        corners.write_text(head + yaml.safe_dump(self._content(), default_flow_style=None, sort_keys=False))
+        return target, corners
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Region:
+        """Read the polygons that `save` wrote.
+
+        Raises
+        ------
+        ImageError
+            The file cannot be read, or holds no region.
+        """
+        try:
+            return cls.from_text(Path(path).read_text("utf-8"))
+        except (OSError, UnicodeDecodeError) as error:
+            raise ImageError(f"{path}: cannot be read: {error}") from error
+        except ImageError as error:
+            raise ImageError(f"{path}: {error}") from error
+
+    def _content(self) -> dict[str, object]:
+        polygons = [
+            {"hole": polygon.hole, "points": [[round(float(x), 2), round(float(y), 2)] for x, y in polygon.points]}
+            for polygon in self.polygons
+        ]
+        return {"width": self.width, "height": self.height, "polygons": polygons}

@@ -1,0 +1,5 @@
+"""Patterns that the projector shows: pattern of a frame, sequences, Gray code, response curve of the projector."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

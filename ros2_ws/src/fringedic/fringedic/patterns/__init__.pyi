@@ -1,0 +1,10 @@
+from .pattern import Orientation as Orientation
+from .pattern import PatternKind as PatternKind
+from .pattern import ProjectedPattern as ProjectedPattern
+from .render import render_pattern as render_pattern
+from .response import ResponseCurve as ResponseCurve
+from .sequences import PatternSequence as PatternSequence
+from .sequences import fringe_sequence as fringe_sequence
+from .sequences import gray_code_sequence as gray_code_sequence
+from .sequences import one_image_sequence as one_image_sequence
+from .sequences import step_sequence as step_sequence

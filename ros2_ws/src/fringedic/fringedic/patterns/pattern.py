@@ -1,0 +1,104 @@
+"""The pattern of one frame: its kind, and pitch, shift and orientation of its fringes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Protocol
+
+
+class PatternKind(IntEnum):
+    """What the projector shows during an exposure, with the numbers of ``fringedic_msgs/Exposure``."""
+
+    WHITE = 0
+    FRINGES = 1
+    OTHER = 2
+    GRAY_CODE = 3
+    GREY = 4
+
+
+PHASE_KINDS = frozenset({PatternKind.FRINGES, PatternKind.GRAY_CODE, PatternKind.GREY})  # frames of a fringe step
+
+
+class Orientation(IntEnum):
+    """Direction of the fringes, with the numbers of ``fringedic_msgs/Exposure``.
+
+    ``VERTICAL`` fringes run along y and their phase grows with x. ``HORIZONTAL`` fringes run along x and their phase
+    grows with y.
+    """
+
+    VERTICAL = 0
+    HORIZONTAL = 1
+
+
+@dataclass(frozen=True)
+class ProjectedPattern:
+    """The pattern of one frame; fringes are ``I = A + B cos(phi - 2 pi shift / shifts)``.
+
+    Attributes
+    ----------
+    kind
+        White light, fringes, one bit of a Gray code that numbers fringes, uniform grey, or a set-up pattern.
+    orientation
+        Direction of the fringes.
+    pitch
+        Fringe pitch [projector px], 0 without fringes.
+    shift
+        Fringes: k of eq. 11, from 1 on. Gray code: number of the bit, 1 for the coarsest. Uniform grey: numerator of
+        the brightness shift / shifts. Otherwise 0.
+    shifts
+        Fringes: q of eq. 11. Gray code: number of bits. Uniform grey: denominator of the brightness. Otherwise 0.
+
+    Examples
+    --------
+    >>> print(ProjectedPattern(PatternKind.FRINGES, pitch=10.0, shift=2, shifts=4))
+    vertical fringes, pitch 10 px, shift 2 of 4
+    """
+
+    kind: PatternKind
+    orientation: Orientation = Orientation.VERTICAL
+    pitch: float = 0.0
+    shift: int = 0
+    shifts: int = 0
+
+    def __str__(self) -> str:
+        if self.kind == PatternKind.GREY:
+            return f"uniform grey of {self.shift}/{self.shifts}"
+        if self.kind == PatternKind.GRAY_CODE:
+            fringes = f"{self.orientation.name.lower()} fringes of pitch {self.pitch:g} px"
+            return f"bit {self.shift} of {self.shifts} of the Gray code for {fringes}"
+        if self.kind != PatternKind.FRINGES:
+            return self.kind.name.lower()
+        return f"{self.orientation.name.lower()} fringes, pitch {self.pitch:g} px, shift {self.shift} of {self.shifts}"
+
+
+class PatternMessage(Protocol):
+    """Fields that describe a pattern in an exposure, a request or any other message."""
+
+    kind: int
+    orientation: int
+    pitch: float
+    shift: int
+    shifts: int
+
+
+def pattern_of_message(message: PatternMessage) -> ProjectedPattern:
+    """Return the pattern that a message describes.
+
+    Parameters
+    ----------
+    message
+        Any object with the fields kind, orientation, pitch, shift and shifts of ``fringedic_msgs/Exposure``.
+
+    Raises
+    ------
+    ValueError
+        Kind or orientation is not one of the defined numbers.
+    """
+    return ProjectedPattern(
+        kind=PatternKind(message.kind),
+        orientation=Orientation(message.orientation),
+        pitch=message.pitch,
+        shift=message.shift,
+        shifts=message.shifts,
+    )

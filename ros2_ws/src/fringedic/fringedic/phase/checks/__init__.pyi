@@ -1,0 +1,1 @@
+from .stack import check_stack as check_stack

@@ -1,0 +1,148 @@
+"""Sample of a stack for its checks: grey levels of a few thousand pixels, and the sinusoids through them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from fringedic.patterns.pattern import Orientation
+from fringedic.phase.layout import Layout, shift_angles
+
+_SAMPLES = 6000  # pixels: the checks of 20 frames then take about 20 ms (docs/validation/phase.md)
+_MANY_FRINGES = 5.0  # in view; with so many the phases of the sample are spread evenly over the circle
+
+
+@dataclass
+class Sample:
+    """Some pixels of a stack with their neighbours, and the sinusoids of each pitch at these pixels.
+
+    Attributes
+    ----------
+    layout
+        Layout of the stack.
+    levels, right, left, below, above
+        Grey levels at the pixel, and one pixel to the right, left, below and above, shape (frame, pixel).
+    x, y
+        Position in the image, -1 to 1, shape (pixel,).
+    size
+        Rows and columns of the image.
+    angles
+        2 pi k / q of the frames of each pitch [rad].
+    fits
+        Mean, B cos(phi) and B sin(phi) of each pitch [grey level], shape (3, pixel).
+    """
+
+    layout: Layout
+    levels: np.ndarray
+    right: np.ndarray
+    left: np.ndarray
+    below: np.ndarray
+    above: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    size: tuple[int, int]
+    angles: list[np.ndarray] = field(default_factory=list)
+    fits: list[np.ndarray] = field(default_factory=list)
+    _growth: dict[int, np.ndarray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.angles:
+            self.angles = [shift_angles(period) for period in self.layout.periods]
+            self.fits = [fit_wave(*each) for each in zip(self.groups(), self.angles, strict=True)]
+
+    @classmethod
+    def from_stack(cls, frames: np.ndarray, layout: Layout) -> Sample:
+        """Sample a stack, shape (frame, row, column), on a regular grid of pixels."""
+        _, rows, columns = frames.shape
+        skip = max(3, math.ceil(math.sqrt(rows * columns / _SAMPLES)))
+        height, width = max(rows - 2, 0), max(columns - 2, 0)
+
+        def at(down: int, right: int) -> np.ndarray:
+            part = frames[:, 1 + down : 1 + down + height : skip, 1 + right : 1 + right + width : skip]
+            return part.reshape(len(frames), -1).astype(np.float32)
+
+        y, x = np.meshgrid(np.linspace(-1, 1, height)[::skip], np.linspace(-1, 1, width)[::skip], indexing="ij")
+        return cls(
+            layout=layout,
+            levels=at(0, 0),
+            right=at(0, 1),
+            left=at(0, -1),
+            below=at(1, 0),
+            above=at(-1, 0),
+            x=x.ravel(),
+            y=y.ravel(),
+            size=(rows, columns),
+        )
+
+    def select(self, which: np.ndarray) -> Sample:
+        """Return some of the pixels, selected by a mask."""
+        if which.all():
+            return self
+        return Sample(
+            layout=self.layout,
+            levels=self.levels[:, which],
+            right=self.right[:, which],
+            left=self.left[:, which],
+            below=self.below[:, which],
+            above=self.above[:, which],
+            x=self.x[which],
+            y=self.y[which],
+            size=self.size,
+            angles=self.angles,
+            fits=[fit[:, which] for fit in self.fits],
+            _growth={number: growth[which] for number, growth in self._growth.items()},
+        )
+
+    def groups(self) -> list[np.ndarray]:
+        """Return the grey levels of each pitch, each of shape (frame, pixel)."""
+        return [self.levels[where] for where in self.layout.slices()]
+
+    @property
+    def is_vertical(self) -> bool:
+        """Whether the fringes are vertical, so that the phase grows with x."""
+        return self.layout.periods[0][0].orientation == Orientation.VERTICAL
+
+    def growth(self, number: int) -> np.ndarray:
+        """Return exp(i d) of each pixel, d being the growth of the phase of a pitch over two pixels."""
+        if number not in self._growth:
+            where, angles = self.layout.slices()[number], self.angles[number]
+            ends = (self.right, self.left) if self.is_vertical else (self.above, self.below)
+            after, before = (fit_wave(each[where], angles) for each in ends)
+            turned = (after[1] + 1j * after[2]) * (before[1] - 1j * before[2])
+            self._growth[number] = np.asarray(turned / np.maximum(np.abs(turned), np.float32(1e-6)))
+        return self._growth[number]
+
+    @property
+    def has_many_fringes(self) -> bool:
+        """Whether enough of the finest fringes are in view for checks of single frames."""
+        if self.layout.code:  # gives the number of fringes also where the fringes are wrong
+            code = self.levels[: self.layout.code]
+            numbers = half_periods(code > 0.5 * (code.min(axis=0) + code.max(axis=0)))
+            return 0.5 * float(np.subtract(*np.percentile(numbers, [95, 5]))) > _MANY_FRINGES
+        place, length = (self.x, self.size[1]) if self.is_vertical else (self.y, self.size[0])
+        growth = np.abs(np.angle(self.growth(len(self.fits) - 1)))
+        return 0.5 * float(np.ptp(place)) * length * 0.5 * float(np.median(growth)) / (2 * np.pi) > _MANY_FRINGES
+
+
+def half_periods(bits: np.ndarray) -> np.ndarray:
+    """Return the numbers that the bits of a Gray code, shape (bit, pixel), encode."""
+    numbers = np.zeros(bits.shape[1], int)
+    for bit in np.logical_xor.accumulate(bits):
+        numbers = 2 * numbers + bit
+    return numbers
+
+
+def fit_wave(levels: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Fit sinusoids to grey levels (frame, pixel) at these angles; return mean, B cos(phi), B sin(phi): (3, pixel)."""
+    return np.asarray(np.linalg.pinv(_waves(angles)).astype(np.float32) @ levels)
+
+
+def wave_levels(fit: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Return the grey levels of fitted sinusoids at these angles; shape (frame, pixel)."""
+    return np.asarray(_waves(angles).astype(np.float32) @ fit)
+
+
+def _waves(angles: np.ndarray) -> np.ndarray:
+    return np.stack([np.ones_like(angles), np.cos(angles), np.sin(angles)], axis=1)

@@ -1,0 +1,12 @@
+from .clocks import ClockEstimate as ClockEstimate
+from .clocks import DeviceClock as DeviceClock
+from .load_samples import LoadSummary as LoadSummary
+from .load_samples import summarise_load as summarise_load
+from .reader import BagReader as BagReader
+from .repair import BagInfo as BagInfo
+from .repair import info as info
+from .repair import recover as recover
+from .topics import Qos as Qos
+from .topics import RawMessage as RawMessage
+from .topics import Topic as Topic
+from .writer import BagWriter as BagWriter

@@ -1,0 +1,131 @@
+"""Iterates over the frames of a recording: the one place that pairs recorded images with their exposure records."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fringedic.frames.messages import image_array
+from fringedic.frames.pairing import FramePairs
+from fringedic.frames.records import FrameRecord, frame_record, stamp_of
+from fringedic.recording.reader import BagReader
+
+IMAGE = "camera/image_raw"
+EXPOSURE = "camera/exposure"
+_CAPACITY = 64  # images or records that may wait for each other: more than the reader reorders
+
+
+@dataclass(frozen=True)
+class RecordedFrame:
+    """One recorded image with its exposure record.
+
+    Attributes
+    ----------
+    record
+        What was exposed.
+    message
+        The decoded ``sensor_msgs/Image``.
+    """
+
+    record: FrameRecord
+    message: Any
+
+    @property
+    def image(self) -> np.ndarray:
+        """Grey levels (row, column), a read-only view.
+
+        Raises
+        ------
+        ImageError
+            The message has an unknown encoding or contradicts itself.
+        """
+        return image_array(self.message)
+
+
+@dataclass(frozen=True)
+class RecordedMessage:
+    """A recorded message of another topic, with the topic's name relative to the rig's namespace."""
+
+    topic: str
+    message: Any
+
+
+def frames(bag: BagReader, experiment: str | None = None) -> Iterator[RecordedFrame]:
+    """Iterate over the frames of a recording in the order of publishing.
+
+    Parameters
+    ----------
+    bag
+        The recording.
+    experiment
+        Only frames of this experiment.
+
+    Raises
+    ------
+    RecordingError
+        The recording lacks images or exposure records, or is damaged.
+    """
+    for each in events(bag, bag.find(IMAGE, EXPOSURE), experiment):
+        if isinstance(each, RecordedFrame):
+            yield each
+
+
+def records(bag: BagReader, experiment: str | None = None) -> Iterator[FrameRecord]:
+    """Iterate over the exposure records of a recording, without its images.
+
+    Parameters
+    ----------
+    bag
+        The recording; one without exposure records gives none.
+    experiment
+        Only records of this experiment.
+
+    Raises
+    ------
+    RecordingError
+        The recording is damaged.
+    """
+    for _, message, _ in bag.messages(bag.find_optional(EXPOSURE).values()):
+        record = frame_record(message)
+        if experiment is None or record.experiment == experiment:
+            yield record
+
+
+def events(
+    bag: BagReader, names: Mapping[str, str], experiment: str | None = None
+) -> Iterator[RecordedFrame | RecordedMessage]:
+    """Iterate over the frames and the other messages of a recording in the order of publishing.
+
+    Parameters
+    ----------
+    bag
+        The recording.
+    names
+        Relative name -> full name of the topics, from `BagReader.find`.
+    experiment
+        Messages that name another experiment are left out.
+
+    Raises
+    ------
+    RecordingError
+        The recording is damaged.
+    """
+    pairs: FramePairs[Any, FrameRecord] = FramePairs(_CAPACITY)
+    relative = {full: name for name, full in names.items()}
+    for raw in bag.published(relative):
+        topic, message = relative[raw.topic], bag.decode(raw.topic, raw.data)
+        if experiment is not None and getattr(message, "experiment", experiment) != experiment:
+            continue
+        if topic == IMAGE:
+            pair = pairs.add_image(stamp_of(message), message)
+        elif topic == EXPOSURE:
+            pair = pairs.add_record(stamp_of(message), frame_record(message))
+        else:
+            yield RecordedMessage(topic, message)
+            continue
+        if pair is not None:
+            image, record = pair
+            yield RecordedFrame(record, image)

@@ -1,0 +1,93 @@
+"""Summarises the samples of a testing machine during a step: mean, spread and drift."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+FEWEST_FOR_A_LINE = 3  # with two samples the line is their difference, as the spread
+NEAR_NS = 1_000_000_000  # a sample further from the exposure does not describe it; machines send 10 Hz or more
+
+
+class LoadSummary(NamedTuple):
+    """Summary of the force [N] or the position [m] during a step.
+
+    Attributes
+    ----------
+    samples
+        Number of samples that are not NaN.
+    mean, spread
+        Mean, and largest minus smallest value; NaN without samples.
+    drift
+        Change of the fitted straight line from the first to the last sample; NaN without samples. The line averages
+        noise, which increases the spread of many samples.
+    """
+
+    samples: int
+    mean: float
+    spread: float
+    drift: float
+
+
+def samples_over(stamps: Sequence[int] | np.ndarray, begin: float, end: float) -> np.ndarray:
+    """Return the samples within a time, or its neighbours where it contains none.
+
+    Parameters
+    ----------
+    stamps
+        When samples were acquired [ns], shape (n,).
+    begin, end
+        Of the first and last exposure [ns].
+
+    Returns
+    -------
+    ndarray
+        bool, shape (n,); all false when none is nearer than a second.
+
+    Examples
+    --------
+    >>> samples_over([0, 100, 200, 300], begin=120, end=180).tolist()
+    [False, True, True, False]
+    """
+    stamp = np.asarray(stamps, dtype=np.int64)
+    chosen = (stamp >= begin) & (stamp <= end)
+    if chosen.any():
+        return chosen
+    before, after = (stamp < begin) & (stamp > begin - NEAR_NS), (stamp > end) & (stamp < end + NEAR_NS)
+    if before.any():
+        chosen |= stamp == stamp[before].max()
+    if after.any():
+        chosen |= stamp == stamp[after].min()
+    return chosen
+
+
+def summarise_load(stamps: Sequence[int], values: Sequence[float]) -> LoadSummary:
+    """Summarise the samples of one quantity.
+
+    Parameters
+    ----------
+    stamps
+        When they were acquired [ns], shape (n,), in any order.
+    values
+        Force [N] or position [m], shape (n,); NaN is left out.
+
+    Examples
+    --------
+    >>> summarise_load([0, 10**9, 2 * 10**9], [5.0, 6.0, 7.0])
+    LoadSummary(samples=3, mean=6.0, spread=2.0, drift=2.0)
+    """
+    value = np.asarray(values, dtype=np.float64)
+    measured = np.isfinite(value)
+    value = value[measured]
+    if not value.size:
+        return LoadSummary(0, np.nan, np.nan, np.nan)
+    nanoseconds = np.asarray(stamps, dtype=np.int64)[measured]
+    time = 1e-9 * (nanoseconds - nanoseconds.min())
+    spread = float(np.ptp(value))
+    drift = spread
+    if value.size >= FEWEST_FOR_A_LINE and np.ptp(time) > 0:
+        centred = time - time.mean()
+        drift = float(centred @ value / (centred @ centred) * np.ptp(time))
+    return LoadSummary(int(value.size), float(value.mean()), spread, drift)

@@ -1,0 +1,212 @@
+"""Reads finished or truncated recordings message by message, without ROS."""
+
+from __future__ import annotations
+
+import heapq
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from fringedic.errors import ErrorCode, RecordingError
+from fringedic.recording.mcap_file import mcap_files, open_file, read_messages
+from fringedic.recording.topics import RawMessage, Topic
+
+REORDER_WINDOW = 64  # messages by which topics may overtake each other on their way into the recording
+
+
+class BagReader:
+    """Reads a finished or truncated recording one message after the other.
+
+    Parameters
+    ----------
+    path
+        A rosbag2 folder with MCAP files, or one MCAP file.
+    rescan
+        Scan the whole file instead of reading its index; a file without index is always scanned.
+
+    Attributes
+    ----------
+    topics
+        Every topic by its full name.
+    counts
+        Messages of each topic.
+    lost
+        Description of the damage; empty for a complete recording.
+
+    Raises
+    ------
+    RecordingError
+        There is no such recording, or it has another format.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from fringedic.recording import BagWriter, Topic
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with BagWriter(f"{folder}/bag") as writer:
+    ...         writer.add_recorded_topic(Topic("/force", "bench_msgs/msg/Force", "uint8 newton", "ros2msg", "", ""))
+    ...         writer.write("/force", bytes([0, 1, 0, 0, 42]), log_time=10, publish_time=9)
+    ...     reader = BagReader(f"{folder}/bag")
+    ...     [(topic, message.newton, time) for topic, message, time in reader.messages()]
+    [('/force', 42, 10)]
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, rescan: bool = False) -> None:
+        self.path = Path(path)
+        self._files = [open_file(file, rescan) for file in mcap_files(self.path)]
+        self.topics: dict[str, Topic] = {}
+        self.counts: dict[str, int] = {}
+        for file in self._files:
+            for number, channel in file.channels.items():
+                schema = file.schemas[channel.schema_id]
+                self.topics[channel.topic] = Topic(
+                    channel.topic,
+                    schema.name,
+                    schema.data.decode(),
+                    schema.encoding,
+                    channel.metadata.get("topic_type_hash", ""),
+                    channel.metadata.get("offered_qos_profiles", ""),
+                )
+                self.counts[channel.topic] = self.counts.get(channel.topic, 0) + file.counts[number]
+        self.lost = "; ".join(f"{file.path.name}: {file.lost}" for file in self._files if file.lost)
+        self._typestore = get_typestore(Stores.EMPTY)
+        self._registered: set[str] = set()
+
+    @property
+    def start_time(self) -> int:
+        """Log time of the first message [ns], 0 for an empty recording."""
+        return min((chunk.start_time for file in self._files for chunk in file.chunks), default=0)
+
+    @property
+    def end_time(self) -> int:
+        """Log time of the last message [ns], 0 for an empty recording."""
+        return max((chunk.end_time for file in self._files for chunk in file.chunks), default=0)
+
+    def find(self, *relative_names: str) -> dict[str, str]:
+        """Return the full names of topics by their names relative to the rig's namespace.
+
+        Parameters
+        ----------
+        relative_names
+            Such as ``camera/image_raw``; the namespace in the recording may be any prefix.
+
+        Returns
+        -------
+        dict
+            Relative name -> full name.
+
+        Raises
+        ------
+        RecordingError
+            With the code MISSING_TOPIC: topics are missing or without messages; the message names them. Without code:
+            the recording contains a topic of several rigs.
+        """
+        found = {name: self._full_names(name) for name in relative_names}
+        missing = [name for name, full in found.items() if not full]
+        if missing:
+            present = ", ".join(sorted(topic for topic, count in self.counts.items() if count)) or "no message at all"
+            raise RecordingError(
+                f"{self.path} has no {', '.join(missing)}; it holds {present}", code=ErrorCode.MISSING_TOPIC
+            )
+        for name, full in found.items():
+            if len(full) > 1:
+                raise RecordingError(f"{self.path} contains {name} of several rigs: {', '.join(full)}")
+        return {name: full[0] for name, full in found.items()}
+
+    def find_optional(self, *relative_names: str) -> dict[str, str]:
+        """Return the full names of those topics that are in the recording; see `find`."""
+        return self.find(*(name for name in relative_names if self._full_names(name)))
+
+    def raw(self, topics: Iterable[str] | None = None) -> Iterator[RawMessage]:
+        """Iterate over serialised messages in the order of their log time.
+
+        Messages of equal time keep their order in the file. One chunk (about a megabyte) is in memory at a time, or
+        as many as overlap in time.
+
+        Parameters
+        ----------
+        topics
+            Full names; None for all topics.
+
+        Raises
+        ------
+        RecordingError
+            A chunk is damaged although the index is complete.
+        """
+        wanted = set(self.topics if topics is None else topics)
+        places = [
+            (chunk, number, file)
+            for number, file in enumerate(self._files)
+            for chunk in file.chunks
+            if any(file.channels[channel].topic in wanted for channel in chunk.channels)
+        ]
+        places.sort(key=lambda place: (place[0].start_time, place[1], place[0].offset))
+        waiting: list[tuple[int, int, int, int, RawMessage]] = []
+        for chunk, number, file in places:
+            while waiting and waiting[0][0] < chunk.start_time:
+                yield heapq.heappop(waiting)[-1]
+            for order, message in enumerate(read_messages(file, chunk)):
+                topic = file.channels[message.channel_id].topic
+                if topic in wanted:
+                    raw = RawMessage(topic, message.data, message.log_time, message.publish_time)
+                    heapq.heappush(waiting, (message.log_time, number, chunk.offset, order, raw))
+        while waiting:
+            yield heapq.heappop(waiting)[-1]
+
+    def published(self, topics: Iterable[str] | None = None) -> Iterator[RawMessage]:
+        """Iterate over serialised messages in the order of publishing, in which every cause precedes its effect.
+
+        Topics reach a recorder through separate queues and can overtake each other by a few messages there.
+
+        Parameters
+        ----------
+        topics
+            Full names; None for all topics.
+
+        Raises
+        ------
+        RecordingError
+            See `raw`.
+        """
+        waiting: list[tuple[int, int, RawMessage]] = []
+        for order, message in enumerate(self.raw(topics)):
+            heapq.heappush(waiting, (message.publish_time, order, message))
+            if len(waiting) > REORDER_WINDOW:
+                yield heapq.heappop(waiting)[-1]
+        while waiting:
+            yield heapq.heappop(waiting)[-1]
+
+    def messages(self, topics: Iterable[str] | None = None) -> Iterator[tuple[str, Any, int]]:
+        """Iterate over (topic, decoded message, log time [ns]) in the order of `raw`."""
+        for raw in self.raw(topics):
+            yield raw.topic, self.decode(raw.topic, raw.data), raw.log_time
+
+    def decode(self, topic: str, data: bytes) -> Any:
+        """Return one message, decoded by the definition in the recording; its arrays are NumPy arrays.
+
+        Raises
+        ------
+        RecordingError
+            The bytes do not fit the definition, or the definition is not in the language ``ros2msg``.
+        """
+        known = self.topics[topic]
+        if known.type_name not in self._registered:
+            if known.encoding != "ros2msg":
+                raise RecordingError(f"{self.path}: {topic} is defined in {known.encoding}, only ros2msg is supported")
+            definitions = get_types_from_msg(known.definition, known.type_name)
+            self._typestore.register(
+                {name: fields for name, fields in definitions.items() if name not in self._typestore.fielddefs}
+            )
+            self._registered.add(known.type_name)
+        try:
+            return self._typestore.deserialize_cdr(data, known.type_name)
+        except Exception as error:
+            raise RecordingError(f"{self.path}: a message of {topic} is not a {known.type_name}: {error}") from error
+
+    def _full_names(self, name: str) -> list[str]:
+        return sorted(
+            topic for topic, count in self.counts.items() if count and (topic == name or topic.endswith(f"/{name}"))
+        )

@@ -1,0 +1,87 @@
+"""Summarises recordings and repairs damaged ones."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from fringedic.recording.mcap_file import mcap_files
+from fringedic.recording.reader import BagReader
+from fringedic.recording.writer import BagWriter
+
+
+def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None) -> Path:
+    """Write a complete recording of all readable messages of a damaged one, which is not changed.
+
+    Parameters
+    ----------
+    path
+        The damaged recording.
+    output
+        The new folder; by default beside the old one, with ``_recovered`` appended to its name.
+
+    Returns
+    -------
+    Path
+        The new recording.
+
+    Raises
+    ------
+    RecordingError
+        There is no such recording, or the new one cannot be written.
+    """
+    reader = BagReader(path, rescan=True)
+    source = Path(path)
+    target = Path(output) if output is not None else source.with_name(f"{source.stem}_recovered")
+    with BagWriter(target) as writer:
+        for topic in reader.topics.values():
+            writer.add_recorded_topic(topic)
+        for message in reader.raw():
+            writer.write(*message)
+    return target
+
+
+@dataclass(frozen=True)
+class BagInfo:
+    """Summary of a recording.
+
+    Attributes
+    ----------
+    path
+        The recording.
+    start_time, end_time
+        Log times of the first and the last message [ns].
+    size
+        Of all its files [byte].
+    topics
+        Full name -> (type, number of messages).
+    lost
+        Description of the damage; empty for a complete recording.
+    """
+
+    path: Path
+    start_time: int
+    end_time: int
+    size: int
+    topics: dict[str, tuple[str, int]]
+    lost: str
+
+
+def info(path: str | os.PathLike[str]) -> BagInfo:
+    """Return the summary of a recording.
+
+    Raises
+    ------
+    RecordingError
+        There is no such recording, or it has another format.
+    """
+    reader = BagReader(path)
+    return BagInfo(
+        path=reader.path,
+        start_time=reader.start_time,
+        end_time=reader.end_time,
+        size=sum(file.stat().st_size for file in mcap_files(reader.path)),
+        topics={name: (topic.type_name, reader.counts[name]) for name, topic in sorted(reader.topics.items())},
+        lost=reader.lost,
+    )

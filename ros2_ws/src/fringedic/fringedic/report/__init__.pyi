@@ -1,0 +1,1 @@
+from .experiment import write_report as write_report

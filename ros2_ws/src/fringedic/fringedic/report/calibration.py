@@ -1,0 +1,231 @@
+"""The calibration report: one HTML file with its figures inside."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from fringedic.calibration.fit_results import PlaneResult, Verdict
+from fringedic.calibration.result import RigCalibration
+from fringedic.calibration.variants import ModelVariant
+from fringedic.report.calibration_sentences import (
+    model_choice_sentence,
+    problem_sentence,
+    reason_sentence,
+    warning_sentences,
+)
+from fringedic.report.embedding import base64_png
+from fringedic.report.templates import render_page
+
+_DPI = 110
+_STRONG = 0.95  # correlations above this are listed
+
+CALIBRATION_REPORT = "report.html"
+
+
+def write_calibration_report(calibration: RigCalibration, path: str | Path) -> Path:
+    """Write the report of a calibration, one HTML file with its figures inside, and return its path.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    """
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(report_html(calibration), encoding="utf-8")
+    return path
+
+
+def report_html(calibration: RigCalibration) -> str:
+    """Return the report of a calibration as one HTML page with its figures inside."""
+    return render_page("calibration.html.j2", **_content(calibration))
+
+
+def _content(calibration: RigCalibration) -> dict[str, Any]:
+    rig = calibration.model
+    return {
+        "calibration": calibration,
+        "rig": rig,
+        "colour": _COLOURS[calibration.verdict],
+        "word": str(calibration.verdict),
+        "sentence": reason_sentence(calibration),
+        "warnings": warning_sentences(calibration),
+        "choice": model_choice_sentence(calibration),
+        "created": f"{calibration.created:%Y-%m-%d %H:%M} UTC",
+        "pictures": _pictures(calibration),
+        "figures": _figures(calibration),
+        "planes": [_plane(each) for each in calibration.planes],
+        "candidates": [
+            {
+                "name": _MODELS[each.name],
+                "chosen": each.name is calibration.variant,
+                "parameters": each.parameters,
+                "chi_square": f"{each.chi_square:.3g}",
+                "systematic": _micro(each.systematic),
+                "criterion": f"{each.criterion:.3g}",
+            }
+            for each in calibration.candidates
+        ],
+        "parameters": [
+            {
+                "title": each.title,
+                "unit": "" if each.unit == "1" else each.unit,
+                "value": _with_digits(each.value, each.sigma),
+                "sigma": f"{each.sigma:.2g}",
+            }
+            for each in calibration.parameters
+        ],
+        "strong": _strong(calibration),
+        "advice": _advice(calibration),
+        "lens": _lens(calibration),
+    }
+
+
+_MODELS = {
+    ModelVariant.SIX_PARAMETER: "six-parameter model (Molimard; Breque)",
+    ModelVariant.GENERAL: "general: free direction and roll of the projector, free rotation axis",
+    ModelVariant.GENERAL_K1: "... and the projector's radial distortion",
+    ModelVariant.GENERAL_K1_Y: "... and the centre of this distortion along the fringes",
+}
+_COLOURS = {Verdict.GO: "green", Verdict.GO_WITH_CARE: "yellow", Verdict.NO_GO: "red"}
+
+
+def _figures(calibration: RigCalibration) -> list[tuple[str, str, str]]:
+    """Return (title, value, meaning) of the key figures."""
+    held_out = _micro(calibration.held_out) if calibration.tested else "none"
+    figures = [
+        (
+            "Residual of the model",
+            _micro(calibration.systematic),
+            "RMS of the block means: the error that remains when the noise of single pixels is averaged.",
+        ),
+        (
+            "Noise of one pixel",
+            f"{_micro(calibration.residual)} found, {_micro(calibration.predicted)} predicted",
+            "Predicted from the noise of the grey levels and the contrast of the fringes; both values should agree. A "
+            "residual of the model far below this noise is negligible.",
+        ),
+        (
+            "Planes kept out of the fit",
+            held_out,
+            "The same residual on planes that the fit did not use. It should be about as small as that of the others.",
+        ),
+        (
+            "Uncertainty of z due to the calibration",
+            f"up to {_micro(calibration.height_sigma)}",
+            "Standard deviation due to the noise of the calibration planes, within the calibrated volume.",
+        ),
+        (
+            "chi square of the block means",
+            f"{calibration.chi_square:.3g}",
+            "1: noise alone. More: a systematic residual, whose size is in the first line.",
+        ),
+    ]
+    if not math.isnan(calibration.principal_effect):
+        figures.append(
+            (
+                "If the projector's axis is 1 px off the middle of its image",
+                f"z changes by {_micro(calibration.principal_effect)}",
+                "Rotated planes do not determine the position of the axis; the middle is assumed. Grids on the tilted "
+                "plane, translated planes or a measured camera distance determine it.",
+            )
+        )
+    return figures
+
+
+def _plane(plane: PlaneResult) -> dict[str, Any]:
+    ripple = max(range(len(plane.ripple)), key=lambda i: plane.ripple[i])
+    return {
+        "name": plane.name,
+        "role": "bad" if plane.problem else "in the fit" if plane.fitted else "kept out",
+        "cells": [
+            f"{plane.residual_phase / (2 * math.pi):.4f}",
+            f"{plane.predicted_phase / (2 * math.pi):.4f}",
+            _micro(plane.residual),
+            _micro(plane.predicted),
+            f"{plane.chi_square:.2f}",
+            _micro(plane.systematic),
+            _micro(plane.systematic_noise),
+            f"{100 * plane.valid:.1f} %",
+            f"{plane.ripple[ripple] / (2 * math.pi):.4f} ({ripple + 1}×)",
+        ],
+        "problem": problem_sentence(plane),
+    }
+
+
+def _strong(calibration: RigCalibration) -> list[str]:
+    """Return the strongly correlated pairs of parameters."""
+    names = [each.title for each in calibration.parameters]
+    return [
+        f"{names[i]} and {names[j]}: {calibration.correlation[i, j]:+.3f}"
+        for i in range(len(names))
+        for j in range(i)
+        if abs(calibration.correlation[i, j]) > _STRONG
+    ]
+
+
+def _advice(calibration: RigCalibration) -> list[str]:
+    if not calibration.go:
+        steps = []
+        if calibration.bad_images:
+            steps.append(
+                f"Repeat {', '.join(calibration.bad_images)} and calibrate again; the figures below are those of the "
+                "other images."
+            )
+        else:
+            steps.append("Check that camera, projector and stage are clamped, and that the projector is warm.")
+            steps.append(
+                "Check the angles that were entered and that the plane is flat; then measure all planes again."
+            )
+        steps.append("Do not measure with this calibration: its heights have an unknown error.")
+        return steps
+    steps = ["Calibrate again when camera, lens, projector or their clamps have been touched."]
+    steps.append("Before a series of tests, check a flat plane and a known distance (fringedic check).")
+    if calibration.warnings:
+        steps.insert(0, "Read the warnings; the calibration can be used.")
+    return steps
+
+
+def _lens(calibration: RigCalibration) -> str:
+    distortion = calibration.model.camera_distortion
+    if distortion is None:
+        return (
+            "The distortion of the camera's lens was not measured; the camera is assumed to be ideal. One image of a "
+            "printed grid is enough to measure it."
+        )
+    return (
+        f"The distortion of the lens was measured by a printed grid (polynomial of order {distortion.order}). Every "
+        "pixel has the line of sight of its ideal pixel; images are not resampled."
+    )
+
+
+def _pictures(calibration: RigCalibration) -> dict[str, str]:
+    """Return the figures of the page by their names, as base64 PNG."""
+    # not at the top: nodes and commands that only name the report need no plotting library
+    from fringedic.figures import calibration as drawing
+
+    rig = calibration.model
+    angles = [plane.angle for plane in calibration.planes]
+    figures = {
+        "geometry": drawing.draw_geometry(rig, angles, calibration.orientation),
+        "planes": drawing.draw_planes(calibration),
+        "residuals": drawing.draw_residuals(calibration),
+        "correlation": drawing.draw_correlation(calibration),
+        "uncertainty": drawing.draw_uncertainty(calibration),
+    }
+    if rig.camera_distortion is not None:
+        figures["distortion"] = drawing.draw_distortion(rig)
+    return {name: base64_png(figure, dpi=_DPI) for name, figure in figures.items()}
+
+
+def _micro(value: float) -> str:
+    return "unknown" if math.isnan(value) else f"{1e6 * value:.3g} µm"
+
+
+def _with_digits(value: float, sigma: float) -> str:
+    """Return a value rounded to the second digit of its standard deviation."""
+    if not sigma > 0:
+        return f"{value:.6g}"
+    return f"{value:.{max(0, min(8, 1 - math.floor(math.log10(sigma))))}f}"

@@ -1,0 +1,129 @@
+"""Entries of a report about specimen and hardware: each has a value, or is listed as missing.
+
+The list follows the Good Practices Guide for Digital Image Correlation of the International Digital Image Correlation
+Society (edition 2, doi 10.58720/idics/gpg.ed2), with an additional part on the fringes; conformity is not claimed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from fringedic.metadata import FIRST_STEP
+from fringedic.report.data import ReportData
+
+MISSING = "not known"
+VIRTUAL = "virtual rig (simulated)"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One line of a report.
+
+    Attributes
+    ----------
+    name
+        The quantity or property.
+    value
+        Its value with the unit, None if it is missing.
+    note
+        Where the value comes from, or how to enter it.
+    """
+
+    name: str
+    value: str | None
+    note: str = ""
+
+
+def entered(name: str, value: str | None, key: str) -> Entry:
+    """Return the entry of something that a person enters, with the key if it is missing."""
+    return Entry(name, value or None, "" if value else f"enter {key} in the rig file")
+
+
+def without(names: tuple[str, ...], note: str) -> list[Entry]:
+    """Return missing entries with the same note."""
+    return [Entry(name, None, note) for name in names]
+
+
+def specimen_entries(data: ReportData) -> list[Entry]:
+    """Return the specimen and the corrections of its force."""
+    specimen = data.metadata.specimen
+    section, tare = specimen.section_mm2, specimen.force_tare_newton
+    return [
+        entered("specimen", specimen.name, "specimen.name"),
+        entered("material", specimen.material, "specimen.material"),
+        entered("section", None if section is None else f"{section:g} mm²", "specimen.section_mm2"),
+        entered("operator", specimen.operator, "specimen.operator"),
+        entered("notes", specimen.notes, "specimen.notes"),
+        Entry("force tare", "mean reading of the first step" if tare == FIRST_STEP else f"{tare:g} N"),
+        Entry(
+            "sign of the load cell", "tension positive" if specimen.force_sign == 1 else "tension negative, inverted"
+        ),
+    ]
+
+
+def hardware_entries(data: ReportData) -> list[Entry]:
+    """Return camera, lens, light, view, exposure, texture and calibration target."""
+    hardware = data.metadata.hardware
+    focal = hardware.focal_length_mm
+    rig = data.calibration
+    return [
+        entered("camera", hardware.camera or (VIRTUAL if data.simulated else ""), "hardware.camera"),
+        Entry("image resolution", f"{rig['camera_width']} x {rig['camera_height']} px" if rig else None),
+        entered("lens", hardware.lens, "hardware.lens"),
+        entered("focal length", None if focal is None else f"{focal:g} mm", "hardware.focal_length_mm"),
+        entered("aperture", hardware.aperture, "hardware.aperture"),
+        entered("filters", hardware.filters, "hardware.filters"),
+        entered("lighting", hardware.lighting, "hardware.lighting"),
+        *_view_entries(data),
+        *_exposure_entries(data),
+        *_texture_entries(data),
+        entered("calibration target", hardware.calibration_target, "hardware.calibration_target"),
+    ]
+
+
+def _view_entries(data: ReportData) -> list[Entry]:
+    rig = data.calibration
+    if not rig:
+        return without(("field of view", "image scale", "stand-off"), "no calibration")
+    scale = rig["pixel_size"]
+    width, height = 1e3 * scale / rig["pixel_aspect"] * rig["camera_width"], 1e3 * scale * rig["camera_height"]
+    return [
+        Entry("field of view", f"{width:.4g} x {height:.4g} mm", "on the reference plane, from the calibration"),
+        Entry("image scale", f"{1e-3 / scale:.4g} px/mm ({1e6 * scale:.4g} µm/px)", "from the calibration"),
+        Entry("stand-off", f"{1e3 * rig['camera_distance']:.4g} mm", "from the calibration"),
+    ]
+
+
+def _exposure_entries(data: ReportData) -> list[Entry]:
+    exposures = data.exposures
+    time = data.camera.get("exposure_time_s") if exposures is None else exposures.exposure_time
+    exposure = Entry("exposure time", None if time is None else f"{1e3 * time:.4g} ms")
+    if exposures is None:
+        return [exposure, *without(("acquisition rate", "lost frames"), "needs the recording")]
+    frames = "one frame per step" if exposures.frames == 1 else f"{exposures.frames} frames per step"
+    rate = "" if math.isnan(exposures.frame_rate) else f", {exposures.frame_rate:.3g} frames/s within a step"
+    return [exposure, Entry("acquisition rate", frames + rate), Entry("lost frames", str(exposures.dropped))]
+
+
+def _texture_entries(data: ReportData) -> list[Entry]:
+    advice, dataset = data.advice, data.dataset
+    pattern = entered("patterning technique", data.metadata.specimen.pattern, "specimen.pattern")
+    if advice is None:
+        note = "needs two steps at rest and the recorded textures"
+        return [pattern, *without(("feature size", "image noise", "coverage"), note)]
+    size = float(np.nanmean(advice.feature_size))
+    frames = "" if data.exposures is None else f" of {data.exposures.frames} frames"
+    level = dataset["texture"].attrs.get("units", "grey level") if "texture" in dataset else "grey level"
+    return [
+        pattern,
+        Entry(
+            "feature size", f"{size:.2f} px{data.length(size)}", "half-height width of the texture's autocorrelation"
+        ),
+        Entry("image noise", f"{advice.image_noise:.3g} {level}", f"of the texture, the mean{frames}"),
+        Entry("contrast", f"{advice.contrast:.3g} {level}", "standard deviation of the texture"),
+        Entry("mean gradient", f"{advice.mean_gradient:.3g} {level}/px"),
+        Entry("coverage", f"{100 * advice.coverage:.0f} % dark"),
+    ]

@@ -1,0 +1,263 @@
+"""The report of an experiment: one HTML file."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from fringedic.errors import DatasetError, FringedicError
+from fringedic.figures.animation import animation
+from fringedic.figures.charts import curve_charts, extensometer_charts, surface_chart
+from fringedic.figures.maps import maps_figure
+from fringedic.figures.panels import DISPLACEMENT_IN_IMAGE, SHAPE_IN_MM, STRAIN, Panel
+from fringedic.frames.region import Point
+from fringedic.metadata import NOISE_COLUMNS
+from fringedic.provenance import git_commit, software
+from fringedic.report.data import ReportData
+from fringedic.report.embedding import base64_png, base64_text, chart_html, chart_script
+from fringedic.report.entries import MISSING, Entry, hardware_entries, specimen_entries
+from fringedic.report.processing_entries import analysis_entries, fringe_entries
+from fringedic.report.recorded_exposures import read_exposures, read_textures
+from fringedic.report.tables import gauge_rows, noise_floor_row, step_rows, truth_rows
+from fringedic.report.templates import render_page
+from fringedic.report.warnings import warnings
+from fringedic.results.noise_floor import noise_floors
+from fringedic.results.noise_floor import static_steps as steps_at_rest
+from fringedic.results.opening import open_experiment
+from fringedic.results.probes import extensometer
+from fringedic.results.stores import SUFFIXES
+from fringedic.rig_setup.advice import Advice
+from fringedic.rig_setup.recommended_settings import advise_settings
+
+TRUTH = "truth.nc"
+GAUGE_SUBSET = 21.0  # [px], side of the gauge subsets of virtual extensometers
+GaugePoints = tuple[Point, Point]
+"""The two points of a virtual extensometer, each (column, row) [px]."""
+
+
+@dataclass(frozen=True)
+class _Source:
+    """The files of an experiment: the recording is None where only the dataset is there."""
+
+    given: Path
+    recording: Path | None
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the experiment."""
+        return (self.recording or self.given).parent
+
+
+def write_report(
+    source: str | os.PathLike[str],
+    output: str | os.PathLike[str] | None = None,
+    *,
+    static_steps: Sequence[int] | None = None,
+    gauges: Sequence[GaugePoints] | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Write the report of an experiment as one HTML file, which needs no other file and no network.
+
+    Parameters
+    ----------
+    source
+        A recording, whose dataset is opened or made as by `fringedic.open_experiment`; or a dataset, whose recording is
+        looked for in the same folder.
+    output
+        The file; by default ``report.html`` beside the recording.
+    static_steps
+        Numbers of the steps at rest, from which the noise floor is taken; by default the steps before and after the
+        reference step at the same crosshead position.
+    gauges
+        Virtual extensometers, each the two positions (column, row) of its gauge points [px of the reference image]; by
+        default those of the specimen's metadata.
+    overwrite
+        Replace an existing file.
+
+    Returns
+    -------
+    Path
+        The report.
+
+    Raises
+    ------
+    DatasetError
+        The file exists already or cannot be written, a step at rest does not exist, or no step was measured.
+    RecordingError
+        As of `fringedic.open_experiment`.
+    FringedicError
+        A package of the extra ``report`` is not installed.
+
+    Examples
+    --------
+    >>> write_report("recordings/plate-7/bag", gauges=[((200, 480), (1000, 480))])  # doctest: +SKIP
+    PosixPath('recordings/plate-7/report.html')
+    """
+    with open_experiment(source) as dataset:
+        files = _Source(Path(source), _recording(Path(source), dataset))
+        target = files.folder / "report.html" if output is None else Path(output)
+        if target.exists() and not overwrite:
+            raise DatasetError(f"{target} exists already; choose another --output or ask to overwrite it")
+        with _write_errors_named(target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+        static = steps_at_rest(dataset) if static_steps is None else list(static_steps)
+        page = render_page("experiment.html.j2", **_content(dataset, files, static, gauges))
+    with _write_errors_named(target):
+        temporary = target.with_name(f".{target.name}.writing")
+        temporary.write_text(page, encoding="utf-8")
+        temporary.replace(target)
+    return target
+
+
+@contextmanager
+def _write_errors_named(target: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise DatasetError(f"{target}: cannot be written: {error.strerror}") from error
+
+
+def _recording(source: Path, dataset: xr.Dataset) -> Path | None:
+    if source.suffix not in SUFFIXES:
+        return source
+    beside = source.with_name(str(dataset.attrs.get("source", "")) or "none")
+    return beside if beside.exists() and beside != source else None
+
+
+def _content(
+    dataset: xr.Dataset, files: _Source, static: list[int], gauges: Sequence[GaugePoints] | None
+) -> dict[str, Any]:
+    """Return the values of the template."""
+    floors = noise_floors(dataset, static)
+    recording = files.recording
+    exposures = None if recording is None else read_exposures(recording, str(dataset.attrs["experiment"]))
+    data = ReportData(dataset, exposures, _advice(dataset, recording, static))
+    points = _entered_gauges(data) if gauges is None else gauges
+    strains, failed = _extensometers(dataset, points)
+    return {
+        "title": str(dataset.attrs.get("experiment", "experiment")),
+        "date": _date(dataset),
+        "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
+        "software": f"{software()}, commit {git_commit()}",
+        "simulated": data.simulated,
+        "warnings": warnings(data, static, floors) + failed,
+        "static_steps": static,
+        "floors": [noise_floor_row(floor) for floor in floors],
+        "noise": data.metadata.noise,
+        "noise_columns": NOISE_COLUMNS,
+        "steps": step_rows(dataset),
+        "truth": truth_rows(dataset, files.folder / TRUTH),
+        "parameters": json.dumps(data.attribute("parameters"), indent=1),
+        "calibration": json.dumps(data.calibration, indent=1),
+        **_conditions(data),
+        **_pictures(data),
+        **_gauge_content(data, strains),
+    }
+
+
+def _conditions(data: ReportData) -> dict[str, Any]:
+    sections = {
+        "Specimen": specimen_entries(data),
+        "Hardware": hardware_entries(data),
+        "Analysis": analysis_entries(data),
+        "Fringes": fringe_entries(data),
+    }
+    missing: list[tuple[str, Entry]] = [
+        (name, entry) for name, entries in sections.items() for entry in entries if entry.value is None
+    ]
+    return {"sections": sections, "missing": missing, "missing_word": MISSING}
+
+
+def _pictures(data: ReportData) -> dict[str, Any]:
+    shown = _last_measured(data.dataset)
+    last = data.dataset.sel(step=shown)
+    surface = bool(np.isfinite(last["w"].values).any())
+    return {
+        "shown": shown,
+        "maps": _maps(last, surface),
+        "animation": _animation(data.dataset),
+        "surface": chart_html(surface_chart(last)) if surface else "",
+        "curves": [chart_html(chart) for chart in curve_charts(data.dataset, data.section)],
+        "plotly": chart_script(),
+    }
+
+
+def _gauge_content(data: ReportData, strains: Mapping[str, xr.Dataset]) -> dict[str, Any]:
+    charts = extensometer_charts(data.dataset, strains, data.section)
+    return {
+        "gauges": [chart_html(chart) for chart in charts],
+        "gauge_rows": gauge_rows(strains),
+        "gauge_subset": GAUGE_SUBSET,
+    }
+
+
+def _entered_gauges(data: ReportData) -> list[GaugePoints]:
+    entered = data.metadata.specimen.gauges_px
+    return [((gauge.first[0], gauge.first[1]), (gauge.second[0], gauge.second[1])) for gauge in entered]
+
+
+def _extensometers(dataset: xr.Dataset, gauges: Sequence[GaugePoints]) -> tuple[dict[str, xr.Dataset], list[str]]:
+    """Return the virtual extensometers by name, and a sentence about each that cannot be measured."""
+    strains, failed = {}, []
+    for number, (first, second) in enumerate(gauges, start=1):
+        name = f"{number}: ({first[0]:g}, {first[1]:g}) to ({second[0]:g}, {second[1]:g})"
+        try:
+            strains[name] = extensometer(dataset, first, second, subset=GAUGE_SUBSET)
+        except DatasetError as error:
+            failed.append(f"extensometer {name} px: {error}")
+    return strains, failed
+
+
+def _advice(dataset: xr.Dataset, recording: Path | None, static: Sequence[int]) -> Advice | None:
+    """Return the figures of the textures at rest; None without two of them, or if they show no usable texture."""
+    if recording is None or len(static) < 2:
+        return None
+    references = dataset["reference_step"].sel(step=list(static)).values
+    numbers = [int(references[0]), *static[:2]]
+    stamps = dataset["time"].sel(step=numbers).values.astype("datetime64[ns]").astype(np.int64)
+    textures = read_textures(recording, [int(stamp) for stamp in stamps])
+    if not textures:
+        return None
+    try:
+        return advise_settings(*textures)
+    except FringedicError:
+        return None
+
+
+def _last_measured(dataset: xr.Dataset) -> int:
+    for name in ("w", "displacement_x"):
+        for index in reversed(range(dataset.sizes["step"])):
+            if np.isfinite(dataset[name].isel(step=index).values).any():
+                return int(dataset["step"].values[index])
+    raise DatasetError("no step of the experiment was measured")
+
+
+def _date(dataset: xr.Dataset) -> str:
+    return f"{np.datetime_as_string(dataset['time'].values.min(), unit='s')} UTC".replace("T", " ", 1)
+
+
+def _maps(step: xr.Dataset, surface: bool) -> list[str]:
+    groups: list[tuple[Panel, ...]] = [SHAPE_IN_MM, STRAIN] if surface else [DISPLACEMENT_IN_IMAGE]
+    return [
+        base64_png(maps_figure(step, panels, title=f"step {int(step.step)}"))
+        for panels in groups
+        if all(panel.name in step and np.isfinite(step[panel.name].values).any() for panel in panels)
+    ]
+
+
+def _animation(dataset: xr.Dataset) -> str:
+    for panel in (SHAPE_IN_MM[-1], DISPLACEMENT_IN_IMAGE[-1]):
+        try:
+            return base64_text(animation(dataset, panel))
+        except DatasetError:
+            continue
+    return ""

@@ -1,0 +1,27 @@
+"""Sentence about the time and the disk space of a programme."""
+
+from __future__ import annotations
+
+from fringedic.configuration.forecast import Forecast
+
+
+def forecast_sentence(forecast: Forecast) -> str:
+    """Return one sentence about a forecast."""
+    most = "at most " if forecast.early else ""
+    free = f" and {forecast.free_frames} of the free run" if forecast.free_frames else ""
+    return (
+        f"{most}{forecast.steps} steps, {forecast.frames} frames{free}: about {_duration(forecast.duration)}, then "
+        f"{_duration(forecast.writing)} for dataset and report, if the computer has no other work; "
+        f"{_size(forecast.size)} of disk space"
+    )
+
+
+def _duration(seconds: float) -> str:
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def _size(size: float) -> str:
+    return f"{size / 1e6:.0f} MB" if size < 1e9 else f"{size / 1e9:.1f} GB"

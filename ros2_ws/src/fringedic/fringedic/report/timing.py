@@ -1,0 +1,63 @@
+"""Sentences about the timing of a projector."""
+
+from __future__ import annotations
+
+import math
+
+from fringedic.rig_setup.timing import ProjectorTiming
+
+_SLOW = 1e-4  # [s], time constant from which on the rise and fall of the light are worth a sentence
+
+
+def timing_sentences(timing: ProjectorTiming, exposure_time: float, settle_time: float) -> list[str]:
+    """Return what was measured, and what it means for a rig.
+
+    Parameters
+    ----------
+    timing
+        The measurement.
+    exposure_time, settle_time
+        Of the rig's frames [s].
+    """
+    return [_delay(timing), _refresh(timing, exposure_time), _settle_time(timing, settle_time)]
+
+
+def _delay(timing: ProjectorTiming) -> str:
+    if math.isnan(timing.delay):
+        return (
+            f"A pattern is visible less than {1e3 * max(timing.earliest, 0.0):.1f} ms after the request: before the "
+            "camera can begin an exposure."
+        )
+    sentence = (
+        f"A pattern is visible {1e3 * timing.delay:.2f} ms after the request (standard uncertainty "
+        f"{1e3 * timing.delay_sigma:.2f} ms); the standard deviation between patterns is {1e3 * timing.jitter:.2f} ms."
+    )
+    if max(timing.rise, timing.fall) > _SLOW:
+        sentence += (
+            f" Its light rises with a time constant of {1e3 * timing.rise:.1f} ms and falls with one of "
+            f"{1e3 * timing.fall:.1f} ms."
+        )
+    return sentence
+
+
+def _refresh(timing: ProjectorTiming, exposure_time: float) -> str:
+    refresh = timing.refresh
+    if refresh is None:
+        return "The light is steady."
+    whole = timing.whole_exposure(exposure_time)
+    remaining = max(100 * timing.beat(whole), 0.01)
+    return (
+        f"The light pulses at {refresh.frequency:.2f} Hz: an exposure of {1e3 * exposure_time:.4g} ms is up to "
+        f"{100 * timing.beat(exposure_time):.2g} % brighter or darker than the mean, one of {1e3 * whole:.4f} ms "
+        f"({round(whole / refresh.period)} x {1e3 * refresh.period:.4f} ms) by less than {remaining:.1g} %."
+    )
+
+
+def _settle_time(timing: ProjectorTiming, settle_time: float) -> str:
+    needed = 1e3 * timing.settled()
+    if settle_time < timing.settled():
+        return (
+            f"A settle time of {1e3 * settle_time:.4g} ms is too short: a pattern needs {needed:.1f} ms to appear "
+            "completely, and earlier exposures show the previous pattern."
+        )
+    return f"A settle time of {1e3 * settle_time:.4g} ms is enough; a pattern needs {needed:.1f} ms."

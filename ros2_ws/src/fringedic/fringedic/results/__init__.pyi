@@ -1,0 +1,15 @@
+from .datasets import dataset_from_derived as dataset_from_derived
+from .datasets import process_bag as process_bag
+from .force import force_curve as force_curve
+from .opening import find_dataset as find_dataset
+from .opening import open_experiment as open_experiment
+from .probes import extensometer as extensometer
+from .probes import profile as profile
+from .probes import region_statistics as region_statistics
+from .quantities import MAPS as MAPS
+from .quantities import SCALARS as SCALARS
+from .quantities import Quantity as Quantity
+from .rigid_motion import remove_rigid_motion as remove_rigid_motion
+from .truth import compare_with_truth as compare_with_truth
+from .truth import open_truth as open_truth
+from .truth import truth_errors as truth_errors

@@ -1,0 +1,64 @@
+"""Origin of a dataset, which every exported file and picture contains."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from fringedic.metadata import Metadata
+from fringedic.provenance import git_commit, software
+from fringedic.results.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE, STEP_NUMBERS
+
+_JSON_ATTRIBUTES = ("calibration", "parameters", "rig", METADATA_ATTRIBUTE)
+
+
+def origin_of(dataset: xr.Dataset) -> dict[str, Any]:
+    """Return the attributes of a dataset, calibration and parameters unpacked, with the software that exports it."""
+    found: dict[str, Any] = {}
+    for name, value in dataset.attrs.items():
+        found[str(name)] = json.loads(value) if name in _JSON_ATTRIBUTES else _plain(value)
+    return found | {"exported_by": software(), "exported_by_commit": git_commit()}
+
+
+def recorded_metadata(dataset: xr.Dataset) -> Metadata:
+    """Return specimen, hardware, calibration and noise floor as recorded; empty if they were not."""
+    return Metadata.model_validate(json.loads(dataset.attrs.get(METADATA_ATTRIBUTE, "{}")))
+
+
+def origin_text(dataset: xr.Dataset) -> str:
+    """Return `origin_of` as one line of ASCII JSON."""
+    return json.dumps(origin_of(dataset))
+
+
+def experiment_name(dataset: xr.Dataset) -> str:
+    """Return the name of the experiment, for file names."""
+    return str(dataset.attrs.get("experiment", "experiment"))
+
+
+def map_names(dataset: xr.Dataset) -> list[str]:
+    """Return the names of the maps over (step, row, column) that contain numbers."""
+    return [
+        str(name)
+        for name, variable in dataset.data_vars.items()
+        if variable.dims == MAP_DIMENSIONS and variable.dtype.kind == "f"
+    ]
+
+
+def step_numbers(step: xr.Dataset) -> dict[str, int]:
+    """Return the steps that one step was measured against, and whether increments were summed, if recorded."""
+    return {name: int(step[name]) for name in STEP_NUMBERS if name in step}
+
+
+def seconds(dataset: xr.Dataset) -> np.ndarray:
+    """Return the time of each step since the first one [s]; the numbers of the steps if the times are not known."""
+    if "time" not in dataset:
+        return dataset["step"].values.astype(float)
+    stamps = dataset["time"].values
+    return np.asarray((stamps - stamps.min()) / np.timedelta64(1, "s"))
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

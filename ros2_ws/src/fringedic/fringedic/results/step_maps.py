@@ -1,0 +1,53 @@
+"""Maps of a dataset step by step, and values per step: the parts that all probes share."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from fringedic.errors import DatasetError
+
+
+class StepValues(NamedTuple):
+    """One quantity per step: its values, its unit and its meaning."""
+
+    values: np.ndarray
+    units: str
+    long_name: str
+
+
+def require_maps(dataset: xr.Dataset, names: Iterable[str]) -> None:
+    """Raise DatasetError when a dataset lacks one of these maps."""
+    missing = [name for name in names if name not in dataset]
+    if missing:
+        raise DatasetError(f"the dataset has no map {', '.join(missing)}")
+
+
+def maps_by_step(dataset: xr.Dataset, names: Sequence[str]) -> Iterator[np.ndarray]:
+    """Iterate over the maps of each step, shape (map, row, column); a dataset without steps is one step."""
+    chosen = dataset[list(names)]
+    if "step" not in dataset.dims:
+        yield np.stack([chosen[name].values for name in names])
+        return
+    for index in range(dataset.sizes["step"]):
+        one = chosen.isel(step=index)
+        yield np.stack([one[name].values for name in names])
+
+
+def values_by_step(dataset: xr.Dataset, quantities: Mapping[str, StepValues]) -> xr.Dataset:
+    """Return quantities over the steps of a dataset, as numbers where it has no steps."""
+    stepwise = "step" in dataset.dims
+    return xr.Dataset(
+        {
+            name: (
+                ("step",) if stepwise else (),
+                values if stepwise else values[0],
+                {"units": units, "long_name": long_name},
+            )
+            for name, (values, units, long_name) in quantities.items()
+        },
+        {"step": dataset.step} if stepwise else {},
+    )

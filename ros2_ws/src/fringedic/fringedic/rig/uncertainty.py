@@ -1,0 +1,169 @@
+"""Propagation of the calibration's covariance to measured positions, J Sigma_p J^T, with numerical derivatives.
+
+The covariance of the parameters is split into its principal directions, Sigma_p = sum l l^T. The parameters are moved
+by one standard deviation along each direction l, and the line of sight is intersected with the fringe again at the same
+pixel and phase. The position moves by J l = (P(p + l) - P(p - l)) / 2, up to third order. Sums of squares over the
+directions are variances (JCGM 102:2011, propagation of uncertainty); differences between two points give the error of a
+displacement.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from fringedic.patterns.pattern import Orientation
+from fringedic.rig.geometry import RigGeometry, parameter_values, with_parameters
+
+# test_sigma_of_float32_images_and_crops: interpolation on this grid reproduces the sigma of every pixel within 2 %
+GRID = 48  # intervals of the variance map along each side of the image
+HEIGHT_RANGE = 0.1  # of the camera's distance, on both sides of the reference plane; the map is clamped beyond it
+HEIGHT_POWERS = 5  # a variance grows with about the fourth power of the height
+_HEIGHTS = 9  # Chebyshev nodes, for a polynomial of five coefficients
+_SMALLEST = 1e-30  # [m^2] avoids a division by zero; (1e-15 m)^2 is far below every measured variance
+_NEGLIGIBLE = 1e-13  # of the largest variance among the directions: rounding errors of the eigenvalues
+_NEWTON_STEPS = 4  # converges quadratically from the undistorted intersection
+_PITCH = 1.0  # [projector px] cancels: phases are predicted and used with the same pitch
+
+
+def position_errors(
+    geometry: RigGeometry,
+    column: ArrayLike,
+    row: ArrayLike,
+    z: ArrayLike,
+    orientation: Orientation = Orientation.VERTICAL,
+) -> np.ndarray:
+    """Return the errors of measured positions for one standard deviation along each direction of the covariance.
+
+    Parameters
+    ----------
+    geometry
+        The calibrated rig with its covariance.
+    column, row, z
+        Pixels [px] and the heights [m] of the points that they see, arrays of one shape (or that broadcast).
+    orientation
+        Direction of the fringes.
+
+    Returns
+    -------
+    ndarray
+        Errors of x, y and z [m], float64, shape (direction, 3, ...). The sum of squares over the directions is the
+        variance of the position; the sum of squares of a difference of two points is the variance of their distance.
+    """
+    column, row, z = np.broadcast_arrays(*(np.asarray(each, float) for each in (column, row, z)))
+    distortion = geometry.camera_distortion
+    if distortion is not None:
+        column, row = distortion.ideal(column, row)
+    rays = np.stack([column, row, np.ones(column.shape)], axis=-1) @ geometry.ray_matrix.T
+    along = (z - geometry.camera_distance) / rays[..., 2]
+    phase = geometry.phase(along * rays[..., 0], along * rays[..., 1], z, _PITCH, orientation)
+    plain = dataclasses.replace(geometry, parameter_names=(), covariance=())
+    centre = parameter_values(geometry, geometry.parameter_names)
+
+    def position(values: np.ndarray) -> np.ndarray:
+        moved = with_parameters(plain, geometry.parameter_names, values)
+        return _positions(moved, column, row, phase, orientation)
+
+    errors = [(position(centre + step) - position(centre - step)) / 2 for step in _directions(geometry)]
+    return np.array(errors).reshape(-1, 3, *column.shape)
+
+
+def displacement_variance(
+    geometry: RigGeometry,
+    before: tuple[ArrayLike, ArrayLike, ArrayLike],
+    after: tuple[ArrayLike, ArrayLike, ArrayLike],
+    orientation: Orientation = Orientation.VERTICAL,
+) -> np.ndarray:
+    """Return the variances of a displacement due to the calibration, (J' - J) Sigma_p (J' - J)^T.
+
+    Both positions are measured with the same calibration, so that most of its error cancels. The remainder grows with
+    the displacement and is far smaller than J Sigma_p J^T. It is smooth over the image; compute it on a coarse grid of
+    points and interpolate.
+
+    Parameters
+    ----------
+    geometry
+        The calibrated rig with its covariance.
+    before, after
+        (column [px], row [px], z [m]) of the same material points in the reference and in the deformed image, arrays of
+        any one shape.
+    orientation
+        Direction of the fringes.
+
+    Returns
+    -------
+    ndarray
+        Variances of u, v and w [m^2], float64, shape (3, ...); zero when the covariance of the calibration is unknown.
+    """
+    difference = position_errors(geometry, *after, orientation) - position_errors(geometry, *before, orientation)
+    result: np.ndarray = np.sum(difference**2, axis=0)
+    return result
+
+
+@lru_cache(maxsize=8)
+def variance_map(geometry: RigGeometry, orientation: Orientation) -> tuple[np.ndarray, float]:
+    """Return the variances due to the calibration as polynomials of the height, on a grid over the image.
+
+    Returns
+    -------
+    coefficients : ndarray
+        float64, shape (49, 49, 3, 5): coefficients of the powers of z / scale of the variances of x, y and z [m^2], on
+        a regular grid of 49 x 49 points from the first to the last pixel of the image.
+    scale : float
+        Unit of the heights [m]; the polynomials hold for |z| <= scale.
+    """
+    scale = HEIGHT_RANGE * geometry.camera_distance
+    heights = scale * np.cos(np.pi * (np.arange(_HEIGHTS) + 0.5) / _HEIGHTS)
+    row, column, z = np.meshgrid(
+        np.linspace(0, geometry.camera_height - 1, GRID + 1),
+        np.linspace(0, geometry.camera_width - 1, GRID + 1),
+        heights,
+        indexing="ij",
+    )
+    variances = np.sum(position_errors(geometry, column, row, z, orientation) ** 2, axis=0)
+    # relative errors are fitted, because variances at different heights differ by powers of ten
+    powers = np.vander(heights / scale, HEIGHT_POWERS, increasing=True)
+    weights = 1 / np.maximum(variances, _SMALLEST) ** 2
+    normal = np.einsum("hp,crsh,hq->crspq", powers, weights, powers)
+    right = np.einsum("hp,crsh->crsp", powers, weights * variances)
+    coefficients = np.linalg.solve(normal, right[..., None])[..., 0]
+    return np.ascontiguousarray(np.moveaxis(coefficients, 0, 2)), scale
+
+
+def _directions(geometry: RigGeometry) -> np.ndarray:
+    """Return steps (direction, parameter) with Sigma_p = sum of step step^T."""
+    count = len(geometry.parameter_names)
+    covariance = np.array(geometry.covariance).reshape(count, count)
+    sigma = np.sqrt(np.diag(covariance))
+    # scaled to unit variances first, because metres and pixels differ by powers of ten
+    safe = np.where(sigma > 0, sigma, 1.0)
+    share, vectors = np.linalg.eigh(covariance / np.outer(safe, safe))
+    kept = share > _NEGLIGIBLE * max(share[-1], 0.0) if count else np.zeros(0, bool)
+    result: np.ndarray = (vectors[:, kept] * np.sqrt(share[kept])).T * sigma
+    return result
+
+
+def _positions(
+    geometry: RigGeometry, column: np.ndarray, row: np.ndarray, phase: np.ndarray, orientation: Orientation
+) -> np.ndarray:
+    """Intersect the lines of sight of scattered ideal pixels with their fringes; images: see `reconstruct_image`."""
+    rays = np.stack([column, row, np.ones(column.shape)], axis=-1) @ geometry.ray_matrix.T
+    order = [0, 1, 2] if orientation == Orientation.VERTICAL else [1, 0, 2]
+    axes = geometry.projector_axes[:, order]
+    camera = np.array([0.0, 0.0, geometry.camera_distance])
+    along_m, along_n, along_back = np.moveaxis(rays @ axes, -1, 0)
+    camera_m, camera_n, camera_back = (camera - geometry.projector_position) @ axes
+    scale, axis = geometry.fringe_scale(_PITCH, orientation)
+    target = scale * phase + axis
+    t = -(camera_m + target * camera_back) / (along_m + target * along_back)
+    for _ in range(_NEWTON_STEPS if geometry.projector_k1 else 0):
+        back = -1 / (camera_back + t * along_back)
+        m, n = (camera_m + t * along_m) * back, (camera_n + t * along_n) * back
+        m_t, n_t = (along_m + m * along_back) * back, (along_n + n * along_back) * back
+        stretch = 1 + geometry.projector_k1 * (m * m + n * n)
+        slope = m_t * (stretch + 2 * geometry.projector_k1 * m * m) + 2 * geometry.projector_k1 * m * n * n_t
+        t = t - (m * stretch - target) / slope
+    return np.moveaxis(camera + t[..., None] * rays, -1, 0)

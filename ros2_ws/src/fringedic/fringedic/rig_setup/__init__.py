@@ -1,0 +1,5 @@
+"""Measurements before a test: live figures, projector timing, response, noise floor, recommended settings."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

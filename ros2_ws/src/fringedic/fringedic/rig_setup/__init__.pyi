@@ -1,0 +1,14 @@
+from .advice import Advice as Advice
+from .advice import SettingsProblem as SettingsProblem
+from .advice import SettingsWarning as SettingsWarning
+from .camera_noise import EstimatedCameraNoise as EstimatedCameraNoise
+from .camera_noise import estimate_camera_noise as estimate_camera_noise
+from .live_figures import Figures as Figures
+from .live_figures import LiveView as LiveView
+from .noise_floor import noise_of_images as noise_of_images
+from .noise_floor import noise_of_recording as noise_of_recording
+from .recommended_settings import advise_settings as advise_settings
+from .response import measure_response as measure_response
+from .timing import ProjectorTiming as ProjectorTiming
+from .timing import measure_timing as measure_timing
+from .timing_samples import TimingSamples as TimingSamples

@@ -1,0 +1,11 @@
+from .displacement_tracker import DisplacementTracker as DisplacementTracker
+from .parameters import CouplingParameters as CouplingParameters
+from .parameters import DicParameters as DicParameters
+from .parameters import PhaseParameters as PhaseParameters
+from .phase import phase_step as phase_step
+from .phase import white_texture as white_texture
+from .pipeline import OfflinePipeline as OfflinePipeline
+from .shape_tracker import ShapeTracker as ShapeTracker
+from .step_results import CouplingResult as CouplingResult
+from .step_results import DicResult as DicResult
+from .step_results import PhaseResult as PhaseResult

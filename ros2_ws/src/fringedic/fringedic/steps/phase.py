@@ -1,0 +1,95 @@
+"""The phase step: frames to absolute phase (eq. 11) and texture."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from fringedic.errors import ErrorCode, StepError
+from fringedic.frames.collector import Stack
+from fringedic.frames.noise import CameraNoise
+from fringedic.patterns.pattern import PatternKind
+from fringedic.phase.measure import measure_phase
+from fringedic.phase.settings import PhaseSettings
+from fringedic.steps.parameters import PhaseParameters
+from fringedic.steps.references import check_fraction
+from fringedic.steps.step_results import PhaseResult
+
+LIT_NEIGHBOURHOOD = 9  # [px], larger than a speckle
+
+
+def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
+    """Check the frames of a step and measure its phase (eq. 11).
+
+    Raises
+    ------
+    StepError
+        The stack contains no fringes (`ErrorCode.FRAME_MISMATCH`); its frames are faulty (`WRONG_PATTERN`,
+        `FRAMES_OUT_OF_ORDER`, `FLICKER`, `SURFACE_MOVED`); less of the image has a phase than
+        ``parameters.minimum_valid_fraction`` (`TOO_FEW_VALID`, or the cause `SATURATED` or `DARK`).
+    PhaseError
+        Its frames give no phase, or a relative one that the parameters do not accept.
+    """
+    where = f"experiment '{stack.experiment}', step {stack.step}"
+    if stack.kind != PatternKind.FRINGES:
+        raise StepError(
+            f"{where}: shows {stack.kind.name}, a phase needs fringes",
+            experiment=stack.experiment,
+            step=stack.step,
+            code=ErrorCode.FRAME_MISMATCH,
+        )
+    try:
+        measured, remarks = measure_phase(
+            stack.frames, stack.patterns, _settings(parameters), exposure_times=stack.exposure_times
+        )
+    except StepError as error:
+        raise StepError(
+            f"{where}: {error}",
+            experiment=stack.experiment,
+            step=stack.step,
+            index=error.index,
+            code=error.code,
+        ) from error
+    fraction = float(measured.valid.mean())
+    check_fraction("a phase", fraction, parameters.minimum_valid_fraction, (stack.experiment, stack.step))
+    texture = measured.texture.where(_lit_region(measured.valid.values))
+    return PhaseResult(
+        experiment=stack.experiment,
+        step=stack.step,
+        stamp=stack.stamp,
+        maps=measured[["phase", "sigma", "modulation"]].assign(texture=texture),
+        pitch=stack.patterns[-1].pitch,
+        orientation=stack.patterns[-1].orientation,
+        valid_fraction=fraction,
+        rms=float(np.nanmedian(measured.sigma.values)),
+        relative=bool(measured.phase.attrs["relative"]),
+        remarks=tuple(remarks),
+    )
+
+
+def _settings(parameters: PhaseParameters) -> PhaseSettings:
+    read_noise = parameters.read_noise_grey_level
+    return PhaseSettings(
+        method=parameters.method,
+        accept_relative=parameters.relative_phase == "accept",
+        noise=CameraNoise(read_noise, parameters.shot_noise_grey_level) if read_noise else None,
+        saturation=parameters.saturation_grey_level or None,
+        minimum_modulation=parameters.minimum_modulation_grey_level,
+        lens_blur=parameters.lens_blur_px,
+        largest_error=parameters.maximum_error_fringe,
+        largest_motion=parameters.maximum_motion_px,
+    )
+
+
+def _lit_region(valid: np.ndarray) -> np.ndarray:
+    """Return where the surface is: pixels most of whose neighbours have a phase.
+
+    Background and shadow do not move with the surface and would pull the displacement beside them. A dark speckle
+    without phase stays part of the surface.
+    """
+    return cv2.blur(valid.astype(np.float32), (LIT_NEIGHBOURHOOD, LIT_NEIGHBOURHOOD)) > 0.5
+
+
+def white_texture(image: np.ndarray) -> np.ndarray:
+    """Return the texture of a white exposure: the image itself as float32 [grey level]."""
+    return image.astype(np.float32)

@@ -1,0 +1,158 @@
+"""The phase, dic and coupling steps in one process: recorded frames to whole step results, without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from fringedic.errors import FringedicError
+from fringedic.frames.collector import FrameCollector, Stack
+from fringedic.patterns.pattern import PatternKind
+from fringedic.recording.frames import RecordedFrame, RecordedMessage
+from fringedic.rig.model import RigModel
+from fringedic.steps.displacement_tracker import DisplacementTracker
+from fringedic.steps.phase import phase_step, white_texture
+from fringedic.steps.recorded_parameters import RecordedParameters, StepSettings
+from fringedic.steps.shape_tracker import ShapeTracker
+from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult
+
+_ERROR_STAGE = 4  # of fringedic_msgs/StepStatus
+
+
+@dataclass
+class MeasuredStep:
+    """The results of one recorded step, as far as it could be measured.
+
+    Attributes
+    ----------
+    step
+        Its number.
+    stamp
+        Stamp of its last exposure [ns]; None when its last frame is missing.
+    error
+        Why it could not be measured to the end; empty when it could.
+    phase, displacement, coupling
+        The results; None for those that a white step does not have, and after an error.
+    """
+
+    step: int
+    stamp: int | None = None
+    error: str = ""
+    phase: PhaseResult | None = None
+    displacement: DicResult | None = None
+    coupling: CouplingResult | None = None
+
+
+class OfflinePipeline:
+    """Measures recorded steps with the functions that the phase, dic and coupling nodes call.
+
+    Parameters
+    ----------
+    overrides
+        Parameters that replace the recorded ones, ``{"dic.window": 24}``.
+    experiment
+        The experiment whose frames follow.
+    reference
+        A step that is the reference of all others, whatever the recording names; its frames come first.
+    calibration
+        Of the rig, instead of the recorded one.
+    """
+
+    def __init__(
+        self, overrides: Mapping[str, Any], experiment: str, reference: int | None, calibration: RigModel | None = None
+    ) -> None:
+        self._fixed_reference = reference
+        self._fixed_calibration = calibration is not None
+        self._calibration: RigModel | None = None
+        self._parameters = RecordedParameters(overrides)
+        self._collector = FrameCollector()
+        self._displacement = DisplacementTracker(self._parameters.dic)
+        self._shape = ShapeTracker(self._parameters.coupling)
+        self._answered: set[int] = set()
+        if reference is not None:
+            self._set_reference(experiment, reference)
+        if calibration is not None:
+            self._set_calibration(calibration)
+
+    @property
+    def settings(self) -> StepSettings:
+        """Everything that the next step is measured with."""
+        return self._parameters.settings(self._calibration)
+
+    def take(self, event: RecordedFrame | RecordedMessage, wanted: set[int] | None = None) -> list[MeasuredStep]:
+        """Take what was recorded next and return the steps that it completes.
+
+        Parameters
+        ----------
+        event
+            From `fringedic.recording.frames.events`.
+        wanted
+            Numbers of the steps to measure; None for all.
+        """
+        if isinstance(event, RecordedFrame):
+            return self._take_frame(event, wanted)
+        message = event.message
+        if event.topic == "node_parameters":
+            self._parameters.take(message)
+        elif event.topic == "calibration" and not self._fixed_calibration:
+            self._set_calibration(RigModel.from_message(message))
+        elif event.topic == "experiment/reference" and self._fixed_reference is None:
+            self._set_reference(message.experiment, message.step)
+        elif event.topic == "experiment/step":
+            key = (message.experiment, message.step)
+            if message.stage == _ERROR_STAGE and key in self._collector.open_steps:
+                return [self._abandoned(*key)]
+        return []
+
+    def finish(self) -> list[MeasuredStep]:
+        """Return the steps that the recording leaves incomplete."""
+        return [self._abandoned(*key) for key in self._collector.open_steps]
+
+    def _set_calibration(self, calibration: RigModel) -> None:
+        self._calibration = calibration
+        self._shape.set_calibration(calibration)
+
+    def _set_reference(self, experiment: str, step: int) -> None:
+        self._displacement.set_reference(experiment, step)
+        self._shape.set_reference(experiment, step)
+
+    def _abandoned(self, experiment: str, step: int) -> MeasuredStep:
+        self._answered.add(step)
+        return MeasuredStep(step, error=str(self._collector.abandon(experiment, step)))
+
+    def _take_frame(self, frame: RecordedFrame, wanted: set[int] | None) -> list[MeasuredStep]:
+        record = frame.record
+        unwanted = wanted is not None and record.step not in wanted
+        if record.pattern.kind == PatternKind.OTHER or unwanted or record.step in self._answered:
+            return []
+        try:
+            stack = self._collector.add(record, frame.image)
+        except FringedicError as error:
+            self._collector.abandon(record.experiment, record.step)
+            self._answered.add(record.step)
+            return [MeasuredStep(record.step, record.stamp, error=str(error))]
+        if stack is None:
+            return []
+        self._answered.add(record.step)
+        return [self._measure(stack)]
+
+    def _measure(self, stack: Stack) -> MeasuredStep:
+        measured = MeasuredStep(stack.step, stack.stamp)
+        try:
+            if stack.kind == PatternKind.WHITE:
+                measured.displacement = self._displace(stack, white_texture(stack.frames[-1]))
+                return measured
+            measured.phase = phase_step(stack, self._parameters.phase)
+            measured.displacement = self._displace(stack, measured.phase.texture)
+            self._shape.parameters = self._parameters.coupling
+            measured.coupling = self._shape.step(measured.phase, measured.displacement)
+        except FringedicError as error:
+            measured.error = str(error)
+        return measured
+
+    def _displace(self, stack: Stack, texture: np.ndarray) -> DicResult:
+        self._displacement.parameters = self._parameters.dic
+        return self._displacement.step(stack.experiment, stack.step, stack.stamp, texture)

@@ -1,0 +1,124 @@
+"""Parameters of the nodes as recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from fringedic.errors import ConfigurationError
+from fringedic.metadata import Metadata
+from fringedic.rig.model import RigModel
+from fringedic.steps.parameters import CouplingParameters, DicParameters, Parameters, PhaseParameters
+
+METADATA_PARAMETER = "facts"  # its name in recordings
+_RENAMED = {"watch_region_px": "drift_marker_px"}  # parameters of older recordings
+
+
+@dataclass(frozen=True)
+class StepSettings:
+    """What a step was measured with.
+
+    Attributes
+    ----------
+    parameters
+        Of the processing nodes, by node.
+    calibration
+        Of the rig; None before it is known.
+    rig
+        Recorded parameters of the other nodes, by node.
+    metadata
+        Specimen and hardware as entered; None when not recorded.
+    """
+
+    parameters: dict[str, Parameters]
+    calibration: RigModel | None
+    rig: dict[str, dict[str, Any]]
+    metadata: Metadata | None
+
+    @property
+    def spacing(self) -> int:
+        """Distance of the displacement's points [px]."""
+        dic = self.parameters["dic"]
+        assert isinstance(dic, DicParameters)
+        return dic.spacing
+
+
+class RecordedParameters:
+    """Recorded parameters of the processing nodes with overrides, and those of the other nodes.
+
+    Parameters
+    ----------
+    overrides
+        Values that replace recorded ones, ``{"dic.window": 24}``.
+
+    Raises
+    ------
+    ConfigurationError
+        An override is unknown or not allowed.
+    """
+
+    def __init__(self, overrides: Mapping[str, Any]) -> None:
+        self.phase = PhaseParameters()
+        self.dic = DicParameters()
+        self.coupling = CouplingParameters()
+        self._overrides: dict[str, dict[str, Any]] = {"phase": {}, "dic": {}, "coupling": {}}
+        self._others: dict[str, dict[str, Any]] = {}
+        self._metadata: Metadata | None = None
+        for name, value in overrides.items():
+            node, _, parameter = name.partition(".")
+            if node not in self._overrides or parameter not in type(getattr(self, node)).model_fields:
+                known = ", ".join(f"{each}.{key}" for each in self._overrides for key in self._model(each).model_fields)
+                raise ConfigurationError(f"there is no parameter '{name}'; known are {known}")
+            self._overrides[node][parameter] = value
+        for node in self._overrides:
+            self._set(node, {})
+
+    def settings(self, calibration: RigModel | None) -> StepSettings:
+        """Return everything that the next step is measured with."""
+        processing: dict[str, Parameters] = {"phase": self.phase, "dic": self.dic, "coupling": self.coupling}
+        return StepSettings(processing, calibration, self._others, self._metadata)
+
+    def take(self, message: Any) -> None:
+        """Take the published parameters of one node; parameters that this version does not have are left out."""
+        recorded = {_RENAMED.get(each.name, each.name): _value(each.value) for each in message.parameters}
+        if message.node in self._overrides:
+            known = self._model(message.node).model_fields
+            self._set(message.node, {name: value for name, value in recorded.items() if name in known})
+            return
+        text = recorded.pop(METADATA_PARAMETER, "")
+        if text:
+            self._metadata = Metadata.from_text(text)
+        self._others[message.node] = recorded
+
+    def _model(self, node: str) -> type[Parameters]:
+        return type(getattr(self, node))
+
+    def _set(self, node: str, recorded: Mapping[str, Any]) -> None:
+        try:
+            setattr(self, node, self._model(node)(**{**recorded, **self._overrides[node]}))
+        except ValidationError as error:
+            problems = "; ".join(
+                f"{node}.{each['loc'][0]} = {each['input']!r}: {each['msg']}" for each in error.errors()
+            )
+            raise ConfigurationError(problems) from error
+
+
+def _value(value: Any) -> Any:
+    """Return the value of an ``rcl_interfaces/ParameterValue``."""
+    kinds = ("", "bool", "integer", "double", "string", "byte_array", "bool_array", "integer_array", "double_array")
+    content = getattr(value, f"{(*kinds, 'string_array')[value.type]}_value")
+    return content.tolist() if isinstance(content, np.ndarray) else content
+
+
+def recorded_metadata(messages: Iterable[Any]) -> Metadata:
+    """Return the metadata of specimen and hardware from the published parameters of the nodes."""
+    metadata = Metadata()
+    for message in messages:
+        for each in message.parameters:
+            if each.name == METADATA_PARAMETER and each.value.string_value:
+                metadata = Metadata.from_text(each.value.string_value)
+    return metadata

@@ -1,0 +1,202 @@
+"""The coupling step: phase and in-plane displacement to shape and 3D displacement (eq. 10 and 12)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import xarray as xr
+
+from fringedic.errors import ErrorCode, StepError
+from fringedic.rig.model import RigModel
+from fringedic.steps.drift_marker import MarkerMotion, measure_drift
+from fringedic.steps.parameters import CouplingParameters
+from fringedic.steps.references import LatestSteps, References, StepKey, check_fraction, no_reference, size_mismatch
+from fringedic.steps.statistics import measured_part_and_rms
+from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult
+from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
+from fringedic.surface.nearest_order import nearest_order_to_plane
+
+_SHAPE = ("x", "y", "z", "sigma_z")
+_DISPLACEMENT = ("x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w")
+_LOCAL = ("u_t", "v_t", "w_n")
+_STRAIN = ("e_11", "e_22", "e_12", "sigma_e_11", "sigma_e_22", "sigma_e_12")
+
+
+@dataclass(frozen=True)
+class StepSurface:
+    """The surface of a step, made before its displacement is known, by `ShapeTracker.surface`.
+
+    Attributes
+    ----------
+    phase
+        What it was made from.
+    calibration
+        The rig's model that it was made with.
+    shape
+        From `RigModel.reconstruct`.
+    prepared
+        The shape, smoothed and ready for `couple`.
+    """
+
+    phase: PhaseResult
+    calibration: RigModel
+    shape: xr.Dataset
+    prepared: PreparedShape
+
+
+class ShapeTracker:
+    """Computes the surface of each step and its 3D displacement against the reference step (eq. 10 and 12).
+
+    The phases of the latest ``kept_steps`` steps (any of them can become the reference) and of the reference step stay
+    in memory.
+
+    Parameters
+    ----------
+    parameters
+        May be replaced between steps by assigning to ``parameters``.
+    """
+
+    def __init__(self, parameters: CouplingParameters) -> None:
+        self.parameters = parameters
+        self._calibration: RigModel | None = None
+        self._references = References()
+        self._phases: LatestSteps[PhaseResult] = LatestSteps()
+        self._prepared: StepSurface | None = None
+
+    def set_calibration(self, calibration: RigModel) -> None:
+        """Set the rig's model, with which the following steps and their reference are reconstructed."""
+        self._calibration = calibration
+
+    def set_reference(self, experiment: str, step: int) -> None:
+        """Make a step the reference of the following ones; it may be a step that is still to come."""
+        self._references.set(experiment, step)
+
+    def surface(self, phase: PhaseResult) -> StepSurface | None:
+        """Make the surface of a step while its displacement is still being measured; None without a calibration."""
+        if self._calibration is None:
+            return None
+        return self._make_surface(_for_reconstruction(phase), self._calibration)
+
+    def step(
+        self, phase: PhaseResult, displacement: DicResult, *, surface: StepSurface | None = None
+    ) -> CouplingResult:
+        """Couple the phase and the in-plane displacement of one step.
+
+        Parameters
+        ----------
+        phase
+            Of the step. Where its phase is relative, the fringe order nearest to the reference plane is taken.
+        displacement
+            Of the same step.
+        surface
+            From `surface` of the same phase; made again when the calibration or the filter has changed since.
+
+        Raises
+        ------
+        StepError
+            No calibration has been set (`ErrorCode.NO_CALIBRATION`); the reference step was not measured or is no
+            longer kept (`NO_REFERENCE`); the phase has another size than the reference's (`FRAME_MISMATCH`); less of
+            the cloud is measured than ``parameters.minimum_valid_fraction`` (`TOO_FEW_VALID`).
+        """
+        parameters = self.parameters
+        key = (phase.experiment, phase.step)
+        reference_key = (phase.experiment, self._references.of(*key))
+        calibration = self._require_calibration(phase)
+        phase = _for_reconstruction(phase) if surface is None else surface.phase
+        first = phase if key == reference_key else self._require_reference(phase, key, reference_key)
+        current = self._current(surface, phase, calibration)
+        reference = current if first is phase else self._reference_surface(first, calibration)
+        cloud = couple(
+            reference.prepared,
+            current.prepared,
+            displacement.field,
+            calibration=calibration,
+            z_filter=parameters.z_filter_px,
+            orientation=phase.orientation,
+        )
+        fields = self._evaluated(cloud)
+        fraction, length = measured_part_and_rms(fields.u.values, fields.v.values, fields.w.values)
+        check_fraction("a 3D displacement", fraction, parameters.minimum_valid_fraction, key)
+
+        self._references.succeeded(*key)
+        self._phases.keep(key, phase, parameters.kept_steps, reference_key)
+        self._prepared = reference
+        return CouplingResult(
+            experiment=phase.experiment,
+            step=phase.step,
+            stamp=phase.stamp,
+            reference_step=reference_key[1],
+            shape=_selected(current.shape, _SHAPE),
+            displacement=fields,
+            valid_fraction=fraction,
+            rms=length,
+            drift=self._drift(fields, reference_key[1]),
+        )
+
+    def _require_calibration(self, phase: PhaseResult) -> RigModel:
+        if self._calibration is None:
+            raise StepError(
+                f"experiment '{phase.experiment}', step {phase.step}: no calibration yet; publish one on 'calibration'",
+                experiment=phase.experiment,
+                step=phase.step,
+                code=ErrorCode.NO_CALIBRATION,
+            )
+        return self._calibration
+
+    def _require_reference(self, phase: PhaseResult, key: StepKey, reference_key: StepKey) -> PhaseResult:
+        first = self._phases.get(reference_key)
+        if first is None:
+            raise no_reference(key, reference_key)
+        if first.phase.shape != phase.phase.shape:
+            raise size_mismatch("phase map", key, reference_key, (phase.phase.shape, first.phase.shape))
+        return first
+
+    def _make_surface(self, phase: PhaseResult, calibration: RigModel) -> StepSurface:
+        values = phase.phase
+        if phase.relative:
+            values = nearest_order_to_plane(values, calibration, phase.pitch, phase.orientation)
+        shape = calibration.reconstruct(values, phase.pitch, phase.sigma, phase.orientation)
+        prepared = PreparedShape(shape, z_filter=self.parameters.z_filter_px, calibration=calibration)
+        return StepSurface(phase, calibration, shape, prepared)
+
+    def _is_current(self, surface: StepSurface, calibration: RigModel) -> bool:
+        return surface.calibration is calibration and surface.prepared.z_filter == self.parameters.z_filter_px
+
+    def _current(self, surface: StepSurface | None, phase: PhaseResult, calibration: RigModel) -> StepSurface:
+        if surface is not None and self._is_current(surface, calibration):
+            return surface
+        return self._make_surface(phase, calibration)
+
+    def _reference_surface(self, first: PhaseResult, calibration: RigModel) -> StepSurface:
+        """Return the reference's surface, made once for the steps that share it."""
+        known = self._prepared
+        if known is not None and known.phase is first and self._is_current(known, calibration):
+            return known
+        return self._make_surface(first, calibration)
+
+    def _evaluated(self, cloud: xr.Dataset) -> xr.Dataset:
+        """Return the fields to be published: displacement, local components and strain where they are asked for."""
+        parts = [_selected(cloud, _DISPLACEMENT)]
+        if self.parameters.local_frame_window_px:
+            parts.append(_selected(to_local_frame(cloud, window=self.parameters.local_frame_window_px), _LOCAL))
+        if self.parameters.strain_window_px:
+            strain = surface_strain(cloud, window=self.parameters.strain_window_px)
+            parts.append(_selected(strain, [name for name in _STRAIN if name in strain]))
+        return parts[0].assign({name: array for part in parts[1:] for name, array in part.items()})
+
+    def _drift(self, fields: xr.Dataset, reference_step: int) -> MarkerMotion | None:
+        region = self.parameters.drift_marker_px
+        return measure_drift(fields, region, reference_step) if region[2] else None
+
+
+def _for_reconstruction(phase: PhaseResult) -> PhaseResult:
+    """Return a phase without texture and modulation, which would stay in memory with every kept step."""
+    return replace(phase, maps=phase.maps[["phase", "sigma"]])
+
+
+def _selected(dataset: xr.Dataset, names: Iterable[str]) -> xr.Dataset:
+    """Return some variables of a dataset as contiguous float32, with its coordinates."""
+    arrays = {name: (dataset[name].dims, np.ascontiguousarray(dataset[name].values, np.float32)) for name in names}
+    return xr.Dataset(arrays, coords=dataset.coords)

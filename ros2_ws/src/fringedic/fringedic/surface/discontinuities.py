@@ -1,0 +1,115 @@
+"""Discontinuities of a surface: points beside which displacement or height jump, so that windows must not cross.
+
+Within its window, a measured displacement cannot follow a jump: it changes from one side to the other over about half a
+window on either side. With points at a distance h from a place, three eighths of the window, the lines through the
+points at h and 2 h on either side differ at the place by
+
+    jump(h) = f(h) - f(-h) - (f(2h) - f(h)) - (f(-h) - f(-2h))
+
+This is zero for any slope or curvature, small for a smooth field, and the jump at a discontinuity. Seen from twice as
+far, the jump of a discontinuity is the same and that of a smooth field 8 times as large.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import xarray as xr
+from numba import njit, prange
+
+# Standard deviations of the jump above which it is a discontinuity; test_waves_are_no_discontinuities,
+# test_strain_beside_a_crack.
+JUMP = 6.0
+_NOISE = 10.0  # variance of a jump over that of a value: squares of the coefficients 1, 2, 2, 1
+_REACH = 3 / 8  # of the window of the displacement, see above
+_SAME = (0.6, 1.5)  # jump from twice as far over the jump: 1 for a discontinuity, 8 for a smooth field
+_MOST = 0.75  # share of the jump in the difference between both sides, where there is no room to look from farther
+_FIELDS = (("z", "noise_z"), ("u", "sigma_u"), ("v", "sigma_v"), ("w", "sigma_w"))
+
+
+def find_discontinuities(cloud: xr.Dataset) -> np.ndarray:
+    """Find the points of a cloud that lie beside a discontinuity of height or displacement.
+
+    Parameters
+    ----------
+    cloud
+        From `couple`, with the standard deviations of its fields and the window of the displacement.
+
+    Returns
+    -------
+    ndarray
+        Bool (row, column), True within the reach of a jump.
+    """
+    window = float(cloud.attrs["displacement_window_px"])
+    near = [max(1, math.ceil(_REACH * window / _spacing(cloud[name].values))) for name in ("row", "column")]
+    found = np.zeros(cloud["x"].shape, np.bool_)
+    for name, sigma in _FIELDS:
+        values, noise = (np.ascontiguousarray(cloud[each], np.float32) for each in (name, sigma))
+        variance = np.float32(JUMP**2 * _NOISE) * np.square(noise)
+        for lines, limit, h, marked in ((values, variance, near[1], found), (values.T, variance.T, near[0], found.T)):
+            # the relief of a rough surface and a strain that varies are no discontinuities
+            usual = np.float32((JUMP * _measure_roughness(lines, h)) ** 2)
+            _mark(lines, np.maximum(limit, usual), h, marked)
+    return found
+
+
+def _spacing(positions: np.ndarray) -> float:
+    return float(positions[1] - positions[0]) if len(positions) > 1 else 1.0
+
+
+def _measure_roughness(values: np.ndarray, h: int) -> float:
+    """Return the robust standard deviation of the jumps along the lines of a map, by noise and relief."""
+    some = values[:: max(1, len(values) // 100)].astype(float)
+    if some.shape[1] <= 4 * h:
+        return 0.0
+    near = some[:, 3 * h : -h] - some[:, h : -3 * h]
+    jumps = np.abs(2 * near - some[:, 4 * h :] + some[:, : -4 * h])
+    jumps = jumps[np.isfinite(jumps)]
+    return 1.4826 * float(np.median(jumps)) if len(jumps) else 0.0
+
+
+@njit(cache=True, nogil=True)
+def _find_measured(line: np.ndarray, start: int, way: int, farthest: int) -> int:
+    """Return the index of the first measured value from `start` on, up to `farthest`; -1 if there is none."""
+    for k in range(farthest + 1):
+        at = start + way * k
+        if at < 0 or at >= len(line):
+            return -1
+        if np.isfinite(line[at]):
+            return at
+    return -1
+
+
+@njit(cache=True, nogil=True)
+def _jump(line: np.ndarray, before: int, after: int, h: int) -> tuple[float, float]:
+    """Return the jump between two places from the slopes over h beyond them, and their difference; NaN without room."""
+    if before - h < 0 or after + h >= len(line):
+        return np.nan, np.nan
+    left, right = line[before] - line[before - h], line[after + h] - line[after]
+    difference = line[after] - line[before]
+    return difference - (left + right) * (after - before) / (2.0 * h), difference
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _mark(values: np.ndarray, limit: np.ndarray, h: int, marked: np.ndarray) -> None:
+    """Mark the points of each line within h of a jump; in gaps the nearest values are used."""
+    lines, length = values.shape
+    for i in prange(lines):
+        line = values[i]
+        for place in range(h, length - h):
+            before = _find_measured(line, place - h, -1, 2 * h)
+            after = _find_measured(line, place + h, 1, 2 * h)
+            if before < 0 or after < 0:
+                continue
+            jump, difference = _jump(line, before, after, h)
+            # NaN is no jump, nor is any jump known where the noise is not
+            if not 2.0 * jump * jump > limit[i, before] + limit[i, after]:
+                continue
+            farther, confirmed = np.nan, abs(jump) > _MOST * abs(difference)
+            if before >= h and after + h < length:
+                farther, _ = _jump(line, before - h, after + h, 2 * h)
+            if np.isfinite(farther):
+                confirmed = _SAME[0] < farther / jump < _SAME[1]
+            if confirmed:
+                marked[i, before : after + 1] = True

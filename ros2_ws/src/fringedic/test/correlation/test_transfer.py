@@ -1,0 +1,62 @@
+"""Transfer function of both methods: against measured waves, noise gain and correlation of errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from fringedic.correlation.measure import measure_displacement
+from fringedic.correlation.transfer import error_correlation, noise_gain, shortest_period, transfer_function
+from fringedic.errors import CorrelationError
+
+METHODS = ("dense", "zoi")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_wave_of_the_shortest_period_keeps_nine_tenths(speckle, method):
+    """The dense method stays a little below its transfer: the iteration ends before its fixed point."""
+    period = shortest_period(32, method)
+    surface = speckle((128, 320), 401)
+    image = surface.image(lambda x, y: (0.1 * np.sin(2 * np.pi * x / period), 0 * y))
+    field = measure_displacement(surface.image(), image, window=32, spacing=4, method=method)
+    inner = field.isel(row=slice(10, -10), column=slice(10, -10)).displacement_x
+    phase = 2 * np.pi * inner.column.values / period
+    basis = np.stack([np.sin(phase), np.cos(phase), np.ones_like(phase)], axis=1)
+    amplitude = np.linalg.lstsq(basis, inner.mean("row").values, rcond=None)[0][0]
+    assert amplitude / 0.1 == pytest.approx(0.9, abs=0.05 if method == "dense" else 0.02)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_transfer_decreases_and_its_square_is_the_spectrum_of_the_noise(method):
+    frequency = np.linspace(0, 0.1, 500)
+    kept = transfer_function(frequency, 32, method)
+    assert kept[0] == pytest.approx(1)
+    period = shortest_period(32, method)
+    assert transfer_function(1 / period, 32, method) == pytest.approx(0.9, abs=1e-3)
+    assert (transfer_function(frequency[frequency < 1 / period], 32, method) > 0.899).all()
+    # waves along one axis: the correlation summed over the lags along the other one
+    lags = error_correlation(32, method, 160)
+    along = lags[0] + 2 * lags[1:].sum(axis=0)
+    spectrum = along[0] + 2 * np.cos(2 * np.pi * np.outer(frequency, np.arange(1, 161))) @ along[1:]
+    np.testing.assert_allclose(spectrum / spectrum[0], kept**2, atol=2e-3)
+
+
+@pytest.mark.parametrize("window", [16, 32, 64])
+def test_both_methods_have_the_same_noise_gain(window):
+    assert noise_gain(window, "dense") == pytest.approx(noise_gain(window, "zoi"), rel=0.02)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_correlation_of_errors(method):
+    lags = error_correlation(32, method)
+    assert lags.shape == (65, 65)
+    assert lags[0, 0] == pytest.approx(1)
+    assert np.allclose(lags, lags.T, atol=1e-12)
+    assert lags[0, 4] > 0.7
+    assert abs(lags[0, 60]) < 0.05
+
+
+@pytest.mark.parametrize("function", [error_correlation, noise_gain, shortest_period])
+def test_unknown_method_is_refused(function):
+    with pytest.raises(CorrelationError, match="'dense' or 'zoi'"):
+        function(32, "pixels")

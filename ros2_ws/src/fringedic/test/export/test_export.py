@@ -1,0 +1,294 @@
+"""Every exported file, read back with the library that users would take, against the dataset it came from."""
+
+import json
+import os
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import pyvista
+import scipy.io
+import tifffile
+import xarray as xr
+from PIL import Image
+
+from fringedic.errors import ExportError
+from fringedic.export import FORMATS, export_dataset, tables
+from fringedic.metadata import Metadata
+from fringedic.results import open_experiment
+from fringedic.results.quantities import MAPS, STEP_NUMBERS
+from fringedic.results.rows import Row
+from fringedic.results.writer import DatasetWriter
+from fringedic.rig.model import RigModel
+from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
+from fringedic.steps.recorded_parameters import StepSettings
+
+ROWS, COLUMNS, SPACING = 4, 5, 3
+PIXEL = 50e-6  # [m]
+START = 1_700_000_000_000_000_000  # [ns]
+RIG = RigModel(
+    camera_width=COLUMNS * SPACING,
+    camera_height=ROWS * SPACING,
+    camera_distance=0.4,
+    pixel_size=PIXEL,
+    pixel_aspect=1.0,
+    principal_column=7.0,
+    principal_row=5.5,
+    projector_width=100,
+    projector_height=75,
+    projector_position=(-0.2, 0.0, 0.4),
+    projector_rotation=(0.0, 0.0, 0.0),
+    projector_focal_length=400.0,
+    projector_principal_column=49.5,
+    projector_principal_row=37.0,
+    identifier="bench",
+)
+HOLE = (1, 3)  # row, column that is not measured
+METADATA = Metadata.from_text("specimen: {name: sheet 4, section_mm2: 12.5, operator: Ada, force_sign: -1}")
+
+
+def maps(step):
+    """A surface that rises to the right and upwards, moved left, upwards and to the camera, more each step."""
+    row, column = np.mgrid[:ROWS, :COLUMNS].astype(float)
+    x = PIXEL * (SPACING * column - 7.0)
+    y = -PIXEL * (SPACING * row - 5.5)
+    values = {name: np.full((ROWS, COLUMNS), np.nan) for name in MAPS}
+    values |= {"x": x, "y": y, "z": 1e-3 + 0.1 * x + 0.3 * y}
+    values |= {
+        "u": -2e-6 * step * (1 + column),
+        "v": 3e-6 * step * (1 + row),
+        "w": 5e-6 * step * (1 + column + 2 * row),
+    }
+    values |= {"sigma_u": 0 * x + 1e-7, "sigma_v": 0 * x + 2e-7, "sigma_w": 0 * x + 3e-7}
+    values |= {"e_11": -150e-6 * step + 0 * x, "e_22": 250e-6 * step + 1e-6 * column, "e_12": 10e-6 * row}
+    values |= {"displacement_x": -0.04 * step + 0 * x, "displacement_y": -0.06 * step + 0 * x}
+    values |= {"phase": 0.1 * column, "modulation": 40.0 + row, "texture": 100.0 + column}
+    values |= {"shape_x": x, "shape_y": y, "shape_z": values["z"] + values["w"]}
+    for name, each in values.items():
+        if name not in ("modulation", "texture"):
+            each[HOLE] = np.nan
+    return {name: each.astype(np.float32) for name, each in values.items()}
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    path = tmp_path_factory.mktemp("dataset") / "sheet.nc"
+    parameters = {"phase": PhaseParameters(), "dic": DicParameters(spacing=SPACING), "coupling": CouplingParameters()}
+    settings = StepSettings(parameters, RIG, {"camera": {"exposure_time_s": 0.01}}, METADATA)
+    with DatasetWriter(path, {"experiment": "sheet", "source": "bag"}) as writer:
+        for step in (0, 1, 2):
+            stamp = START + step * 1_500_000_000
+            writer.add(
+                Row(step, stamp, "", 0, max(step - 1, 0), 10.0 * step, 1e-4 * step, 0.9, 1e-5 * step, maps(step)),
+                settings,
+            )
+        white = {"displacement_x": maps(2)["displacement_x"], "displacement_y": maps(2)["displacement_y"]}
+        writer.add(Row(3, START + 4_000_000_000, "", 0, 0, 20.0, 2e-4, 0.9, float("nan"), white), settings)
+        writer.add(Row(4, START + 5_000_000_000, "step 4: frames 2 of 8 never arrived"), settings)
+    with open_experiment(path) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def exported(dataset, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("exported")
+    pictures = ("png", "gif")  # drawing takes most of the time: one step with a surface and one without
+    done = export_dataset(dataset, folder, [name for name in FORMATS if name not in pictures])
+    done += export_dataset(dataset, folder, pictures, steps=[2, 3])
+    done = {each.format: each for each in done}
+    assert set(done) == set(FORMATS)
+    assert all(each.path is not None and each.path.exists() for each in done.values())
+    assert not [name for name in os.listdir(folder) if name.startswith(".")]
+    return done
+
+
+def measured(dataset, name, step, factor):
+    values = dataset[name].sel(step=step).values
+    return values[np.isfinite(dataset["w"].sel(step=2).values)] / factor
+
+
+def check_metadata(found):
+    assert found["calibration"]["camera_distance"] == 0.4
+    assert found["parameters"][0]["parameters"]["dic"]["spacing"] == SPACING
+    assert found["facts"]["specimen"]["operator"] == "Ada"
+    assert found["software"].startswith("fringedic ")
+    assert len(found["commit"]) >= 7
+    assert found["exported_by_commit"]
+
+
+def test_the_dataset_carries_its_origin(dataset):
+    attributes = {**dataset.attrs, "exported_by_commit": "-"}
+    for name in ("calibration", "parameters", "facts"):
+        attributes[name] = json.loads(attributes[name])
+    check_metadata(attributes)
+
+
+@pytest.mark.parametrize("name", ["netcdf", "zarr"])
+def test_netcdf_and_zarr_are_the_dataset(dataset, exported, name):
+    with open_experiment(exported[name].path) as again:
+        xr.testing.assert_identical(again.load(), dataset.load())
+        assert again.time.values[1] == np.datetime64(START + 1_500_000_000, "ns")
+
+
+def test_netcdf_opens_in_hdf5(dataset, exported):
+    with h5py.File(exported["netcdf"].path) as file:
+        np.testing.assert_array_equal(file["w"][2], dataset.w.sel(step=2).values)
+        assert file["w"].chunks == (1, ROWS, COLUMNS)
+        assert file["w"].attrs["units"] in ("m", b"m")
+
+
+def test_vtk_series_shows_the_surface_in_mm_with_its_displacement(dataset, exported):
+    reader = pyvista.get_reader(exported["vtk"].path / "sheet.pvd")
+    assert reader.time_values == [0.0, 1.5, 3.0]
+    reader.set_active_time_value(3.0)
+    mesh = reader.read()[0]
+    points = np.stack([measured(dataset, name, 2, 1e-3) for name in "xyz"], axis=-1)
+    np.testing.assert_allclose(mesh.points, points, rtol=1e-6, atol=1e-9)
+    moved = np.stack([measured(dataset, name, 2, 1e-3) for name in "uvw"], axis=-1)
+    np.testing.assert_allclose(mesh["displacement_mm"], moved, rtol=1e-6)
+    # to the left, upwards and towards the camera
+    assert (mesh["displacement_mm"] * [-1, 1, 1] > 0).all()
+    np.testing.assert_allclose(mesh["e_22_um_per_m"], measured(dataset, "e_22", 2, 1e-6), rtol=1e-6)
+    assert mesh.n_points == ROWS * COLUMNS - 1
+    assert mesh.n_cells == (ROWS - 1) * (COLUMNS - 1) - 4
+    normals = mesh.compute_normals(point_normals=False, consistent_normals=False, auto_orient_normals=False)["Normals"]
+    assert (normals[:, 2] > 0.9).all(), "faces look towards the camera"
+    assert [mesh.field_data[name][0] for name in STEP_NUMBERS] == [0, 1, 1]
+    check_metadata(json.loads(mesh.field_data["metadata"][0]))
+    assert exported["vtk"].problems == ["step 3 has no surface", "step 4 has no surface"]
+
+
+def test_ply_holds_the_moved_surface(dataset, exported):
+    file = exported["ply"].path / "step_002.ply"
+    mesh = pyvista.read(file)
+    moved = [
+        measured(dataset, axis, 2, 1e-3) + measured(dataset, way, 2, 1e-3)
+        for axis, way in zip("xyz", "uvw", strict=True)
+    ]
+    np.testing.assert_allclose(mesh.points, np.stack(moved, axis=-1), rtol=1e-6, atol=1e-9)
+    assert mesh.n_cells == (ROWS - 1) * (COLUMNS - 1) - 4
+    header, body = file.read_bytes().split(b"end_header\n", 1)
+    lines = header.decode("ascii").splitlines()
+    names = [line.split()[-1] for line in lines if line.startswith("property float")]
+    vertices = np.frombuffer(body, "<f4", len(names) * mesh.n_points).reshape(-1, len(names))
+    np.testing.assert_allclose(vertices[:, names.index("w_um")], measured(dataset, "w", 2, 1e-6), rtol=1e-6)
+    assert {"comment units mm", "comment correlated_step 1", "comment increments_summed 1"} <= set(lines)
+    check_metadata(json.loads(next(line for line in lines if "metadata" in line).removeprefix("comment metadata ")))
+
+
+def test_csv_names_its_units(dataset, exported):
+    folder = exported["csv"].path
+    assert (folder / "step_001.csv").read_text("utf-8").splitlines()[0].startswith("row [px],column [px],phase [rad]")
+    table = np.genfromtxt(folder / "step_001.csv", delimiter=",", names=True, deletechars="", encoding="utf-8")
+    assert len(table) == ROWS * COLUMNS - 1
+    np.testing.assert_allclose(table["u_[µm]"], measured(dataset, "u", 1, 1e-6), rtol=1e-6)
+    np.testing.assert_allclose(table["z_[mm]"], measured(dataset, "z", 1, 1e-3), rtol=1e-6)
+    np.testing.assert_allclose(table["e_11_[µm/m]"], -150, rtol=1e-6)
+    assert table["row_[px]"][0] == 0
+    assert table["column_[px]"][1] == SPACING
+    steps = np.genfromtxt(folder / "steps.csv", delimiter=",", names=True, deletechars="", encoding="utf-8", dtype=None)
+    assert steps["time_[s]"].tolist() == [0.0, 1.5, 3.0, 4.0, 5.0]
+    assert steps["force_[N]"][:4].tolist() == [0, 10, 20, 20]
+    assert steps["position_[mm]"][2] == 0.2
+    assert steps["rms_displacement_[µm]"][1] == 10
+    assert steps["reference_step"].tolist() == [0, 0, 0, 0, -1]
+    assert steps["correlated_step"].tolist() == [0, 0, 1, 0, -1]
+    assert steps["increments_summed"].tolist() == [0, 0, 1, 0, -1]
+    assert "never arrived" in str(steps["error"][4])
+    check_metadata(json.loads((folder / "metadata.json").read_text()))
+    assert exported["csv"].problems == ["step 4 has no measured point"]
+
+
+def test_matlab_gets_si_units_and_names_them(dataset, exported):
+    content = scipy.io.loadmat(exported["mat"].path, squeeze_me=True, simplify_cells=True)
+    np.testing.assert_array_equal(content["w"], dataset.w.values.transpose(1, 2, 0))
+    assert content["units"]["w"] == "m"
+    assert content["units"]["displacement_x"] == "px"
+    assert content["time"].tolist() == [0.0, 1.5, 3.0, 4.0, 5.0]
+    assert content["column"].tolist() == [0, 3, 6, 9, 12]
+    np.testing.assert_allclose(content["force"][:3], [0, 10, 20])
+    assert content["correlated_step"].tolist() == [0, 0, 1, 0, -1]
+    check_metadata(json.loads(str(content["metadata"])))
+
+
+def test_tiff_maps_are_32_bit_in_the_unit_of_their_name(dataset, exported):
+    folder = exported["tiff"].path
+    with tifffile.TiffFile(folder / "step_002_w_um.tif") as file:
+        image = file.asarray()
+        description = json.loads(file.pages[0].description)
+    assert image.dtype == np.float32
+    assert image.shape == (ROWS, COLUMNS)
+    assert np.isnan(image[HOLE])
+    np.testing.assert_allclose(image, dataset.w.sel(step=2).values / 1e-6, rtol=1e-6)
+    assert description["unit"] == "µm"
+    assert description["spacing_px"] == SPACING
+    assert (description["correlated_step"], description["increments_summed"]) == (1, 1)
+    check_metadata(description)
+    assert tifffile.imread(folder / "step_001_shape_z_mm.tif")[0, 0] == pytest.approx(
+        float(dataset.shape_z[1, 0, 0]) * 1e3
+    )
+    assert (folder / "step_003_displacement_x_px.tif").exists()
+    assert not list(folder.glob("step_004*"))
+
+
+def test_pictures_are_written(exported):
+    assert {path.name for path in exported["png"].path.iterdir()} >= {"step_002.png", "step_003.png"}
+    with Image.open(exported["png"].path / "step_002.png") as picture:
+        check_metadata(json.loads(picture.info["Description"]))
+    with Image.open(exported["gif"].path / "w.gif") as picture:
+        check_metadata(json.loads(picture.info["comment"]))
+
+
+def test_r3xa_says_what_is_known_and_nothing_else(exported):
+    document = json.loads(exported["r3xa"].path.read_text("utf-8"))
+    assert {"title", "description", "version", "authors", "date"} <= document.keys()
+    assert (document["version"], document["authors"], document["date"]) == ("2024.7.1", "Ada", "2023-11-14")
+    camera = document["data_sources"][0]
+    assert camera["kind"] == "data_sources/camera"
+    assert camera["image_size"][0]["value"] == 15
+    assert camera["exposure"] == {"kind": "unit", "unit": "ms", "value": 10.0}
+    assert camera["image_scale"]["value"] == pytest.approx(20.0)
+    assert camera["image_scale"]["unit"] == "px/mm"
+    assert "lens" not in camera
+    assert "aperture" not in camera
+    assert "noise" not in camera
+    assert document["settings"][0]["sizes"] == [{"kind": "unit", "unit": "mm2", "value": 12.5, "title": "section"}]
+
+
+def test_nothing_is_overwritten_unasked(dataset, tmp_path):
+    first = export_dataset(dataset, tmp_path, ["mat", "csv"], steps=[1])
+    before = first[0].path.read_bytes()
+    again = export_dataset(dataset, tmp_path, ["mat", "tiff"], steps=[2])
+    assert again[0].path is None
+    assert "sheet.mat exists already" in again[0].problems[0]
+    assert again[1].path is not None, "the others go on"
+    assert first[0].path.read_bytes() == before
+    asked = export_dataset(dataset, tmp_path, ["mat"], steps=[2], overwrite=True)
+    assert asked[0].path.read_bytes() != before
+
+
+def test_formats_that_cannot_hold_the_data_are_named_and_the_rest_goes_on(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr(tables, "MATLAB_LIMIT", 4 * ROWS * COLUMNS - 1)
+    done = {each.format: each for each in export_dataset(dataset, tmp_path, ["mat", "vtk", "ply", "csv"], steps=[3])}
+    assert "a .mat file cannot hold 'phase'" in done["mat"].problems[0]
+    assert "no step has a surface" in done["vtk"].problems[0]
+    assert "no step has a surface" in done["ply"].problems[0]
+    assert [name for name, each in done.items() if each.path is not None] == ["csv"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["sheet_csv"]
+
+
+def test_unwritable_folders_and_unknown_words_are_named(dataset, tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(ExportError, match=r"file.*: cannot be made"):
+        export_dataset(dataset, tmp_path / "file" / "folder", ["csv"])
+    with pytest.raises(ExportError, match=r"no format doc; known are netcdf, zarr, vtk"):
+        export_dataset(dataset, tmp_path, ["doc"])
+    with pytest.raises(ExportError, match=r"no step 9; it has 0, 1, 2, 3, 4"):
+        export_dataset(dataset, tmp_path, ["csv"], steps=[9])
+    if os.geteuid():
+        closed = Path(tmp_path / "closed")
+        closed.mkdir(mode=0o500)
+        done = export_dataset(dataset, closed, ["csv"])
+        assert done[0].path is None
+        assert "cannot be written" in done[0].problems[0]

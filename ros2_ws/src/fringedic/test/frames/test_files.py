@@ -1,0 +1,64 @@
+"""Grey levels of image files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image as Picture
+
+from fringedic.errors import ImageError
+from fringedic.frames.files import read_grey
+
+
+def levels(dtype: type[np.unsignedinteger], *shape: int) -> np.ndarray:
+    values = np.random.default_rng(2).integers(0, np.iinfo(dtype).max, shape, endpoint=True)
+    return values.astype(dtype)
+
+
+@pytest.mark.parametrize("suffix", ["png", "tif", "pgm"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_grey_files_are_taken_as_they_are(tmp_path: Path, suffix: str, dtype: type[np.unsignedinteger]) -> None:
+    image = levels(dtype, 5, 7)
+    path = tmp_path / f"a.{suffix}"
+    assert cv2.imwrite(str(path), image)
+    read = read_grey(path)
+    assert read.dtype == dtype
+    np.testing.assert_array_equal(read, image)
+
+
+@pytest.mark.parametrize("mode", ["RGB", "RGBA", "P"])
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+def test_colours_and_palettes_become_luminance(tmp_path: Path, suffix: str, mode: str) -> None:
+    """Both are compared with Pillow, whose rounding of the luminance is the same."""
+    picture = Picture.fromarray(levels(np.uint8, 30, 40, 3), "RGB").convert(mode)
+    path = tmp_path / f"a.{suffix}"
+    picture.save(path)
+    with Picture.open(path) as saved:
+        expected = np.asarray(saved.convert("RGB").convert("L"))
+    np.testing.assert_array_equal(read_grey(path), expected)
+
+
+def test_grey_palette_keeps_its_levels(tmp_path: Path) -> None:
+    image = levels(np.uint8, 30, 40)
+    picture = Picture.fromarray(image).convert("L")
+    picture.putpalette([level for grey in range(256) for level in (grey, grey, grey)])
+    picture.save(tmp_path / "a.tif")
+    np.testing.assert_array_equal(read_grey(tmp_path / "a.tif"), image)
+
+
+def test_bad_files_are_named(tmp_path: Path) -> None:
+    (tmp_path / "a.png").write_bytes(b"this is no picture")
+    (tmp_path / "b.png").write_bytes(b"")
+    (tmp_path / "c.png").mkdir()
+    cv2.imwrite(str(tmp_path / "d.tif"), np.zeros((4, 4), np.float32))
+    for name, words in (
+        ("a.png", "not an image"),
+        ("b.png", "not an image"),
+        ("c.png", "cannot be read"),
+        ("d.tif", "float32"),
+    ):
+        with pytest.raises(ImageError, match=f"{name}.*{words}"):
+            read_grey(tmp_path / name)

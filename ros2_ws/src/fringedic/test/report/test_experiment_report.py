@@ -1,0 +1,282 @@
+"""The report: noise floors against known noise, what it says, what it names as missing, and that it needs no net."""
+
+import base64
+import io
+import json
+import re
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from PIL import Image
+
+from fringedic.errors import DatasetError
+from fringedic.figures.animation import save_animation
+from fringedic.figures.maps import map_figure
+from fringedic.figures.panels import Panel
+from fringedic.metadata import Metadata
+from fringedic.report import write_report
+from fringedic.report.data import ReportData
+from fringedic.report.entries import hardware_entries, specimen_entries
+from fringedic.report.processing_entries import analysis_entries, base_and_angle, fringe_entries
+from fringedic.results import open_experiment
+from fringedic.results.noise_floor import noise_floors, static_steps
+from fringedic.results.rows import Row
+from fringedic.results.writer import DatasetWriter
+from fringedic.rig.model import RigModel
+from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
+from fringedic.steps.recorded_parameters import StepSettings
+
+ROWS, COLUMNS, SPACING, PIXEL = 40, 60, 2, 100e-6
+START = 1_700_000_000_000_000_000
+NOISE = {"u": 0.4e-6, "v": 0.3e-6, "w": 8e-6}  # of one step; the reference has as much
+STRAIN_NOISE, BIAS = 20e-6, 2e-6  # of e_11; of w [m]
+RIG = RigModel(
+    camera_width=120,
+    camera_height=80,
+    camera_distance=0.4,
+    pixel_size=PIXEL,
+    pixel_aspect=1.0,
+    principal_column=59.5,
+    principal_row=39.5,
+    projector_width=100,
+    projector_height=75,
+    projector_position=(-0.3, 0.0, 0.4),
+    projector_rotation=(0.0, 0.0, 0.0),
+    projector_focal_length=400.0,
+    projector_principal_column=49.5,
+    projector_principal_row=37.0,
+    identifier="bench 3",
+    source="planes",
+)
+METADATA = (
+    "specimen: {name: sheet 4, section_mm2: 10.0, operator: Ada & Bob}\nhardware: {lens: 'Maker 35 mm', aperture: f/8}"
+)
+
+
+def maps(step, generator, reference):
+    row, column = np.mgrid[:ROWS, :COLUMNS].astype(float)
+    x, y = PIXEL * SPACING * (column - 30), -PIXEL * SPACING * (row - 20)
+    load = max(step - 2, 0)
+    values = {"x": x, "y": y, "z": 0.2 * x, "e_12": 0 * x, "displacement_x": 0 * x, "displacement_y": 0 * x}
+    values |= {"u": -1e-3 * load * x, "v": 3e-3 * load * (y + 4e-3), "w": 5e-6 * load + 0 * x}
+    for name, sigma in NOISE.items():
+        # the reference step measures itself: its displacement is exactly zero
+        noise = generator.normal(0, sigma, x.shape) - reference[name]
+        values[name] = values[name] + noise if step else 0 * x
+        values[f"sigma_{name}"] = 0 * x + np.sqrt(2) * sigma
+    if step:
+        values["w"] = values["w"] + BIAS
+    values["e_11"] = -1e-3 * load + generator.normal(0, STRAIN_NOISE, x.shape) * (step > 0)
+    values["e_22"] = 3e-3 * load + 0 * x
+    values |= {"shape_z": values["z"] + values["w"], "phase_sigma": 0 * x + 0.012, "texture": 0 * x + 90}
+    values["u"][:, :5] = np.nan
+    return {name: each.astype(np.float32) for name, each in values.items()}
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    file = tmp_path_factory.mktemp("report") / "sheet.nc"
+    parameters = {
+        "phase": PhaseParameters(minimum_modulation_grey_level=4.0),
+        "dic": DicParameters(spacing=SPACING, window=24),
+        "coupling": CouplingParameters(strain_window_px=41),
+    }
+    rig = {"camera": {"source": "files", "exposure_time_s": 0.01}}
+    settings = StepSettings(parameters, RIG, rig, Metadata.from_text(METADATA))
+    generator = np.random.default_rng(5)
+    reference = {name: generator.normal(0, sigma, (ROWS, COLUMNS)) for name, sigma in NOISE.items()}
+    with DatasetWriter(file, {"experiment": "sheet <4>", "source": "bag"}) as writer:
+        for step, position in enumerate((0.0, 0.3e-6, 0.0, 1e-4, 2e-4)):
+            stamp = START + step * 10**9
+            writer.add(
+                Row(
+                    step,
+                    stamp,
+                    "",
+                    0,
+                    3 if step == 4 else 0,
+                    20.0 * step,
+                    position,
+                    0.9,
+                    1e-5 * step,
+                    maps(step, generator, reference),
+                ),
+                settings,
+            )
+        writer.add(Row(5, START + 5 * 10**9, "step 5: frame 3 of 8 <never> arrived", position=0.0), settings)
+    return file
+
+
+@pytest.fixture(scope="module")
+def dataset(path):
+    with open_experiment(path) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def page(path):
+    gauges = [((60, 20), (60, 60)), ((60, 20), (500, 20))]
+    return write_report(path, gauges=gauges).read_text("utf-8")
+
+
+def test_extensometers(page):
+    """v = 3e-3 (y + 4 mm) per step of load along y, and along z as much as w is uneven there: not at all."""
+    assert "Stress over their strain" in page
+    row = re.search(r"<td>1: \(60, 20\) to \(60, 60\)</td>(.*?)</tr>", page).group(1)
+    length, _, strain, sigma = (float(each) for each in re.findall(r">([-\d.e]+)<", row))
+    # the centres of the gauge subsets are 40 px apart
+    assert length == pytest.approx(4.0, abs=0.01)
+    assert abs(strain - 6000) < 5 * sigma, f"{strain} +- {sigma} µm/m, 6000 are true"
+    assert 0 < sigma < 300
+    assert "extensometer 2: (60, 20) to (500, 20) px: the point" in page
+
+
+def test_steps_at_rest_are_those_beside_the_reference(dataset):
+    assert static_steps(dataset) == [1, 2], "step 5 came back to the position after the test"
+    assert static_steps(dataset.assign(position=dataset.position * np.nan)) == []
+    itself = dataset.assign(rms_displacement=dataset.rms_displacement.where(dataset.step != 1, 0.0))
+    assert static_steps(itself) == [2], "step 1 was compared with itself"
+    later = dataset.assign(
+        reference_step=dataset.reference_step.where(dataset.reference_step < 0, 2),
+        rms_displacement=dataset.rms_displacement + 1e-6,
+    )
+    assert static_steps(later) == [0, 1]
+    changed = later.assign(reference_step=later.reference_step.where(later.step != 1, 1))
+    assert static_steps(changed) == [0], "a step that is its own reference has no noise"
+
+
+def test_noise_floors_are_those_of_the_known_noise(dataset):
+    floors = {floor.name: floor for floor in noise_floors(dataset, [1, 2])}
+    points = ROWS * (COLUMNS - 5)
+    assert floors["u"].points == points
+    assert floors["w"].points == ROWS * COLUMNS
+    for name, sigma in NOISE.items():
+        spread = 4 / np.sqrt(2 * floors[name].points)  # four standard errors
+        assert floors[name].spatial == pytest.approx(np.sqrt(2) * sigma, rel=spread), name
+        assert floors[name].temporal == pytest.approx(sigma, rel=1.5 * spread), name
+        assert floors[name].predicted == pytest.approx(np.sqrt(2) * sigma, rel=1e-5)
+    assert floors["w"].bias == pytest.approx(BIAS, abs=4 * NOISE["w"] * np.sqrt(1.5 / (ROWS * COLUMNS)))
+    assert floors["e_11"].spatial == pytest.approx(STRAIN_NOISE, rel=0.06)
+    assert np.isnan(floors["e_11"].predicted)
+    assert np.isnan(noise_floors(dataset, [1])[0].temporal)
+    assert noise_floors(dataset, []) == []
+    with pytest.raises(DatasetError, match="no step 9"):
+        noise_floors(dataset, [9])
+
+
+def test_conditions_are_known_or_named_as_missing(dataset):
+    data = ReportData(dataset, None, None)
+    listed = [*specimen_entries(data), *hardware_entries(data), *analysis_entries(data), *fringe_entries(data)]
+    values = {entry.name: entry.value for entry in listed}
+    assert values["field of view"] == "12 x 8 mm"
+    assert values["image scale"] == "10 px/mm (100 µm/px)"
+    assert values["stand-off"] == "400 mm"
+    assert values["exposure time"] == "10 ms"
+    assert values["subset"] == "24 px (2.4 mm)"
+    assert values["step (spacing)"] == "2 px (0.2 mm)"
+    # (21 - 1) x 2 + 24
+    assert values["strain window"] == "21 points (40 px) (4 mm)"
+    assert values["virtual strain gauge"] == "64 px (6.4 mm)"
+    assert values["base camera to projector"] == "300 mm"
+    assert values["angle between camera and projector"] == "36.87°"
+    assert values["phase noise"] == "12 mrad"
+    assert values["modulation threshold"].startswith("4 grey levels")
+    assert (values["operator"], values["lens"], values["aperture"]) == ("Ada & Bob", "Maker 35 mm", "f/8")
+    unknown = {entry.name for entry in listed if entry.value is None}
+    assert unknown >= {
+        *("camera", "focal length", "filters", "calibration target", "patterning technique", "feature size"),
+        *("image noise", "projector", "pitches", "acquisition rate", "plane residual", "known-distance check"),
+    }
+    notes = {entry.name: entry.note for entry in listed}
+    assert notes["filters"] == "enter hardware.filters in the rig file"
+
+
+def test_the_calibration_tells_its_date_and_residual_when_they_were_recorded(dataset):
+    metadata = json.loads(dataset.facts)
+    metadata["calibration"] = {
+        "created": "2023-11-14T20:13:20+00:00",
+        "residual_um": 6.5,
+        "predicted_um": 6.25,
+        "verdict": "go",
+    }
+    data = ReportData(dataset.assign_attrs(facts=json.dumps(metadata)), None, None)
+    listed = {entry.name: entry for entry in fringe_entries(data)}
+    assert listed["plane residual"].value == "6.5 µm RMS"
+    assert "6.25 µm" in listed["plane residual"].note
+    assert listed["date of the calibration"].note == "2.0 hours before the test"
+    assert listed["calibration"].note == "go"
+
+
+def test_base_and_angle_are_those_of_the_pin_holes():
+    base, angle = base_and_angle({"camera_distance": 0.3, "projector_position": (0.3, 0.0, 0.3)})
+    assert base == pytest.approx(0.3)
+    assert np.degrees(angle) == pytest.approx(45)
+
+
+def test_the_page_says_everything_and_needs_no_network(page):
+    for word in ("sheet &lt;4&gt;", "Ada &amp; Bob", "bench 3, from planes", "Green-Lagrange", "quintic B-spline"):
+        assert word in page, word
+    assert "<li>step 5: frame 3 of 8 &lt;never&gt; arrived</li>" in page
+    assert "step 4 could not be compared with the reference step; increments were summed" in page
+    cells = [re.findall("<td[^>]*>([^<]*)</td>", row) for row in page.split('id="steps"')[1].splitlines()]
+    assert [row[4:6] for row in cells if len(row) == 9] == [["0", "0"]] * 4 + [["0", "3"], ["-", "-"]]
+    assert "10.58720/idics/gpg.ed2" in page
+    assert "Conformity is not claimed" in page
+    assert "simulated" not in page.split("</style>")[1].split("<script")[0]
+    text = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
+    assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)=[\"']?(https?:)?//", page), "loads from the network"
+    assert re.findall(r"<img[^>]+src=\"(data:image/\w+);base64", text) == ["data:image/png"] * 2 + ["data:image/gif"]
+    assert len(page) < 15e6
+    assert (
+        page.count('class="plotly-graph-div"') == 7
+    )  # surface, displacement, strain, force, stress; extensometers: strain, stress
+
+
+def test_the_charts_show_the_numbers_of_the_dataset(page):
+    charts = re.findall(r'Plotly\.newPlot\(\s*"[^"]+",\s*(\[.*?\]),\s*\{"', page, flags=re.DOTALL)
+    curves = [trace for chart in charts for trace in json.loads(chart)]
+    w = next(trace for trace in curves if trace.get("name") == "w")
+    assert w["x"] == [0, 1, 2, 3, 4, 5]
+    assert w["y"][5] is None
+    assert w["y"][4] == pytest.approx(10 + BIAS * 1e6, abs=1)  # µm
+    stress = next(trace for trace in curves if trace.get("name") == "stress [MPa]")
+    assert stress["y"][4] == pytest.approx(80 / 10)  # N / mm²
+    assert stress["x"][4] == pytest.approx(6000, rel=1e-3)  # µm/m
+
+
+def test_the_moving_picture_has_one_frame_per_measured_step(dataset, tmp_path):
+    panel = Panel("w", "displacement w", "mm", 1e-3, symmetric=False)
+    file = save_animation(dataset, tmp_path / "w.gif", panel)
+    with Image.open(file) as picture:
+        assert picture.n_frames == 5
+        picture.seek(4)
+        seen = np.asarray(picture.convert("RGB")).astype(float)
+    ends = [np.nanpercentile(dataset.w.sel(step=step), (0.5, 99.5)) / 1e-3 for step in range(5)]
+    limits = min(low for low, _ in ends), max(high for _, high in ends)
+    drawn = FigureCanvasAgg(map_figure(dataset.sel(step=4), panel, limits, title="step 4: displacement w"))
+    drawn.draw()
+    difference = np.abs(seen - np.asarray(drawn.buffer_rgba())[..., :3])
+    assert np.percentile(difference, 90) < 4, "another picture, or contours that the map does not have"
+    with pytest.raises(DatasetError, match="no step has the map nothing"):
+        save_animation(dataset, tmp_path / "x.gif", Panel("nothing", "", "", 1.0))
+
+
+def test_the_moving_picture_of_the_page_is_one(page):
+    data = re.search(r"data:image/gif;base64,([^\"]+)", page)[1]
+    with Image.open(io.BytesIO(base64.b64decode(data))) as picture:
+        assert picture.n_frames == 5
+
+
+@pytest.mark.usefixtures("page")
+def test_a_report_is_not_overwritten_unasked_and_unwritable_places_are_named(path, tmp_path):
+    with pytest.raises(DatasetError, match=r"report\.html exists already"):
+        write_report(path)
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(DatasetError, match="cannot be written"):
+        write_report(path, tmp_path / "file" / "report.html")
+    with pytest.raises(DatasetError, match="no step 9"):
+        write_report(path, tmp_path / "x.html", static_steps=[9])
+    bare = write_report(path, tmp_path / "bare.html", static_steps=[]).read_text("utf-8")
+    assert "the noise floor is not measured" in bare
+    assert '<p class="missing">not measured</p>' in bare

@@ -1,0 +1,63 @@
+"""A recording and a calibration that version 0.1 made stay readable and give the same results.
+
+``recordings/version_0_1/bag`` holds the raw topics of three steps of the rig ``tiny`` (160x120 px), ``expected.npz``
+every sixth row and column of the maps that version 0.1 computed from them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import llvmlite.binding
+import numba
+import numpy as np
+import pytest
+import xarray as xr
+
+from fringedic.calibration import RigCalibration
+from fringedic.camera import DistortionMap
+from fringedic.results import open_experiment, process_bag
+
+FOLDER = Path(__file__).parents[1] / "recordings" / "version_0_1"
+THIS_PROCESSOR = f"{llvmlite.binding.get_host_cpu_name()} {numba.__version__}"
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
+    file = process_bag(FOLDER / "bag", output=tmp_path_factory.mktemp("older") / "results.nc")
+    return open_experiment(file)
+
+
+def test_recording_gives_the_same_results(dataset: xr.Dataset) -> None:
+    """Bit by bit where the compiled code is the same; elsewhere within the rounding of float32.
+
+    Numba compiles for the processor at hand: fused operations of another one change last bits.
+    """
+    expected = np.load(FOLDER / "expected.npz")
+    exact = str(expected["processor"]) == THIS_PROCESSOR
+    assert len(expected.files) > 25
+    for name in expected.files:
+        if name == "processor":
+            continue
+        values = dataset[name].values
+        values = values[:, ::6, ::6] if values.ndim == 3 else values
+        assert values.dtype == expected[name].dtype, name
+        if exact:
+            assert np.array_equal(values, expected[name], equal_nan=True), name
+        else:
+            scale = np.nanmax(np.abs(expected[name]), initial=1e-30)
+            np.testing.assert_allclose(values, expected[name], rtol=1e-4, atol=1e-5 * scale, err_msg=name)
+
+
+def test_parameters_of_the_recording_are_known(dataset: xr.Dataset) -> None:
+    assert '"drift_marker_px": [0, 0, 0, 0]' in dataset.attrs["parameters"]
+    assert '"window": 32' in dataset.attrs["parameters"]
+
+
+def test_calibration_is_readable() -> None:
+    calibration = RigCalibration.load(FOLDER / "calibration")
+    assert calibration.go
+    assert calibration.model.camera_width == 1280
+    assert calibration.model.camera_distortion is not None
+    assert 0.5 < calibration.residual / calibration.predicted < 1.5
+    assert DistortionMap.load(FOLDER / "calibration" / "distortion.yaml").width == 1280

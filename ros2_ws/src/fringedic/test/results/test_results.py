@@ -1,0 +1,584 @@
+"""From recorded frames to a dataset: the desk command against the nodes' own messages, and against the truth."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import textwrap
+from dataclasses import asdict
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import xarray as xr
+from mcap.reader import make_reader
+from pydantic import BaseModel
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from scipy.ndimage import gaussian_filter
+
+from fringedic.configuration.rig_file import RigFile
+from fringedic.configuration.virtual_calibration import calibration_of
+from fringedic.errors import ConfigurationError, DatasetError, RecordingError
+from fringedic.frames.collector import Stack
+from fringedic.frames.records import FrameRecord
+from fringedic.metadata import Metadata
+from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.patterns.render import render_pattern
+from fringedic.recording.topics import Topic
+from fringedic.recording.writer import BagWriter
+from fringedic.results import MAPS, compare_with_truth, dataset_from_derived, open_experiment, process_bag, truth_errors
+from fringedic.results.derived import Collected
+from fringedic.results.quantities import SCALARS, STEP_NUMBERS
+from fringedic.steps.displacement_tracker import DisplacementTracker
+from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
+from fringedic.steps.phase import phase_step, white_texture
+from fringedic.steps.shape_tracker import ShapeTracker
+from fringedic.virtual_rig import VirtualRig
+
+MESSAGES = Path(__file__).parents[3] / "fringedic_msgs" / "msg"
+RAW = {
+    "camera/image_raw": "sensor_msgs/msg/Image",
+    "camera/exposure": "fringedic_msgs/msg/Exposure",
+    "experiment/step": "fringedic_msgs/msg/StepStatus",
+    "experiment/reference": "fringedic_msgs/msg/Reference",
+    "calibration": "fringedic_msgs/msg/RigCalibration",
+    "node_parameters": "fringedic_msgs/msg/NodeParameters",
+    "load_frame/state": "fringedic_msgs/msg/LoadState",
+}
+DERIVED = {
+    **{f"phase/{name}": "sensor_msgs/msg/Image" for name in ("map", "sigma", "modulation", "texture")},
+    **{f"dic/{name}": "sensor_msgs/msg/Image" for name in ("displacement", "sigma")},
+    **{f"coupling/{name}": "sensor_msgs/msg/PointCloud2" for name in ("shape", "displacement")},
+    **{f"{node}/status": "fringedic_msgs/msg/NodeStatus" for node in ("phase", "dic", "coupling")},
+}
+POSITIONS = (0.0, 0.3e-3, 0.6e-3, 0.9e-3)  # [m]
+SPACING = 2
+START = 1_700_000_000_000_000_000  # [ns]
+
+
+class ExperimentParameters(BaseModel):
+    """What the experiment node records of itself, in part."""
+
+    shifts: int = 4
+    facts: str = ""
+
+
+class Bench:
+    """A recording in the making: the virtual rig, the messages, and the chain as the nodes run it."""
+
+    def __init__(self, path):
+        self.store = get_typestore(Stores.ROS2_JAZZY)
+        for name in (
+            "Exposure",
+            "StepStatus",
+            "Reference",
+            "RigCalibration",
+            "NodeParameters",
+            "LoadState",
+            "NodeStatus",
+        ):
+            full = f"fringedic_msgs/msg/{name}"
+            self.store.register(get_types_from_msg((MESSAGES / f"{name}.msg").read_text(), full))
+        rig_file = RigFile(
+            camera={"source": "virtual"},
+            projector={},
+            virtual_rig={"preset": "plate", "size": "tiny"},
+            calibration="virtual_rig",
+            load_frame={},
+        )
+        self.rig = VirtualRig(rig_file.virtual_configuration())
+        self.calibration = calibration_of(rig_file.virtual_configuration())
+        self.patterns = rig_file.patterns()
+        self.writer = BagWriter(path)
+        for topic, type_name in (RAW | DERIVED).items():
+            definition, _ = self.store.generate_msgdef(type_name, ros_version=2)
+            hash_ = self.store.hash_rihs01(type_name)
+            self.writer.add_recorded_topic(Topic(f"/rig/{topic}", type_name, definition, "ros2msg", hash_, ""))
+        self.now = START
+        self.frame = 0
+        self.logged = {}
+        self.displacement = DisplacementTracker(DicParameters(spacing=SPACING, window=24))
+        self.shape = ShapeTracker(CouplingParameters(strain_window_px=25))
+        self.shape.set_calibration(self.calibration)
+
+    def make(self, type_name, stamp=0, **values):
+        """A message with zeros where nothing is given."""
+        types = self.store.types
+        seconds, nanoseconds = divmod(stamp, 1_000_000_000)
+        time = types["builtin_interfaces/msg/Time"](seconds, nanoseconds)
+        header = types["std_msgs/msg/Header"](time, "")
+        zeros = {1: {"string": ""}, 3: np.zeros(0), 4: np.zeros(0)}
+        fields = {}
+        for name, (kind, detail) in self.store.fielddefs[type_name][1]:
+            if name == "header":
+                fields[name] = header
+            elif name in values:
+                fields[name] = values[name]
+            elif int(kind) == 1:
+                fields[name] = "" if detail[0] == "string" else 0
+            else:
+                fields[name] = zeros[int(kind)]
+        return types[type_name](**fields)
+
+    def write(self, topic, stamp=0, **values):
+        type_name = (RAW | DERIVED)[topic]
+        message = self.make(type_name, stamp, **values)
+        self.now += 1_000_000
+        data = bytes(self.store.serialize_cdr(message, type_name))
+        self.writer.write(f"/rig/{topic}", data, self.now, self.now)
+
+    def image(self, topic, stamp, pixels):
+        channels = 1 if pixels.ndim == 2 else pixels.shape[2]
+        encoding = {"uint8": "mono8", "uint16": "mono16", "float32": f"32FC{channels}"}[pixels.dtype.name]
+        data = np.ascontiguousarray(pixels).view(np.uint8).ravel()
+        height, width = pixels.shape[:2]
+        self.write(topic, stamp, height=height, width=width, encoding=encoding, step=data.size // height, data=data)
+
+    def cloud(self, topic, stamp, fields):
+        points = np.stack(list(fields.values()), axis=-1)
+        field = self.store.types["sensor_msgs/msg/PointField"]
+        rows, columns, number = points.shape
+        self.write(
+            topic,
+            stamp,
+            height=rows,
+            width=columns,
+            fields=[field(name, 4 * place, 7, 1) for place, name in enumerate(fields)],
+            point_step=4 * number,
+            row_step=4 * number * columns,
+            data=points.view(np.uint8).ravel(),
+            is_bigendian=False,
+            is_dense=False,
+        )
+
+    def parameters(self, node, model):
+        parameter = self.store.types["rcl_interfaces/msg/Parameter"]
+        kinds = {
+            int: (2, "integer_value"),
+            float: (3, "double_value"),
+            str: (4, "string_value"),
+            list: (7, "integer_array_value"),
+        }
+        recorded = []
+        for name, value in {**model.model_dump(), "unknown_to_this_version": 1}.items():
+            kind, place = kinds[type(value)]
+            value = np.array(value, np.int64) if isinstance(value, list) else value
+            content = self.make("rcl_interfaces/msg/ParameterValue", type=kind, bool_value=False, **{place: value})
+            recorded.append(parameter(name, content))
+        self.write("node_parameters", self.now, node=node, parameters=recorded)
+
+    def begin(self):
+        for node, model in (
+            ("phase", PhaseParameters()),
+            ("dic", self.displacement.parameters),
+            ("coupling", self.shape.parameters),
+        ):
+            self.parameters(node, model)
+        values = asdict(self.calibration)
+        for name in ("projector_position", "projector_rotation", "covariance"):
+            values[name] = np.array(values[name], dtype=float)
+        self.write("calibration", self.now, **{**values, "parameter_names": []})
+        self.write("experiment/reference", self.now, experiment="plate", step=0)
+
+    def step(self, number, position, *, white=False, leave_out=(), derived=True, image=None):
+        """Expose one step, or take a picture of something else, and publish what the nodes make of it."""
+        patterns = [ProjectedPattern(PatternKind.WHITE)] if white else self.patterns
+        width, height = self.rig.projector_shape[::-1]
+        frames, records = [], []
+        for index, projection in enumerate(patterns):
+            self.now += 20_000_000
+            stamp = self.now
+            pattern = render_pattern(projection, width, height)
+            frame = self.rig.expose(pattern, position, self.frame) if image is None else image
+            self.frame += 1
+            record = FrameRecord("plate", number, index, len(patterns), projection, stamp, 0.01)
+            frames.append(frame)
+            records.append(record)
+            if index in leave_out:
+                continue
+            force = 1e6 * position + index
+            self.write("load_frame/state", stamp + 1000, mode=3, force=force, position=position)
+            self.image("camera/image_raw", stamp, frame)
+            self.write(
+                "camera/exposure",
+                stamp,
+                experiment="plate",
+                step=number,
+                index=index,
+                count=len(patterns),
+                kind=int(projection.kind),
+                orientation=int(projection.orientation),
+                pitch=projection.pitch,
+                shift=projection.shift,
+                shifts=projection.shifts,
+                exposure_time=0.01,
+            )
+            self.writer.flush()
+            self.logged[number, index] = self.now
+        self.write("load_frame/state", stamp + 8_000_000, mode=2, force=-1.0, position=-1.0)
+        if leave_out:
+            error = "frames are missing"
+            self.write(
+                "experiment/step", records[-1].stamp, experiment="plate", step=number, stage=4, error_message=error
+            )
+        elif derived:
+            self.publish(Stack("plate", number, records, np.stack(frames), records[-1].stamp))
+
+    def publish(self, stack):
+        stamp, number = stack.stamp, stack.step
+        status = {"experiment": "plate", "step": number, "valid_fraction": float("nan"), "rms": float("nan")}
+        if stack.kind == PatternKind.WHITE:
+            texture = white_texture(stack.frames[-1])
+            self.write("phase/status", stamp, **status)
+        else:
+            phase = phase_step(stack, PhaseParameters())
+            texture = phase.texture
+            for name in ("sigma", "modulation", "texture"):
+                self.image(f"phase/{name}", stamp, getattr(phase, name))
+            self.image("phase/map", stamp, phase.phase)
+            self.write("phase/status", stamp, **{**status, "valid_fraction": phase.valid_fraction, "rms": phase.rms})
+        dic = self.displacement.step("plate", number, stamp, texture)
+        self.image("dic/displacement", stamp, dic.displacement)
+        self.image("dic/sigma", stamp, dic.sigma)
+        found = {"valid_fraction": dic.valid_fraction, "rms": dic.rms, "correlated_step": dic.correlated_step}
+        self.write("dic/status", stamp, **{**status, **found})
+        if stack.kind == PatternKind.WHITE:
+            self.write("coupling/status", stamp, **status)
+            return
+        coupling = self.shape.step(phase, dic)
+        # a status may be recorded before the clouds it belongs to
+        self.write(
+            "coupling/status", stamp, **{**status, "valid_fraction": coupling.valid_fraction, "rms": coupling.rms}
+        )
+        self.cloud("coupling/shape", stamp, coupling.shape)
+        self.cloud("coupling/displacement", stamp, coupling.displacement)
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """Four steps of the plate, a white one, and one that lacks its frames 2 and 5."""
+    folder = tmp_path_factory.mktemp("bench")
+    bench = Bench(folder / "plate")
+    bench.begin()
+    for number, position in enumerate(POSITIONS):
+        bench.step(number, position)
+    bench.step(4, POSITIONS[-1], white=True)
+    bench.step(5, POSITIONS[-1], leave_out=(2, 5))
+    bench.step(6, POSITIONS[1])
+    bench.writer.close()
+    bench.bag = folder / "plate"
+    return bench
+
+
+@pytest.fixture(scope="module")
+def processed(bench):
+    said = []
+    path = process_bag(bench.bag, progress=lambda step, error: said.append((step, error)))
+    assert [step for step, _ in said] == [0, 1, 2, 3, 4, 5, 6]
+    with open_experiment(path) as dataset:
+        yield dataset
+
+
+def identical(one, other):
+    return one.shape == other.shape and one.dtype == other.dtype and np.array_equal(one, other, equal_nan=True)
+
+
+def test_the_dataset_lies_beside_the_recording_and_is_labelled(bench, processed):
+    assert (bench.bag.parent / "plate.nc").is_file()
+    assert processed.sizes == {"step": 7, "row": 60, "column": 80}
+    assert processed.row.values.tolist() == list(range(0, 120, SPACING))
+    assert processed.column.values.tolist() == list(range(0, 160, SPACING))
+    for name, quantity in MAPS.items():
+        assert processed[name].dims == ("step", "row", "column")
+        assert processed[name].dtype == np.float32
+        assert (processed[name].units, processed[name].long_name) == quantity
+    assert processed.experiment == "plate"
+    assert processed.software.startswith("fringedic ")
+    assert json.loads(processed.calibration)["camera_distance"] == bench.calibration.camera_distance
+    parameters = json.loads(processed.parameters)
+    assert len(parameters) == 1
+    assert parameters[0]["parameters"]["dic"]["window"] == 24
+
+
+def test_desk_and_nodes_agree_bit_by_bit(bench, processed, tmp_path):
+    with open_experiment(dataset_from_derived(bench.bag, output=tmp_path / "derived.nc")) as derived:
+        assert derived.step.values.tolist() == [0, 1, 2, 3, 4, 6]
+        desk = processed.sel(step=derived.step)
+        for name in [*MAPS, *SCALARS, *STEP_NUMBERS, "time"]:
+            assert identical(desk[name].values, derived[name].values), name
+        assert np.isfinite(desk["w"].sel(step=3)).mean() > 0.7
+        assert desk.correlated_step.values.tolist() == [0] * 6
+        assert not desk.increments_summed.any()
+
+
+def test_steps_whose_increments_were_summed_are_told_by_desk_and_nodes(tmp_path):
+    """A texture that turns into another one within eight steps, which also moves."""
+    generator = np.random.default_rng(7)
+    first, last = (gaussian_filter(generator.normal(size=(120, 160)), 1.4, mode="wrap") for _ in range(2))
+    bench = Bench(tmp_path / "plate")
+    bench.begin()
+    for number, angle in enumerate(np.linspace(0, np.pi / 2, 8)):
+        texture = np.roll(np.cos(angle) * first + np.sin(angle) * last, number, axis=1)
+        bench.step(number, 0.0, white=True, image=np.round(128 + 40 * texture / first.std()).clip(0, 255).astype("u1"))
+    bench.writer.close()
+    desk = process_bag(tmp_path / "plate", output=tmp_path / "desk.nc")
+    nodes = dataset_from_derived(tmp_path / "plate", output=tmp_path / "nodes.nc")
+    with open_experiment(desk) as one, open_experiment(nodes) as other:
+        for name in ("displacement_x", "displacement_sigma_x", *STEP_NUMBERS):
+            assert identical(one[name].values, other[name].values), name
+        steps = one.correlated_step.values.tolist()
+        assert one.reference_step.values.tolist() == [0] * 8
+        assert steps[:2] == [0, 0]
+        assert steps == sorted(steps)
+        assert steps[-1] >= 3
+        assert one.increments_summed.values.tolist() == [int(step > 0) for step in steps]
+        moved = float(one.displacement_x[-1].median())
+        assert abs(moved - 7) < 0.1, f"{moved} px: does not count from the reference step"
+
+
+def test_recordings_of_versions_that_did_not_tell_say_so():
+    collected = Collected({"dic/status", "dic/displacement", "dic/sigma"})
+    image = {"height": 1, "width": 1, "encoding": "32FC2", "step": 8, "is_bigendian": 0, "data": np.zeros(8, np.uint8)}
+    header = SimpleNamespace(stamp=SimpleNamespace(sec=1, nanosec=0))
+    status = SimpleNamespace(header=header, step=3, error_code=0, error_message="", valid_fraction=1.0, frames=1)
+    rows = []
+    for topic in ("dic/displacement", "dic/sigma"):
+        rows += collected.take(topic, SimpleNamespace(header=header, **image))
+    rows += collected.take("dic/status", status)
+    assert [(row.step, row.reference_step, row.correlated_step) for row in rows] == [(3, 3, None)]
+
+
+def test_results_do_not_depend_on_the_number_of_threads(bench, processed, tmp_path):
+    script = """
+        import sys
+        from fringedic.results import process_bag
+        process_bag(sys.argv[1], output=sys.argv[2])
+    """
+    environment = {"NUMBA_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[2])}
+    subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(script), str(bench.bag), str(tmp_path / "one.nc")],
+        env={**os.environ, **environment},
+        check=True,
+    )
+    with open_experiment(tmp_path / "one.nc") as single:
+        for name in MAPS:
+            assert identical(single[name].values, processed[name].values), name
+
+
+def test_errors_against_the_truth_are_small_and_have_the_right_sign(bench, processed, tmp_path):
+    truth_file = tmp_path / "truth.nc"
+    bench.rig.save_truth(truth_file, [*POSITIONS, POSITIONS[-1], POSITIONS[-1], POSITIONS[1]])
+    table = compare_with_truth(processed, tmp_path)
+    predicted = {"u": "sigma_u", "v": "sigma_v", "w": "sigma_w", "z": "shape_sigma_z"}
+    for step in (1, 2, 3, 6):
+        row = table.sel(step=step)
+        for name, sigma in predicted.items():
+            noise = 1e6 * float(np.sqrt(np.square(processed[sigma].sel(step=step)).mean()))
+            error = float(row[f"error_{name}"])
+            limit = 1.5 * noise + (10 if name in "uv" else 0)  # the dots of this coarse texture bias u and v near edges
+            assert 0.5 * noise < error < limit, f"step {step}: {name}, predicted noise {noise:.1f} µm"
+        assert row.measured_fraction > 0.8
+    assert np.isnan(table.sel(step=5).error_u)
+    assert table.sel(step=5).measured_fraction == 0
+    with xr.open_dataset(truth_file) as truth:
+        errors = truth_errors(processed, truth, 3)
+        exact = truth.isel(step=3).sel(row=processed.row, column=processed.column)
+        measured = processed.sel(step=3)
+        for name in "uvw":
+            np.testing.assert_allclose(
+                errors[name] + exact[name].where(errors.visible), measured[name].where(errors.visible), atol=1e-9
+            )
+    # the upper grip pulls along +y and the lower one stands still: v grows from the bottom of the image to its top
+    v = processed.v.sel(step=3)
+    assert v.isel(row=slice(0, 10)).median() > v.isel(row=slice(-10, None)).median() > 0
+
+
+def test_load_and_time_are_those_of_the_exposures(bench, processed):
+    index_mean = np.mean(range(len(bench.patterns)))
+    for step in (0, 1, 2, 3):
+        assert processed.position.sel(step=step) == pytest.approx(POSITIONS[step], abs=1e-12)
+        assert processed.force.sel(step=step) == pytest.approx(1e6 * POSITIONS[step] + index_mean)
+    assert np.all(np.diff(processed.time.values) > np.timedelta64(0, "ns"))
+    assert processed.time.values[0] > np.datetime64(START, "ns")
+
+
+def test_a_step_without_its_frames_has_no_maps_and_says_why(processed):
+    failed = processed.sel(step=5)
+    assert "step 5: frames 2, 5 of 8 never arrived" in str(failed.error.values)
+    assert np.isnan(failed.phase).all()
+    assert np.isnan(failed.displacement_x).all()
+    assert str(processed.sel(step=6).error.values) == ""
+
+
+def test_a_white_step_has_a_displacement_and_no_shape(processed):
+    white = processed.sel(step=4)
+    assert str(white.error.values) == ""
+    assert np.isnan(white.phase).all()
+    assert np.isnan(white.w).all()
+    difference = white.displacement_y - processed.sel(step=3).displacement_y
+    assert abs(float(difference.median())) < 0.02
+
+
+def test_the_reference_does_not_move(processed):
+    first = processed.sel(step=0)
+    assert set(np.unique(first.displacement_x.values[np.isfinite(first.displacement_x)])) == {0.0}
+    assert processed.reference_step.values.tolist() == [0, 0, 0, 0, 0, -1, 0]
+
+
+def test_overrides_change_the_results_and_wrong_ones_are_named(bench, processed, tmp_path):
+    path = process_bag(bench.bag, output=tmp_path / "wide.nc", overrides={"dic.window": 40}, steps=[2])
+    with open_experiment(path) as wide:
+        assert wide.step.values.tolist() == [0, 2]
+        assert not identical(wide.displacement_x.values[1], processed.displacement_x.sel(step=2).values)
+        assert json.loads(wide.parameters)[0]["parameters"]["dic"] == {
+            **DicParameters(spacing=SPACING, window=40).model_dump()
+        }
+    with pytest.raises(ConfigurationError, match=r"no parameter 'dic\.windw'; known are phase\.read_noise_grey_level"):
+        process_bag(bench.bag, output=tmp_path / "x.nc", overrides={"dic.windw": 40})
+    with pytest.raises(ConfigurationError, match=r"dic\.window = 4: Input should be greater than or equal to 8"):
+        process_bag(bench.bag, output=tmp_path / "x.nc", overrides={"dic.window": 4})
+    assert list(tmp_path.glob("*x.nc*")) == []
+
+
+@pytest.mark.usefixtures("processed")
+def test_a_result_is_not_overwritten_unasked(bench, tmp_path):
+    with pytest.raises(DatasetError, match=r"plate\.nc exists already"):
+        process_bag(bench.bag)
+    path = process_bag(bench.bag, output=tmp_path / "a.nc", steps=[0])
+    before = path.read_bytes()
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        process_bag(bench.bag, output=path, overwrite=True, progress=interrupt)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_missing_parts_are_named(bench, tmp_path):
+    with BagWriter(tmp_path / "empty"):
+        pass
+    with pytest.raises(RecordingError, match=r"has no camera/image_raw, camera/exposure; it holds no message"):
+        process_bag(tmp_path / "empty")
+    with pytest.raises(RecordingError, match=r"phase/status, .*'fringedic process .*empty' measures it"):
+        open_experiment(tmp_path / "empty")
+    with pytest.raises(DatasetError, match=r"no frame of experiment 'skin'; it has plate"):
+        process_bag(bench.bag, output=tmp_path / "x.nc", experiment="skin")
+    (tmp_path / "text.nc").write_text("no dataset")
+    with pytest.raises(DatasetError, match="cannot be read as NetCDF"):
+        open_experiment(tmp_path / "text.nc")
+    xr.Dataset({"a": ("x", [1.0])}).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
+    with pytest.raises(DatasetError, match="is no experiment"):
+        open_experiment(tmp_path / "other.nc")
+
+
+def test_a_recording_without_calibration_gives_the_displacement_and_says_what_is_missing(tmp_path):
+    bench = Bench(tmp_path / "plate")
+    for number in range(2):
+        bench.step(number, POSITIONS[number], derived=False)
+    bench.writer.close()
+    with open_experiment(process_bag(tmp_path / "plate", overrides={"dic.spacing": 4})) as dataset:
+        assert "no calibration yet" in str(dataset.error.values[1])
+        assert np.isfinite(dataset.displacement_y[1]).mean() > 0.8
+        assert np.isnan(dataset.w).all()
+        assert "calibration" not in dataset.attrs
+
+
+def test_a_recording_that_is_cut_off_is_measured_as_far_as_it_goes(bench, processed, tmp_path):
+    shutil.copytree(bench.bag, tmp_path / "plate")
+    file = tmp_path / "plate" / "plate_0.mcap"
+    with file.open("rb") as stream:
+        chunks = make_reader(stream).get_summary().chunk_indexes
+    place = next(each.chunk_start_offset for each in chunks if each.message_start_time > bench.logged[2, 3])
+    file.write_bytes(file.read_bytes()[: place + 100])
+    with open_experiment(process_bag(tmp_path / "plate")) as cut:
+        assert "not closed" in cut.damage
+        assert cut.step.values.tolist() == [0, 1, 2]
+        assert identical(cut.w.values[:2], processed.w.values[:2])
+        assert "step 2: frames 4, 5, 6, 7 of 8 never arrived" in str(cut.error.values[2])
+        assert np.isnan(cut.w[2]).all()
+    assert "damage" not in processed.attrs
+
+
+def test_zarr_holds_the_same(bench, processed, tmp_path):
+    path = process_bag(bench.bag, output=tmp_path / "plate.zarr", steps=[0, 5, 4])
+    with open_experiment(path) as folder:
+        assert folder.step.values.tolist() == [0, 4, 5]
+        chosen = processed.sel(step=folder.step)
+        assert folder.error.values.tolist() == chosen.error.values.tolist()
+        for name in ("phase", "time", "force", "valid_fraction"):
+            assert identical(folder[name].values, chosen[name].values), name
+        assert folder.calibration == processed.calibration
+        assert folder.commit == processed.commit
+        assert folder.w.encoding["chunks"] == (1, 60, 80)
+    with pytest.raises(DatasetError, match=r"plate\.zarr exists already"):
+        process_bag(bench.bag, output=path)
+    process_bag(bench.bag, output=path, steps=[0], overwrite=True)
+    with open_experiment(path) as folder:
+        assert folder.step.values.tolist() == [0]
+    assert [each.name for each in tmp_path.iterdir()] == ["plate.zarr"]
+    with pytest.raises(DatasetError, match=r"is named \.nc \(NetCDF\) or \.zarr"):
+        process_bag(bench.bag, output=tmp_path / "plate.txt")
+
+
+def test_another_reference_step_turns_the_displacement_round(bench, processed, tmp_path):
+    path = process_bag(bench.bag, output=tmp_path / "other.nc", reference=3)
+    with open_experiment(path) as other:
+        assert other.step.values.tolist() == [0, 1, 2, 3, 4, 5, 6]
+        assert set(other.reference_step.values.tolist()) == {3, -1}
+        assert set(np.unique(other.v.sel(step=3).values[np.isfinite(other.v.sel(step=3))])) == {0.0}
+        back, forth = other.v.sel(step=0), processed.v.sel(step=3)
+        assert float(forth.median()) > 100e-6, "the plate moves up against step 0"
+        assert float(back.median()) == pytest.approx(-float(forth.median()), rel=0.05)
+        # two displacements add up: 0 -> 1 is 3 -> 1 minus 3 -> 0
+        between = float((other.v.sel(step=1) - back).median())
+        assert between == pytest.approx(float(processed.v.sel(step=1).median()), rel=0.05)
+    with pytest.raises(DatasetError, match=r"experiment 'plate' has no step 9; it has 0, 1, 2, 3, 4, 5, 6"):
+        process_bag(bench.bag, output=tmp_path / "x.nc", reference=9)
+
+
+def test_metadata_are_found_again_and_the_force_gets_its_tare_and_sign(tmp_path):
+    bench = Bench(tmp_path / "plate")
+    bench.begin()
+    metadata = Metadata.from_text(
+        "specimen: {name: sheet 4, section_mm2: 12.5, force_tare_newton: first_step, force_sign: -1}"
+    )
+    bench.parameters("experiment", ExperimentParameters(facts=metadata.to_text()))
+    for number in range(3):
+        bench.step(number, POSITIONS[number], derived=False)
+    bench.writer.close()
+    with open_experiment(process_bag(tmp_path / "plate")) as dataset:
+        read = 1e6 * np.array(POSITIONS[:3]) + np.mean(range(len(bench.patterns)))
+        np.testing.assert_allclose(dataset.force, -(read - read[0]))
+        specimen = json.loads(dataset.facts)["specimen"]
+        assert (specimen["name"], specimen["section_mm2"]) == ("sheet 4", 12.5)
+        assert json.loads(dataset.rig)["experiment"] == {"shifts": 4, "unknown_to_this_version": 1}
+    with pytest.raises(ConfigurationError, match=r"specimen\.section_mm2: Input should be greater than 0"):
+        Metadata.from_text("{specimen: {section_mm2: 0.0}}")
+    with pytest.raises(ConfigurationError, match=r"specimen\.nam: Extra inputs"):
+        Metadata.from_text("{specimen: {nam: x}}")
+    assert Metadata().to_text() == ""
+    assert Metadata.from_text("") == Metadata()
+
+
+def test_the_dataset_of_a_run_is_found_from_its_recording(bench, tmp_path):
+    shutil.copytree(bench.bag, tmp_path / "bag")
+    process_bag(tmp_path / "bag", output=tmp_path / "results.nc", steps=[1])
+    with open_experiment(tmp_path / "bag") as dataset:
+        assert dataset.step.values.tolist() == [0, 1]
+    (tmp_path / "bag").rename(tmp_path / "other")
+    with open_experiment(tmp_path / "other") as dataset:
+        assert dataset.step.values.tolist() == [0, 1, 2, 3, 4, 6], "results.nc belongs to another recording"
+
+
+def test_maps_are_read_when_they_are_used(processed):
+    unread = "values with dtype=float32"  # of the text of an array that is not in memory
+    assert unread in repr(processed.w)
+    assert unread in repr(processed.phase)
+    assert unread not in repr(processed.w.sel(step=3).load())
+    assert unread in repr(processed.w)
+    picked = processed.w.isel(step=[3, 1], row=slice(10, None, 7), column=[5, 2, 2])
+    np.testing.assert_array_equal(picked.values, processed.w.values[[3, 1]][:, 10::7][:, :, [5, 2, 2]])

@@ -1,0 +1,134 @@
+"""The ``fringedic`` command: shared by its subcommands. Only the subcommands that start nodes import ROS."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+import yaml
+from rich.console import Console
+
+from fringedic.errors import ConfigurationError, FringedicError, RecordingError
+
+app = typer.Typer(
+    help="3D shape and displacement of surfaces, measured with one camera and one projector.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+console = Console(width=None if sys.stdout.isatty() else 120)
+
+Rig = Annotated[Path, typer.Argument(help="Rig file, or the name of one that is installed with fringedic.")]
+Bag = Annotated[Path, typer.Argument(help="Folder of a recording.")]
+Bags = Annotated[list[Path], typer.Argument(help="Folders of recordings, processed one after the other.")]
+Steps = Annotated[list[int] | None, typer.Option("--step", help="Only this step and its reference; may be repeated.")]
+ReferenceStep = Annotated[
+    int | None, typer.Option("--reference", help="Step against which all others are measured, also earlier ones.")
+]
+Calibration = Annotated[
+    Path | None, typer.Option(help="Calibration that replaces the recorded one: its file or folder.")
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")]
+Output = Annotated[Path | None, typer.Option(help="Output folder.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="Replaces a recorded parameter; may be repeated."),
+]
+
+
+def say(*lines: object) -> None:
+    """Print lines as they are, without markup or colours."""
+    for line in lines:
+        console.print(str(line), markup=False, highlight=False)
+
+
+def rig_path_of(rig: Path) -> Path:
+    """Return a rig file as given, or the installed one of this name.
+
+    Raises
+    ------
+    ConfigurationError
+        There is neither.
+    """
+    if rig.exists() or rig.parent != Path():
+        return rig
+    from fringedic_bringup.launch.processes import configuration
+
+    installed = configuration(f"{rig.stem}.yaml")
+    if installed.exists():
+        return installed
+    names = ", ".join(sorted(path.stem for path in installed.parent.glob("*.yaml")))
+    raise ConfigurationError(f"{rig}: no such rig file; installed with fringedic are {names}")
+
+
+def calibration_file(path: Path) -> Path:
+    """Return the file of a calibration that is given as file or folder.
+
+    Raises
+    ------
+    ConfigurationError
+        There is no such file.
+    """
+    file = path / "calibration.yaml" if path.is_dir() else path
+    if not file.is_file():
+        raise ConfigurationError(f"{file}: no such calibration; give its file or folder")
+    return file
+
+
+def parameter_values(settings: Iterable[str] | None) -> dict[str, Any]:
+    """Return ``["dic.window=24"]`` as {"dic.window": 24}.
+
+    Raises
+    ------
+    ConfigurationError
+        A setting has another form.
+    """
+    values = {}
+    for setting in settings or []:
+        name, equals, text = setting.partition("=")
+        if not equals or name.count(".") != 1:
+            raise ConfigurationError(f"--set {setting}: write node.parameter=value, for example dic.window=24")
+        values[name] = yaml.safe_load(text)
+    return values
+
+
+def for_each(bags: list[Path], work: Callable[[Path], None]) -> None:
+    """Call a function with each recording; when one fails, report it and continue with the others.
+
+    Raises
+    ------
+    RecordingError
+        Some of several recordings failed.
+    FringedicError
+        The only recording failed.
+    """
+    if len(bags) == 1:
+        work(bags[0])
+        return
+    failed = []
+    for bag in bags:
+        try:
+            work(bag)
+        except FringedicError as error:
+            say(f"{bag}: {error}")
+            failed.append(str(bag))
+    if failed:
+        raise RecordingError(f"failed: {', '.join(failed)}")
+
+
+def title_of(bag: Path) -> str:
+    """Return the name of a recording: that of its run when it is the folder ``bag`` of a run."""
+    return bag.absolute().parent.name if bag.name == "bag" else bag.stem
+
+
+def unused_folder(folder: Path) -> Path:
+    """Return the first folder of demo, demo-2, demo-3 ... that does not exist."""
+    candidate, number = folder, 1
+    while candidate.exists():
+        number += 1
+        candidate = folder.with_name(f"{folder.name}-{number}")
+    return candidate

@@ -1,0 +1,98 @@
+"""Subcommands that calibrate a rig and check its calibration."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fringedic.errors import ConfigurationError
+from fringedic_bringup.command.app import Rig, app, console, rig_path_of, say, unused_folder
+from fringedic_bringup.display.progress import LiveProgress
+from fringedic_bringup.procedures.outcome import CalibrationReport
+
+
+@app.command(epilog="Example: fringedic calibrate plate.yaml --angles-deg 0,-15,-10,-5,5,10,15 --output calibration")
+def calibrate(
+    rig: Annotated[
+        Path | None, typer.Argument(help="Rig file; its section reference_plane defines the planes.")
+    ] = None,
+    angles_deg: Annotated[
+        str | None,
+        typer.Option(help="Other angles of the plane in degree, separated by commas; the last but one tests the fit."),
+    ] = None,
+    recording: Annotated[
+        Path | None, typer.Option("--from", help="Repeat the calculation from the recording of a calibration.")
+    ] = None,
+    output: Annotated[Path, typer.Option(help="Folder for calibration, report and recording.")] = Path("calibration"),
+) -> None:
+    """Calibrate camera and rig with a printed grid and a plane at known angles; exit code 1 for NO-GO."""
+    if (rig is None) == (recording is None):
+        raise ConfigurationError("give a rig file, or with --from the recording of a calibration")
+    folder = unused_folder(output)
+    with LiveProgress(console) as progress:
+        if recording is not None:
+            from fringedic_bringup.procedures.calibrate_again import calibrate_again
+
+            report = calibrate_again(recording, folder, progress)
+        elif rig is not None:
+            report = _calibrate_with_nodes(rig_path_of(rig), angles_deg, folder, progress)
+    say(*report.words)
+    console.print("go" if report.go else "no go", style="green" if report.go else "red")
+    if report.report is not None:
+        say(f"report: {report.report}")
+    if not report.go:
+        raise typer.Exit(1)
+    say(f"calibration: {report.file}; to use it, write its path into the rig file as calibration")
+
+
+def _calibrate_with_nodes(
+    rig_path: Path, angles_deg: str | None, folder: Path, progress: LiveProgress
+) -> CalibrationReport:
+    from fringedic.configuration.rig_file import load_rig_file
+    from fringedic_bringup.procedures.calibrate import calibrate as calibrate_rig
+    from fringedic_bringup.procedures.calibrate import with_angles
+
+    rig_file = load_rig_file(rig_path)
+    if angles_deg is not None:
+        rig_file = with_angles(rig_file, angles_deg)
+    return calibrate_rig(rig_file, rig_path, folder, progress, ask=progress.ask)
+
+
+@app.command(epilog="Example: fringedic check plate.yaml --distance-mm 5")
+def check(
+    rig: Rig,
+    distance_mm: Annotated[
+        float, typer.Option(help="Distance in mm by which a gauge block or a stage lifts the plane towards the camera.")
+    ] = 5.0,
+    output: Annotated[Path, typer.Option(help="Folder for the recording.")] = Path("check"),
+) -> None:
+    """Measure the reference plane and a known distance; exit code 1 if the calibration is no longer valid."""
+    from fringedic.configuration.rig_file import load_rig_file
+    from fringedic.report.calibration_sentences import check_sentence, check_warning_sentences
+    from fringedic_bringup.procedures.check import check as check_rig
+
+    path = rig_path_of(rig)
+    with LiveProgress(console) as progress:
+        result = check_rig(
+            load_rig_file(path), path, unused_folder(output), progress, distance=1e-3 * distance_mm, ask=progress.ask
+        )
+    say(check_sentence(result), *check_warning_sentences(result))
+    if not result.holds:
+        raise typer.Exit(1)
+
+
+@app.command(epilog="Example: fringedic target --pitch-mm 0.5 --output grid.pdf")
+def target(
+    pitch_mm: Annotated[float, typer.Option(help="Distance of the lines in mm; 6 to 15 pixels of the camera.")],
+    output: Annotated[Path, typer.Option(help="File to write, .pdf or .svg.")] = Path("grid.pdf"),
+    page: Annotated[str, typer.Option(help="A4 or A3.")] = "A4",
+    turned_degree: Annotated[float, typer.Option(help="Angle of the grid on the page in degree.")] = 2.0,
+) -> None:
+    """Write the printable grid from which the distortion of the camera and the scale are measured."""
+    from fringedic.camera.target import Target
+
+    Target(1e-3 * pitch_mm, page, math.radians(turned_degree)).save(output)
+    say(f"grid: {output}; print it at 100 %, measure its ruler and keep it flat")

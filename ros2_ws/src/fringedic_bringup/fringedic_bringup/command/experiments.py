@@ -1,0 +1,140 @@
+"""Subcommands that run, replay and demonstrate experiments."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from fringedic.errors import ConfigurationError, StepFailedError
+from fringedic_bringup.command.app import (
+    Bags,
+    Calibration,
+    Output,
+    ReferenceStep,
+    Rig,
+    Settings,
+    Steps,
+    app,
+    calibration_file,
+    console,
+    for_each,
+    parameter_values,
+    rig_path_of,
+    say,
+    title_of,
+    unused_folder,
+)
+from fringedic_bringup.display.progress import LiveProgress, report_table
+from fringedic_bringup.procedures.outcome import RunReport
+
+
+class Specimen(StrEnum):
+    """The virtual experiments of the demo."""
+
+    PLATE = "plate"
+    SKIN = "skin"
+    LEATHER = "leather"
+
+
+@app.command(epilog="Example: fringedic run plate.yaml --programme slow.yaml --output recordings/plate-7")
+def run(
+    rig: Rig,
+    programme: Annotated[Path | None, typer.Option(help="Load steps that replace those in the rig file.")] = None,
+    output: Output = None,
+    images: Annotated[Path | None, typer.Option(help="Folder of images for a rig whose camera reads files.")] = None,
+) -> None:
+    """Run the load steps of a rig: start its nodes; move, hold and measure each step; record everything."""
+    from fringedic_bringup.procedures.run import load_rig, run_experiment
+
+    path = rig_path_of(rig)
+    rig_file, steps = load_rig(path, programme, images)
+    stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
+    folder = output or Path(rig_file.recording.folder) / f"{steps.experiment}-{stamp}"
+    with LiveProgress(console) as progress:
+        report = run_experiment(rig_file, path, steps, folder, progress)
+    _finish([report])
+
+
+@app.command(epilog="Example: fringedic demo --output demo plate leather")
+def demo(
+    specimens: Annotated[list[Specimen] | None, typer.Argument(help="Virtual experiments; all by default.")] = None,
+    output: Annotated[Path, typer.Option(help="Folder for recordings, datasets and pictures.")] = Path("demo"),
+) -> None:
+    """Calibrate virtual rigs, measure three specimens with the real nodes and compare with the ground truth."""
+    from fringedic_bringup.launch.processes import private_domain
+    from fringedic_bringup.procedures.demo import run_demo
+
+    rigs = {specimen.value: rig_path_of(Path(specimen)) for specimen in specimens or list(Specimen)}
+    with LiveProgress(console) as progress, private_domain() as domain:
+        reports = run_demo(rigs, unused_folder(output), progress, domain=domain)
+    _finish(reports)
+
+
+@app.command(epilog="Example: fringedic replay recordings/plate-7/bag --set dic.window=24 --output window-24")
+def replay(
+    bags: Bags,
+    settings: Settings = None,
+    steps: Steps = None,
+    reference: ReferenceStep = None,
+    calibration: Calibration = None,
+    output: Output = None,
+) -> None:
+    """Process recordings again with newly started nodes, as fast as possible, and record the results."""
+    from fringedic_bringup.procedures.replay import replay as replay_bag
+
+    overrides = _by_node(parameter_values(settings))
+    model = None if calibration is None else calibration_file(calibration)
+
+    def work(bag: Path) -> None:
+        folder = unused_folder(bag.with_name(f"{bag.name}_replayed"))
+        if output is not None:
+            folder = output if len(bags) == 1 else output / title_of(bag)
+        with LiveProgress(console) as progress:
+            target = replay_bag(
+                bag,
+                folder,
+                progress,
+                overrides=overrides,
+                steps=steps or (),
+                reference=reference,
+                calibration=model,
+            )
+        say(f"recording: {target}")
+
+    for_each(bags, work)
+
+
+def _by_node(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    from fringedic_bringup.launch.graph import PROCESSING_NODES
+
+    nodes: dict[str, dict[str, Any]] = {}
+    for name, value in values.items():
+        node, parameter = name.split(".")
+        if node not in PROCESSING_NODES:
+            raise ConfigurationError(f"--set {name}: a replay starts {', '.join(PROCESSING_NODES)}, not {node}")
+        nodes.setdefault(node, {})[parameter] = value
+    return nodes
+
+
+def _finish(reports: list[RunReport]) -> None:
+    """Print the outcome of experiments.
+
+    Raises
+    ------
+    StepFailedError
+        One of them is not complete.
+    """
+    for report in reports:
+        console.print(report_table(report))
+        if report.unmeasured:
+            say(f"{report.folder}: complete recording (bag), no dataset: {report.unmeasured}")
+        else:
+            say(f"{report.folder}: report.html, recording (bag), dataset (results.nc), {len(report.pictures)} pictures")
+    failed = [report.experiment for report in reports if report.failed]
+    if failed:
+        raise StepFailedError(f"steps failed, or frames or results are missing, in: {', '.join(failed)}")

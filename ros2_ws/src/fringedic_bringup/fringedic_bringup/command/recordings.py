@@ -1,0 +1,176 @@
+"""Subcommands that read recordings, without ROS."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from fringedic.errors import ExportError
+from fringedic_bringup.command.app import (
+    Bag,
+    Bags,
+    Calibration,
+    Output,
+    Overwrite,
+    ReferenceStep,
+    Settings,
+    Steps,
+    app,
+    calibration_file,
+    console,
+    for_each,
+    parameter_values,
+    say,
+    title_of,
+)
+from fringedic_bringup.display.progress import LiveProgress
+
+if TYPE_CHECKING:
+    from fringedic.report.experiment import GaugePoints
+
+
+@app.command(epilog="Example: fringedic process recordings/plate-7/bag --set coupling.z_filter_px=4 --output new.nc")
+def process(
+    bags: Bags,
+    settings: Settings = None,
+    steps: Steps = None,
+    reference: ReferenceStep = None,
+    calibration: Calibration = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(help="Dataset, .nc or .zarr; by default beside the recording. For several recordings a folder."),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Process recordings again without nodes and write the results as datasets."""
+    from fringedic.results import process_bag
+    from fringedic.rig.model import RigModel
+
+    values = parameter_values(settings)
+    model = None if calibration is None else RigModel.from_yaml(calibration_file(calibration))
+
+    def work(bag: Path) -> None:
+        target = output
+        if output is not None and len(bags) > 1:
+            output.mkdir(parents=True, exist_ok=True)
+            target = output / f"{title_of(bag)}.nc"
+        with LiveProgress(console) as progress:
+            progress.stage(f"processing {bag}")
+            written = process_bag(
+                bag,
+                output=target,
+                overrides=values,
+                steps=steps or None,
+                reference=reference,
+                calibration=model,
+                overwrite=overwrite,
+                progress=lambda step, error: progress.note(f"step {step}: {error or 'measured'}"),
+            )
+        say(f"dataset: {written}")
+
+    for_each(bags, work)
+
+
+@app.command(epilog="Example: fringedic info recordings/plate-7/bag")
+def info(bag: Bag) -> None:
+    """List the content of a recording and whether it is complete."""
+    from fringedic.recording.recorded_clocks import recorded_clocks
+    from fringedic.recording.repair import info as bag_info
+    from fringedic.report.clocks import clock_sentences
+
+    summary = bag_info(bag)
+    start = datetime.fromtimestamp(summary.start_time * 1e-9, UTC).isoformat(sep=" ", timespec="seconds")
+    duration = (summary.end_time - summary.start_time) * 1e-9
+    table = Table(title=f"{bag}: {start} UTC, {duration:.1f} s, {summary.size / 1e6:.1f} MB", title_justify="left")
+    table.add_column("topic")
+    table.add_column("type")
+    table.add_column("messages", justify="right")
+    for name, (type_name, count) in summary.topics.items():
+        table.add_row(name, type_name, str(count))
+    console.print(table)
+    say(*clock_sentences(recorded_clocks(bag)))
+    if summary.lost:
+        say(f"damaged: {summary.lost}; `fringedic recover {bag}` writes a recording of the readable part")
+
+
+@app.command(epilog="Example: fringedic recover recordings/plate-7/bag --output saved")
+def recover(bag: Bag, output: Output = None) -> None:
+    """Write a complete recording from the readable part of a damaged one."""
+    from fringedic.recording.repair import recover as recover_bag
+
+    say(f"recording: {recover_bag(bag, output)}")
+
+
+@app.command(epilog="Example: fringedic export recordings/plate-7/bag --to vtk --to csv --output plate-7")
+def export(
+    source: Annotated[Path, typer.Argument(metavar="BAG|DATASET", help="Recording or dataset.")],
+    formats: Annotated[
+        list[str] | None,
+        typer.Option("--to", metavar="FORMAT", help="netcdf, zarr, vtk, ply, csv, mat, tiff, png, gif or r3xa."),
+    ] = None,
+    steps: Annotated[list[int] | None, typer.Option("--step", help="Only this step; may be repeated.")] = None,
+    output: Output = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write a dataset for other programs, by default as NetCDF and PNG."""
+    from fringedic.export import export_dataset
+    from fringedic.results import open_experiment
+
+    folder = output or source.with_name(f"{source.stem}_exported")
+    wanted = formats or ["netcdf", "png"]
+    problems = 0
+    with open_experiment(source) as dataset:
+        for done in export_dataset(dataset, folder, wanted, steps=steps, overwrite=overwrite):
+            if done.path:
+                say(f"{done.format}: {done.path}")
+            say(*(f"{done.format}: {problem}" for problem in done.problems))
+            problems += done.path is None
+    if problems:
+        raise ExportError(f"{problems} of {len(wanted)} formats were not written, see above")
+
+
+@app.command(epilog="Example: fringedic report recordings/plate-7/bag --output plate-7.html")
+def report(
+    source: Annotated[Path, typer.Argument(metavar="BAG|DATASET", help="Recording or dataset.")],
+    output: Annotated[Path | None, typer.Option(help="HTML file; report.html beside the recording by default.")] = None,
+    static: Annotated[
+        list[int] | None,
+        typer.Option(
+            "--static",
+            metavar="STEP",
+            help="Step at rest for the noise floor; by default the steps at the position of the reference.",
+        ),
+    ] = None,
+    extensometer: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="COLUMN,ROW,COLUMN,ROW",
+            help="Virtual extensometer between two pixels; by default those of the rig file.",
+        ),
+    ] = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write the report of an experiment as one HTML file that needs no network.
+
+    Example: fringedic report my_test/bag --extensometer 200,480,1000,480
+    """
+    from fringedic.report import write_report
+
+    gauges = [_two_pixels(each) for each in extensometer] if extensometer else None
+    written = write_report(source, output, static_steps=static or None, gauges=gauges, overwrite=overwrite)
+    say(f"report: {written}")
+
+
+def _two_pixels(text: str) -> GaugePoints:
+    """Return the positions (column, row) of the two gauge points of a virtual extensometer."""
+    try:
+        first_column, first_row, second_column, second_row = (float(part) for part in text.split(","))
+    except ValueError as error:
+        raise typer.BadParameter(
+            f"--extensometer {text}: give COLUMN,ROW,COLUMN,ROW in pixels, such as 200,480,1000,480"
+        ) from error
+    return (first_column, first_row), (second_column, second_row)

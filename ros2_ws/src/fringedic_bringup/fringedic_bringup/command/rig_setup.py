@@ -1,0 +1,183 @@
+"""Subcommands for setting up a rig before a test."""
+
+from __future__ import annotations
+
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fringedic.errors import ConfigurationError
+from fringedic_bringup.command.app import Rig, app, console, rig_path_of, say, unused_folder
+from fringedic_bringup.display.progress import LiveProgress
+from fringedic_bringup.procedures.setup_patterns import LivePattern, ShownPattern
+
+
+@app.command(epilog="Example: fringedic live plate.yaml --pattern fringes --region 320,240,640,480")
+def live(
+    rig: Rig,
+    pattern: Annotated[
+        LivePattern, typer.Option(help="Projected pattern; focus: lines of 1 to 4 px.")
+    ] = LivePattern.WHITE,
+    region: Annotated[
+        str,
+        typer.Option(
+            metavar="COLUMN,ROW,WIDTH,HEIGHT",
+            help="Part of the image to evaluate, in pixels: first column, first row, width and height.",
+        ),
+    ] = "",
+    once: Annotated[bool, typer.Option("--once", help="Print the figures once, and end.")] = False,
+) -> None:
+    """Show the figures of the camera image during set-up: focus, grey levels, speckle size, fringes and noise."""
+    from fringedic.configuration.rig_file import load_rig_file
+    from fringedic_bringup.display.live import draw_continuously, print_once
+    from fringedic_bringup.procedures.live import FRAMES_OF_ONE_LOOK, watch
+
+    path, part = rig_path_of(rig), _four_numbers(region)
+    with suppress(KeyboardInterrupt), closing(watch(load_rig_file(path), path, pattern, region=part)) as views:
+        if once or not console.is_terminal:
+            print_once(console, views, pattern, path.stem, frames=FRAMES_OF_ONE_LOOK)
+        else:
+            draw_continuously(console, views, pattern, path.stem)
+
+
+def _four_numbers(region: str) -> list[int]:
+    """Return the numbers of a region; none of an empty text."""
+    if not region:
+        return []
+    try:
+        column, row, width, height = (int(part) for part in region.split(","))
+    except ValueError as error:
+        raise ConfigurationError(
+            f"--region {region}: give first column, first row, width and height, such as 320,240,640,480"
+        ) from error
+    return [column, row, width, height]
+
+
+@app.command(epilog="Example: fringedic noise plate.yaml --output noise")
+def noise(
+    rig: Annotated[Path | None, typer.Argument(help="Rig file; the specimen is mounted and at rest.")] = None,
+    images: Annotated[
+        list[Path] | None, typer.Option("--images", help="An image at rest, instead of a rig; give at least three.")
+    ] = None,
+    steps: Annotated[int, typer.Option(help="Number of steps at rest, with the reference.")] = 10,
+    window: Annotated[
+        int, typer.Option(min=8, max=256, help="With --images: width of the correlation window [px].")
+    ] = 32,
+    spacing: Annotated[
+        int, typer.Option(min=1, max=256, help="With --images: distance of the measured points [px].")
+    ] = 4,
+    output: Annotated[Path, typer.Option(help="Folder for noise_floor.yaml, its picture and the recording.")] = Path(
+        "noise"
+    ),
+) -> None:
+    """Measure the noise floor of camera, displacement, height and strain with the specimen at rest."""
+    from fringedic.report.noise_floor import noise_floor_text
+    from fringedic_bringup.procedures.noise import measure_noise, measure_noise_of_images
+
+    if (rig is None) == (not images):
+        raise ConfigurationError("give a rig file, or with --images at least three images at rest")
+    folder = unused_folder(output)
+    if images:
+        measured = measure_noise_of_images(images, folder, window=window, spacing=spacing)
+    else:
+        from fringedic.configuration.rig_file import load_rig_file
+
+        assert rig is not None, "checked above"
+        path = rig_path_of(rig)
+        with LiveProgress(console) as progress:
+            measured = measure_noise(load_rig_file(path), path, folder, progress, steps=steps)
+    typer.echo(noise_floor_text(measured.metadata))
+    file = folder / "noise_floor.yaml"
+    say(f"noise floor: {file}; to use it, write its path into the rig file as noise_floor_file")
+
+
+@app.command(epilog="Example: fringedic show RIG.yaml crosshair")
+def show(
+    rig: Rig,
+    pattern: Annotated[
+        str, typer.Argument(help="crosshair, grid, focus (lines of 1 to 4 px), white, grey, dark or fringes.")
+    ] = "crosshair",
+) -> None:
+    """Hold a pattern on the projector until Enter or Ctrl-C, while the rig is adjusted."""
+    from fringedic.configuration.rig_file import load_rig_file
+    from fringedic_bringup.procedures.show import hold_pattern
+
+    if pattern not in list(ShownPattern):
+        raise ConfigurationError(f"pattern {pattern} is unknown; use one of {', '.join(ShownPattern)}")
+
+    def wait_for_enter() -> None:
+        say(f"the projector shows {pattern}; Enter ends it")
+        with suppress(EOFError):
+            input()
+
+    path = rig_path_of(rig)
+    with suppress(KeyboardInterrupt):
+        hold_pattern(load_rig_file(path), path, ShownPattern(pattern), wait_for_enter)
+
+
+@app.command(epilog="Example: fringedic timing plate.yaml --output timing")
+def timing(
+    rig: Rig,
+    exposure_ms: Annotated[
+        float, typer.Option(min=0.05, max=1000, help="Exposure time; short compared with the refresh of the projector.")
+    ] = 3.0,
+    longest_ms: Annotated[float, typer.Option(min=20, max=10_000, help="Longest delay of a pattern.")] = 300.0,
+    output: Annotated[Path, typer.Option(help="Folder for timing.yaml and its picture.")] = Path("timing"),
+) -> None:
+    """Measure the delay and the refresh of the projector, and recommend exposure and settle time."""
+    from fringedic.configuration.rig_file import load_rig_file
+    from fringedic_bringup.procedures.timing import measure_rig_timing
+
+    path = rig_path_of(rig)
+    folder = unused_folder(output)
+    with LiveProgress(console) as progress:
+        report = measure_rig_timing(
+            load_rig_file(path), path, folder, progress, exposure_time=1e-3 * exposure_ms, longest=1e-3 * longest_ms
+        )
+    say(*report.words)
+    say(f"set in the rig file:\n{report.settings}", f"picture: {folder / 'timing.png'}")
+
+
+@app.command(epilog="Example: fringedic response plate.yaml --output response")
+def response(
+    rig: Rig,
+    output: Annotated[Path, typer.Option(help="Folder for response.yaml and its picture.")] = Path("response"),
+) -> None:
+    """Measure the response curve of projector and camera, and the phase error without and with its correction."""
+    from fringedic.configuration.rig_file import load_rig_file
+    from fringedic_bringup.procedures.response import PICTURE, measure_rig_response
+
+    path = rig_path_of(rig)
+    folder = unused_folder(output)
+    with LiveProgress(console) as progress:
+        report = measure_rig_response(load_rig_file(path), path, folder, progress)
+    say(*report.words)
+    if report.setting:
+        say(f"set in the rig file:\n{report.setting}")
+    say(f"picture: {folder / PICTURE}")
+
+
+@app.command(epilog="Example: fringedic region plate.yaml --output region.png")
+def region(
+    source: Annotated[Path, typer.Argument(metavar="IMAGE|RIG", help="Image file, or rig file to take one frame.")],
+    output: Annotated[Path, typer.Option(help="Mask image; the polygons are written beside it as .yaml.")] = Path(
+        "region.png"
+    ),
+) -> None:
+    """Draw the region of interest in a window; write a mask for fringedic measure and polygons for the rig file."""
+    from fringedic_bringup.display.region_window import draw_region
+    from fringedic_bringup.procedures.region import RIG_SUFFIXES, image_of
+
+    is_rig = source.suffix in ("", *RIG_SUFFIXES)  # installed rig files are named without suffix
+    drawn = draw_region(image_of(rig_path_of(source) if is_rig else source))
+    if drawn is None:
+        say("no region was drawn")
+        raise typer.Exit(1)
+    picture, corners = drawn.save(output)
+    share = 100 * drawn.mask().mean()
+    say(
+        f"mask: {picture}, {share:.0f} % of the image",
+        f"polygons: {corners}; to use them, write their path into the rig file as region_file",
+    )

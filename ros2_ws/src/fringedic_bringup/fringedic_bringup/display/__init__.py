@@ -1,0 +1,1 @@
+"""Everything that a person sees while a command runs."""

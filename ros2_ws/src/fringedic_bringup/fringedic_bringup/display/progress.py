@@ -1,0 +1,127 @@
+"""Progress of a command: bars that are updated in place on a terminal, plain lines elsewhere; table of a run."""
+
+from __future__ import annotations
+
+from types import TracebackType
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bars
+from rich.table import Table
+
+from fringedic_bringup.procedures.outcome import RunReport
+
+
+class LiveProgress:
+    """Shows stage, step and frame of a procedure.
+
+    Parameters
+    ----------
+    console
+        Where to write; without a terminal each new stage and each new activity of a step is one line.
+    """
+
+    def __init__(self, console: Console) -> None:
+        self._console = console
+        self._bars = Bars(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[frame]}"),
+            TimeElapsedColumn(),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task = self._bars.add_task("starting", total=None, frame="")
+        self._last = ""
+
+    def __enter__(self) -> LiveProgress:
+        self._bars.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._bars.stop()
+
+    def stage(self, text: str) -> None:
+        """Show the current activity."""
+        self._bars.update(self._task, description=text, total=None, frame="")
+        self._plain(text)
+
+    def step(self, number: int, steps: int, text: str, frame: int = 0, frames: int = 0) -> None:
+        """Show the progress of a step; `number` counts from 1."""
+        activity = f"step {number} of {steps}: {text}"
+        done = number - 1 + (frame / frames if frames else 0.0)
+        counted = f"frame {frame} of {frames}" if frames else ""
+        self._bars.update(self._task, description=activity, total=steps, completed=done, frame=counted)
+        self._plain(activity)
+
+    def note(self, text: str) -> None:
+        """Print a line that stays on the screen."""
+        self._console.print(text, markup=False, highlight=False)
+
+    def ask(self, words: str) -> bool:
+        """Ask an operator to do something and wait for Enter; False without input, or when the answer is not empty."""
+        self._bars.stop()
+        try:
+            answer = self._console.input(f"{escape(words)}, then press Enter (any other text stops): ")
+        except EOFError:
+            return False
+        finally:
+            self._bars.start()
+        return not answer.strip()
+
+    def _plain(self, text: str) -> None:
+        if not self._console.is_terminal and text != self._last:
+            self.note(text)
+        self._last = text
+
+
+def report_table(report: RunReport) -> Table:
+    """Return the steps of a run as a table.
+
+    ``z exact`` is the error of z with the exact calibration of a virtual rig. ``lost frames`` are those that the camera
+    dropped / those whose image is missing in the recording.
+    """
+    title = f"{report.experiment}: {report.folder}"
+    if any(step.errors for step in report.steps):
+        title += "; errors are RMS against the ground truth"
+    table = Table(title=title, min_width=70, title_justify="left")
+    with_truth = any(step.errors for step in report.steps)
+    with_exact = any("z_exact" in step.errors for step in report.steps)
+    table.add_column("step", justify="right")
+    table.add_column(escape("position\n[mm]"), justify="right")
+    table.add_column(escape("force\n[N]"), justify="right")
+    table.add_column(escape("moved\n[RMS]"), justify="right")
+    if with_truth:
+        for name in ("u", "v", "w", "z"):
+            table.add_column(escape(f"error {name}\n[µm]"), justify="right")
+    if with_exact:
+        table.add_column(escape("z exact\n[µm]"), justify="right")
+    table.add_column(escape("valid\n[%]"), justify="right")
+    table.add_column("lost\nframes", justify="right")
+    table.add_column(escape("to cloud\n[s]"), justify="right")
+    for step in report.steps:
+        if step.error:
+            table.add_row(str(step.step), "failed")
+            continue
+        cells = [str(step.step), _figure(step.position * 1e3, 3), _figure(step.force, 2)]
+        displacement = step.rms_displacement
+        cells.append(f"{displacement:.3f} px" if step.white else f"{displacement * 1e6:.1f} µm")
+        if with_truth:
+            cells += [_figure(step.errors.get(name, float("nan")), 2) for name in ("u", "v", "w", "z")]
+        if with_exact:
+            cells.append(_figure(step.errors.get("z_exact", float("nan")), 2))
+        cells += [
+            _figure(step.valid_fraction * 100, 1),
+            f"{step.dropped} / {step.missing}",
+            _figure(step.processing_time, 2),
+        ]
+        table.add_row(*cells)
+    return table
+
+
+def _figure(value: float, digits: int) -> str:
+    return "-" if value != value else f"{value:.{digits}f}"

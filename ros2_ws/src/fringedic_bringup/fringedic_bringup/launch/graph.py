@@ -1,0 +1,360 @@
+"""The graph of a rig: which nodes run with which parameters, for the command, the launch file and the tests."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from fringedic.configuration.rig_file import RigFile, load_calibration
+from fringedic.configuration.sections import ExtensometerSection
+from fringedic.frames.region import Region
+from fringedic.recording.reader import BagReader
+
+PROCESSING_NODES = {"phase": "phase_node", "dic": "dic_node", "coupling": "coupling_node"}
+STEP_TOPIC = "experiment/step"
+FRAMES_MISSED = 3  # in a row, after which the extensometer reports that it has no image
+# A virtual camera renders its images; the first frame at a new position takes seconds, on a busy computer more.
+RENDERING_TIMEOUT_S = 120.0
+
+
+@dataclass(frozen=True)
+class NodeEntry:
+    """One node process, as of ``ros2 run package executable``, with its name and parameters."""
+
+    name: str
+    package: str
+    executable: str
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Graph:
+    """Nodes in the order of their start, and their common namespace without the leading slash."""
+
+    namespace: str
+    nodes: tuple[NodeEntry, ...]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the nodes."""
+        return [node.name for node in self.nodes]
+
+
+def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "") -> Graph:
+    """Return the nodes of a rig that records one run into a folder.
+
+    The calibration of the rig file is written into the folder as ``calibration.yaml``. The nodes write the recording
+    ``bag`` and, on a virtual rig, the ground truth ``truth.nc``.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file, and its path, to which the paths in it are relative.
+    folder
+        Created when it does not exist.
+    experiment
+        Name of the experiment; empty: the time of its start.
+
+    Raises
+    ------
+    ConfigurationError
+        The calibration file cannot be read.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    calibration = load_calibration(rig, rig_path)
+    calibration_file = ""
+    if calibration is not None:
+        calibration_file = str((folder / "calibration.yaml").absolute())
+        calibration.to_yaml(calibration_file)
+
+    nodes = [NodeEntry("recorder", "experiment_node", "recorder", _recorder(rig, folder))]
+    if rig.recording.process:
+        nodes += _processing_nodes(
+            {
+                "phase": rig.nodes.phase.model_dump(),
+                "dic": rig.nodes.dic.model_dump() | _region(rig, rig_path),
+                "coupling": rig.nodes.coupling.model_dump(),
+            }
+        )
+    if rig.load_frame is not None and rig.load_frame.source != "external":
+        nodes.append(NodeEntry("load_frame", "load_frame_node", "load_frame", _load_frame(rig, rig_path)))
+    if rig.extensometer is not None:
+        nodes.append(NodeEntry("extensometer", "dic_node", "extensometer", _extensometer(rig.extensometer)))
+    settings = _experiment(rig, experiment) | {
+        "white_between_steps": rig.extensometer is not None,
+        "facts": rig.metadata(rig_path).to_text(),
+        "calibration_file": calibration_file,
+        "calibration_folder": str((folder / "calibrations").absolute()),
+        "record_only": not rig.recording.process,
+    }
+    nodes += [
+        *_hardware(rig, rig_path, _camera(rig, rig_path) | _truth(rig, folder) | _free_run(rig)),
+        NodeEntry("experiment", "experiment_node", "experiment", settings),
+    ]
+    return Graph(rig.namespace, tuple(nodes))
+
+
+def calibration_graph(rig: RigFile, rig_path: Path, folder: Path) -> Graph:
+    """Return the nodes that calibrate a rig: projector, camera, phase, experiment and recorder.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file, and its path, to which the paths in it are relative.
+    folder
+        Where the recording ``bag`` is written.
+    """
+    settings = _experiment(rig, "") | {"nodes": ["phase"], "calibration_folder": str(folder.absolute())}
+    phase = rig.nodes.phase.model_dump()
+    if rig.sequence.fringe_order == "one_image":  # the positions of planes are absolute
+        settings["fringe_order"], phase["relative_phase"] = "pitches", "refuse"
+    return Graph(
+        rig.namespace,
+        (
+            NodeEntry("recorder", "experiment_node", "recorder", _recorder(rig, folder)),
+            NodeEntry("phase", PROCESSING_NODES["phase"], "phase", phase),
+            *_hardware(rig, rig_path, _camera(rig, rig_path)),
+            NodeEntry("experiment", "experiment_node", "experiment", settings),
+        ),
+    )
+
+
+def live_graph(rig: RigFile, rig_path: Path, region: Sequence[int] = ()) -> Graph:
+    """Return the nodes of the live view for the set-up; nothing is recorded.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file, and its path.
+    region
+        First column, first row, width and height of the evaluated part of the image [px]; empty: the whole image.
+    """
+    view: dict[str, Any] = {"full_scale_grey_level": _full_scale(rig)}
+    if region:
+        view["region_px"] = list(region)
+    return Graph(
+        rig.namespace,
+        (
+            NodeEntry("live_view", "camera_node", "live_view", view),
+            *_hardware(rig, rig_path, _camera(rig, rig_path)),
+        ),
+    )
+
+
+def exposing_graph(rig: RigFile, rig_path: Path) -> Graph:
+    """Return projector and camera alone; the camera does not wait after a pattern.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file, and its path.
+    """
+    return Graph(rig.namespace, tuple(_hardware(rig, rig_path, _camera(rig, rig_path) | {"settle_time_s": 0.0})))
+
+
+def projecting_graph(rig: RigFile, rig_path: Path) -> Graph:
+    """Return the projector alone.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file, and its path.
+    """
+    return Graph(rig.namespace, tuple(node for node in exposing_graph(rig, rig_path).nodes if node.name == "projector"))
+
+
+def replay_graph(
+    bag: Path,
+    output: Path,
+    overrides: Mapping[str, Mapping[str, Any]],
+    *,
+    steps: Sequence[int] = (),
+    reference: int | None = None,
+    calibration: Path | None = None,
+) -> Graph:
+    """Return the nodes that process a recording again and record the results.
+
+    Parameters
+    ----------
+    bag
+        The recording to play.
+    output
+        Folder of the new recording.
+    overrides
+        Parameters that replace the recorded ones, ``{"dic": {"window": 24}}``.
+    steps
+        Only these steps and their references; all when empty.
+    reference
+        A step that all others are measured against; by default as recorded.
+    calibration
+        File that replaces the recorded calibration of the rig.
+
+    Raises
+    ------
+    RecordingError
+        The recording lacks the topic ``experiment/step``.
+    """
+    step_topic = BagReader(bag).find(STEP_TOPIC)[STEP_TOPIC]
+    player: dict[str, Any] = {"bag_path": str(bag.absolute()), "recorder": True}
+    replaced = [f"{node}.{name}" for node, values in overrides.items() for name in values]
+    if replaced:
+        player["overrides"] = replaced
+    if calibration is not None:
+        player["calibration_file"] = str(calibration.absolute())
+    if steps:
+        player["steps"] = list(steps)
+    if reference is not None:
+        player["reference_step"] = reference
+    return Graph(
+        step_topic.removesuffix(STEP_TOPIC).strip("/"),
+        (
+            NodeEntry("recorder", "experiment_node", "recorder", {"bag_path": str(output.absolute()), "derived": True}),
+            *_processing_nodes(overrides),
+            NodeEntry("player", "experiment_node", "player", player),
+        ),
+    )
+
+
+def _processing_nodes(parameters: Mapping[str, Mapping[str, Any]]) -> list[NodeEntry]:
+    return [NodeEntry(name, package, name, parameters.get(name, {})) for name, package in PROCESSING_NODES.items()]
+
+
+def _recorder(rig: RigFile, folder: Path) -> dict[str, Any]:
+    return {
+        "bag_path": str((folder / "bag").absolute()),
+        "derived": rig.recording.derived,
+        "compression": rig.recording.compression,
+    }
+
+
+def _hardware(rig: RigFile, rig_path: Path, camera: Mapping[str, Any]) -> list[NodeEntry]:
+    """Return projector and camera, and the stage of a virtual rig."""
+    nodes = []
+    size = rig.projector_size()
+    if rig.projector is not None and size is not None:
+        parameters: dict[str, Any] = {"width_px": size[0], "height_px": size[1]}
+        if rig.projector.source == "display":
+            parameters |= {"screen": "display", "display": rig.projector.display}
+        if rig.projector.response_curve is not None:
+            parameters["response_file"] = str((rig_path.parent / rig.projector.response_curve).absolute())
+        nodes.append(NodeEntry("projector", "fringe_projector_node", "projector", parameters))
+    if rig.camera.source == "virtual":
+        nodes.append(NodeEntry("stage", "load_frame_node", "stage"))
+    return [*nodes, NodeEntry("camera", "camera_node", "camera", camera)]
+
+
+def _camera(rig: RigFile, rig_path: Path) -> dict[str, Any]:
+    camera = rig.camera
+    parameters: dict[str, Any] = {
+        "source": camera.source,
+        "exposure_time_s": camera.exposure_time,
+        "settle_time_s": camera.settle_time,
+    }
+    if camera.files is not None:
+        parameters["files"] = str((rig_path.parent / camera.files).absolute())
+    if camera.source == "aravis":
+        parameters |= {
+            "camera": camera.camera,
+            "pixel_format": camera.pixel_format,
+            "region_px": [camera.first_column, camera.first_row, camera.width, camera.height],
+            "gain_db": camera.gain_db,
+            "trigger": camera.trigger,
+            "trigger_line": camera.trigger_line,
+            "packet_size_byte": camera.packet_size_byte,
+        }
+    if camera.source == "v4l2":
+        parameters |= {
+            "camera": camera.camera,
+            "pixel_format": camera.pixel_format,
+            "region_px": [0, 0, camera.width, camera.height],
+            "stamp_of": camera.stamp_of,
+        }
+    if camera.source == "topic":
+        parameters |= {"topic": camera.topic, "stamp_of": camera.stamp_of}
+    if rig.virtual_rig is not None:
+        parameters |= {"virtual_rig": _virtual_rig(rig), "timeout_s": RENDERING_TIMEOUT_S}
+    return parameters
+
+
+def _region(rig: RigFile, rig_path: Path) -> dict[str, str]:
+    """Return the region of interest as a parameter, so that a replay needs no other file."""
+    return {} if rig.region_file is None else {"region": Region.load(rig_path.parent / rig.region_file).to_text()}
+
+
+def _full_scale(rig: RigFile) -> float:
+    """Return the grey level of a saturated pixel; 0 when it follows from the images."""
+    if rig.camera.source == "virtual":
+        return 2.0 ** rig.virtual_configuration().sensor.bits - 1
+    if rig.camera.source in ("aravis", "v4l2"):
+        return 2.0 ** int(rig.camera.pixel_format.removeprefix("Mono")) - 1
+    return 0.0
+
+
+def _free_run(rig: RigFile) -> dict[str, float]:
+    return {} if rig.extensometer is None else {"frame_rate_hz": rig.extensometer.rate_hz}
+
+
+def _extensometer(section: ExtensometerSection) -> dict[str, Any]:
+    return {
+        "first_column_px": section.first_px[0],
+        "first_row_px": section.first_px[1],
+        "second_column_px": section.second_px[0],
+        "second_row_px": section.second_px[1],
+        "pad_px": section.subset_px,
+        "largest_sigma": 1e-6 * section.largest_sigma_ustrain,
+        "frame_timeout_s": max(FRAMES_MISSED / section.rate_hz, 0.1),
+    }
+
+
+def _load_frame(rig: RigFile, rig_path: Path) -> dict[str, Any]:
+    load_frame = rig.load_frame
+    assert load_frame is not None, "checked by the caller"
+    parameters: dict[str, Any] = {"source": load_frame.source, "rate_hz": load_frame.rate_hz}
+    if load_frame.file is not None:
+        parameters["machine_file"] = str((rig_path.parent / load_frame.file).absolute())
+    if load_frame.source == "simulated":
+        parameters["virtual_rig"] = _virtual_rig(rig)
+    if load_frame.source == "controller":
+        names = ("joint_states_topic", "joint", "wrench_topic", "force_axis", "force_sign")
+        parameters |= {name: getattr(load_frame, name) for name in names}
+    return parameters
+
+
+def _truth(rig: RigFile, folder: Path) -> dict[str, Any]:
+    return {} if rig.virtual_rig is None else {"truth_folder": str(folder.absolute())}
+
+
+def _experiment(rig: RigFile, experiment: str) -> dict[str, Any]:
+    parameters: dict[str, Any] = {
+        "experiment": experiment,
+        "projector": rig.projector is not None,
+        "recording_required": True,
+    }
+    if rig.load_frame is not None:
+        names = ("hold_required", "load_drift_n", "position_drift_um")
+        parameters |= {name: getattr(rig.load_frame, name) for name in names}
+    if rig.virtual_rig is not None:
+        parameters["camera_timeout_s"] = RENDERING_TIMEOUT_S
+    size = rig.projector_size()
+    if size is not None:
+        pitches = rig.pitches()
+        parameters |= {
+            "projector_width_px": size[0],
+            "projector_height_px": size[1],
+            "pitches_px": pitches,
+            "shifts": [rig.sequence.shifts] * len(pitches),
+            "orientation": rig.sequence.orientation,
+            "fringe_order": rig.sequence.fringe_order,
+            "grey_frame": rig.sequence.grey_frame,
+        }
+        if rig.sequence.exposure_times:  # an empty list in a parameter file has no type
+            parameters["exposure_times_s"] = rig.sequence.exposure_times
+    return parameters
+
+
+def _virtual_rig(rig: RigFile) -> str:
+    return yaml.safe_dump(rig.virtual_rig, default_flow_style=True, width=10_000).strip()

@@ -1,0 +1,1 @@
+"""Whole procedures behind the subcommands: experiments, calibrations, set-up measurements."""

@@ -1,0 +1,164 @@
+"""Calibrates a rig: starts its nodes, has grid and planes placed by a stage or an operator, writes files and report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from fringedic.calibration.session import PlaneKind
+from fringedic.configuration.rig_file import RigFile
+from fringedic.configuration.sections import ReferencePlaneSection
+from fringedic.errors import ConfigurationError
+from fringedic.report.calibration_sentences import place_in_words
+from fringedic_bringup.client import RigClient
+from fringedic_bringup.launch.graph import calibration_graph
+from fringedic_bringup.launch.processes import RunningGraph
+from fringedic_bringup.procedures.outcome import CalibrationReport, Progress
+
+
+def calibrate(
+    rig: RigFile,
+    rig_path: Path,
+    folder: Path,
+    progress: Progress,
+    *,
+    ask: Callable[[str], bool],
+    domain: int | None = None,
+) -> CalibrationReport:
+    """Calibrate a rig and write recording, calibration and report into a folder.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file, whose section ``reference_plane`` defines the planes, and its path.
+    folder
+        Where the files are written.
+    progress
+        Receives the progress.
+    ask
+        Asks an operator to place grid or plane where there is no stage; returns False when the operator stops.
+    domain
+        ROS_DOMAIN_ID; None takes the one of the environment.
+
+    Raises
+    ------
+    ConfigurationError
+        The folder contains a recording already, the rig has no projector, or the pitch of the grid is not known.
+    NodeDiedError, WaitTimeoutError, StepFailedError
+        The nodes did not start, or one of them ended.
+    """
+    grid_pitch = rig.grid_pitch()
+    if grid_pitch is None:
+        raise ConfigurationError(
+            f"{rig_path}: reference_plane.grid_pitch_mm is missing: the distance of the printed lines"
+        )
+    if rig.projector is None:
+        raise ConfigurationError(f"{rig_path}: has no projector; there is nothing to calibrate but the camera")
+    plane = rig.reference_plane
+    with calibration_client(rig, rig_path, folder, progress, ask=ask, domain=domain) as client:
+        camera = client.calibrate_distortion(
+            grid_pitch,
+            angles=plane.grid_angles,
+            sigma_angle=plane.sigma_angle,
+            frames=plane.grid_frames,
+            folder=folder,
+            feedback=_Shown("grid", progress),
+        )
+        if camera.error_code:
+            words = [_failure(camera)]
+        else:
+            progress.note(camera.verdict)
+            result = client.calibrate_rig(
+                plane.angles,
+                plane.heights,
+                held_out=[number - 1 for number in plane.held_out],
+                sigma_angle=plane.sigma_angle,
+                sigma_height=plane.sigma_height,
+                folder=folder,
+                feedback=_Shown("plane", progress),
+            )
+            words = [camera.verdict, _failure(result) if result.error_code else result.verdict]
+        client.wait_until_recorded()
+    return CalibrationReport(folder, bool(not camera.error_code and result.go), tuple(words))
+
+
+@contextmanager
+def calibration_client(
+    rig: RigFile,
+    rig_path: Path,
+    folder: Path,
+    progress: Progress,
+    *,
+    ask: Callable[[str], bool],
+    domain: int | None,
+) -> Iterator[RigClient]:
+    """Start the nodes that measure the reference plane and yield their client; parameters as of `calibrate`.
+
+    Raises
+    ------
+    ConfigurationError
+        The folder contains a recording already.
+    NodeDiedError, WaitTimeoutError
+        The nodes did not start.
+    """
+    if (folder / "bag").exists():
+        raise ConfigurationError(f"{folder} contains a recording already; choose another --output")
+    folder.mkdir(parents=True, exist_ok=True)
+    graph = calibration_graph(rig, rig_path, folder)
+    progress.stage(f"starting {len(graph.nodes)} nodes")
+    with (
+        RunningGraph(graph, folder / "logs", domain=domain) as running,
+        RigClient(graph.namespace, domain=domain, watch=running.check) as client,
+    ):
+        if "stage" not in graph.names:
+            client.serve_placing(placing_by(ask))
+        client.wait_until_ready(graph.names)
+        yield client
+
+
+def with_angles(rig: RigFile, angles_degree: str) -> RigFile:
+    """Return a rig with other calibration angles, given as "0,-10,10", all at height 0; the last but one is held out.
+
+    Raises
+    ------
+    ConfigurationError
+        An angle is not a number, or not possible for a plane.
+    """
+    try:
+        angles = [float(angle) for angle in angles_degree.split(",")]
+        held_out = [len(angles) - 1] if len(angles) > 3 else []
+        changes = {"angles_degree": angles, "heights_mm": None, "held_out": held_out}
+        section = ReferencePlaneSection.model_validate(rig.reference_plane.model_dump() | changes)
+    except ValueError as error:
+        raise ConfigurationError(f"--angles-deg {angles_degree}: {error}") from error
+    return rig.model_copy(update={"reference_plane": section})
+
+
+class _Shown:
+    """Passes the feedback of a calibration action on as progress."""
+
+    def __init__(self, what: str, progress: Progress) -> None:
+        self._what = what
+        self._progress = progress
+
+    def __call__(self, feedback: Any) -> None:
+        words = f"{self._what}: {feedback.words}"
+        self._progress.step(feedback.plane, feedback.planes, words, feedback.frame, feedback.frames)
+
+
+def _failure(result: Any) -> str:
+    return f"{result.error_message} (error {result.error_code})"
+
+
+def placing_by(ask: Callable[[str], bool]) -> Callable[[int, float, float], str]:
+    """Return a function for `RigClient.serve_placing` that asks an operator."""
+
+    def place(kind: int, angle: float, height: float) -> str:
+        if kind == PlaneKind.SPECIMEN:
+            return ""  # nothing waits for the specimen
+        words = place_in_words(kind, angle, height)
+        return "" if ask(words[:1].upper() + words[1:]) else "the operator stopped"
+
+    return place

@@ -1,0 +1,42 @@
+"""Repeats the calculation of a calibration from its recording, without nodes and without ROS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from fringedic.calibration.recorded import calibrate_recording
+from fringedic.report.calibration import CALIBRATION_REPORT, write_calibration_report
+from fringedic.report.calibration_sentences import (
+    calibration_in_words,
+    grid_in_words,
+    recorded_plane_in_words,
+    verdict_sentence,
+)
+from fringedic_bringup.procedures.outcome import CalibrationReport, Progress
+
+
+def calibrate_again(bag: Path, folder: Path, progress: Progress) -> CalibrationReport:
+    """Repeat the calculation of a calibration from its recording.
+
+    Parameters
+    ----------
+    bag
+        Recording of a calibration.
+    folder
+        Where the files of the calibration and its report are written.
+    progress
+        Receives the progress.
+
+    Raises
+    ------
+    RecordingError
+        The recording contains no calibration.
+    """
+    session = calibrate_recording(bag, progress=lambda plane: progress.stage(recorded_plane_in_words(plane)))
+    assert session.grid is not None
+    assert session.result is not None
+    session.save_grid(folder)
+    session.save(folder, summary=verdict_sentence(session.result))
+    write_calibration_report(session.result, folder / CALIBRATION_REPORT)
+    words = (grid_in_words(session.grid), calibration_in_words(session.result))
+    return CalibrationReport(folder, session.result.go, words)

@@ -1,0 +1,122 @@
+"""Checks whether a calibration is still valid: a flat plane and a known distance, measured by the same nodes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from fringedic.calibration import RigCalibration, RigCheck, check_rig
+from fringedic.calibration.history import record_check
+from fringedic.configuration.rig_file import RigFile, load_calibration
+from fringedic.configuration.sections import VIRTUAL_RIG
+from fringedic.errors import CalibrationError, ConfigurationError
+from fringedic.frames.messages import image_array
+from fringedic.frames.records import stamp_of
+from fringedic.recording.reader import BagReader
+from fringedic.report.calibration_sentences import check_in_words
+from fringedic_bringup.procedures.calibrate import calibration_client
+from fringedic_bringup.procedures.outcome import Progress
+from fringedic_msgs.srv import PlaceReferencePlane
+from fringedic_ros.stamps import to_nanoseconds
+
+PLANE = PlaceReferencePlane.Request.PLANE
+
+
+def check(
+    rig: RigFile,
+    rig_path: Path,
+    folder: Path,
+    progress: Progress,
+    *,
+    distance: float,
+    ask: Callable[[str], bool],
+    domain: int | None = None,
+) -> RigCheck:
+    """Measure the reference plane in its place, lifted by a known distance, and in its place again.
+
+    The calibration is valid when the plane is flat, the distance is right, and the last plane agrees with the first.
+    The result is stored beside the calibration; later recordings and reports contain it.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file, and its path.
+    folder
+        Where the recording ``bag`` and ``logs`` are written.
+    progress
+        Receives the progress.
+    distance
+        Distance by which the plane is lifted towards the camera [m].
+    ask
+        Asks an operator to place the plane where there is no stage; returns False when the operator stops.
+    domain
+        ROS_DOMAIN_ID; None takes the one of the environment.
+
+    Raises
+    ------
+    ConfigurationError
+        The folder contains a recording already, or the rig has no calibration or no projector.
+    NodeDiedError, WaitTimeoutError, StepFailedError
+        The nodes did not start, one of them ended, or a plane could not be placed or measured.
+    """
+    model = load_calibration(rig, rig_path)
+    if model is None or rig.projector is None:
+        raise ConfigurationError(
+            f"{rig_path}: has no {'calibration' if rig.projector else 'projector'}, so there is nothing to check"
+        )
+    rig = rig.model_copy(update={"recording": rig.recording.model_copy(update={"derived": True})})
+    heights = [0.0, distance, 0.0]
+    stamps = []
+    with calibration_client(rig, rig_path, folder, progress, ask=ask, domain=domain) as client:
+        for number, height in enumerate(heights, start=1):
+            progress.step(number, len(heights), f"plane {1e3 * height:g} mm above its place")
+            client.place(PLANE, height=height)
+            stamps.append(to_nanoseconds(client.measure().stamp))
+        client.place(PlaceReferencePlane.Request.SPECIMEN)
+        client.wait_until_recorded()
+    first, lifted, last = _maps(folder / "bag", "phase/map", stamps)
+    finest = rig.patterns()[-1]
+    result = check_rig(
+        model,
+        last,
+        _maps(folder / "bag", "phase/sigma", stamps)[-1],
+        pitch=finest.pitch,
+        orientation=finest.orientation,
+        distance=distance,
+        lifted=lifted,
+        earlier=first,
+        age=_age(rig, rig_path),
+    )
+    calibrated = calibration_folder(rig, rig_path)
+    if calibrated is not None:
+        when = datetime.fromtimestamp(1e-9 * stamps[-1], UTC)
+        record_check(calibrated, result, when, verdict=check_in_words(result))
+    return result
+
+
+def calibration_folder(rig: RigFile, rig_path: Path) -> Path | None:
+    """Return the folder of the calibration that a rig file names; None for the exact one of a virtual rig."""
+    if not isinstance(rig.calibration, str) or rig.calibration == VIRTUAL_RIG:
+        return None
+    return (rig_path.parent / rig.calibration).parent
+
+
+def _age(rig: RigFile, rig_path: Path) -> float:
+    """Return the age of the calibration that a rig file names [s]; NaN when it is not known."""
+    folder = calibration_folder(rig, rig_path)
+    if folder is None:
+        return math.nan
+    try:
+        return RigCalibration.load(folder).age()
+    except CalibrationError:
+        return math.nan
+
+
+def _maps(bag: Path, topic: str, stamps: list[int]) -> list[np.ndarray]:
+    reader = BagReader(bag)
+    maps = {stamp_of(message): message for _, message, _ in reader.messages(reader.find(topic).values())}
+    return [image_array(maps[stamp]) for stamp in stamps]

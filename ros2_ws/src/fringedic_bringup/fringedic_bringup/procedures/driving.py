@@ -1,0 +1,249 @@
+"""Drives a programme: moves, holds and measures step by step, as the controller of a load frame would.
+
+A node that ends does not end the test: the machine is requested to hold, the node is started again, and the step is
+repeated.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fringedic.configuration.conditions import MetCondition, Reading
+from fringedic.configuration.programme import Programme, ProgrammeStep
+from fringedic.errors import NodeDiedError, StepFailedError, WaitTimeoutError
+from fringedic.report.programme import block_end_sentence, condition_sentence
+from fringedic_bringup.client import RigClient
+from fringedic_bringup.launch.processes import RunningGraph
+from fringedic_bringup.procedures.outcome import Progress, StepReport
+from fringedic_msgs.action import MeasureStep
+
+MOST_DEATHS = 3  # of one node in one run; after more, a restart does not remove the cause
+WITH_REFERENCE = ("dic", "coupling")  # keep the reference step in memory and lose it when they end
+INTERRUPTION_S = 5.0  # wait for the answer to hold and cancel
+
+
+class Driven(NamedTuple):
+    """Outcome of a programme.
+
+    Attributes
+    ----------
+    steps
+        Reports of the steps that were to be measured.
+    measure_again
+        Reference step for a new measurement of all steps from the recording, because a node ended and lost the
+        reference; None when none was lost.
+    """
+
+    steps: list[StepReport]
+    measure_again: int | None
+
+
+def drive(running: RunningGraph, programme: Programme, progress: Progress, *, domain: int | None = None) -> Driven:
+    """Move, hold and measure, step by step; a failed step is reported and the next one follows.
+
+    Parameters
+    ----------
+    running
+        The nodes of the rig; a node that ends is started again.
+    programme
+        The load steps.
+    progress
+        Receives the progress.
+    domain
+        ROS_DOMAIN_ID; None takes the one of the environment.
+
+    Raises
+    ------
+    NodeDiedError
+        A node ended before all were ready, or repeatedly.
+    WaitTimeoutError
+        The nodes are not ready in time, or the strain that a condition needs has no publisher.
+    """
+    with RigClient(running.graph.namespace, domain=domain, watch=running.check, name="programme") as rig:
+        rig.wait_until_ready(running.graph.names)
+        if any(until.needs_strain for until in programme.conditions()):
+            rig.wait_for_strain()
+        driver = _Driver(running, rig, progress, len(programme.load_steps()))
+        walk = programme.walk(lambda end: progress.note(block_end_sentence(end)))
+        reading: Reading | None = None
+        with suppress(StopIteration):
+            while True:
+                reading = driver.do(walk.send(reading))
+        driver.finish()
+    first = next((report.step for report in driver.reports if not report.error), None)
+    own = any(step.set_reference for step in programme.load_steps())
+    return Driven(driver.reports, first if driver.reference_was_lost and not own else None)
+
+
+class _Driver:
+    """Executes the steps one after the other.
+
+    Attributes
+    ----------
+    reports
+        Reports of the steps that are measured.
+    reference_was_lost
+        A node that kept the reference in memory has ended.
+    """
+
+    def __init__(self, running: RunningGraph, rig: RigClient, progress: Progress, steps: int) -> None:
+        self.reports: list[StepReport] = []
+        self._running, self._rig, self._progress = running, rig, progress
+        self._number, self._steps = 0, steps
+        self.reference_was_lost = False
+        self._restarted = False  # a node was started again since the last successful step
+        self._reference = -1
+        self._deaths: Counter[str] = Counter()
+
+    def do(self, step: ProgrammeStep) -> Reading | None:
+        """Execute a step, and repeat it when a node ends meanwhile; return the readings for the conditions."""
+        self._number += 1
+        return self._with_restarts(lambda: self._move_and_measure(step))
+
+    def finish(self) -> None:
+        """Wait until everything is recorded."""
+        self._with_restarts(self._rig.wait_until_recorded)
+        if self._rig.recorder is not None and self._rig.recorder.error_message:
+            self._progress.note(f"recorder: {self._rig.recorder.error_message}")
+
+    def _move_and_measure(self, step: ProgrammeStep) -> Reading | None:
+        moved = ""
+        try:
+            if step.position is not None and "load_frame" in self._running.graph.names:
+                moved = self._move(step)
+            if step.hold_s:
+                self._tell("hold")
+                self._rig.sleep(step.hold_s)
+            if step.mode == "none":
+                return self._rig.reading
+            result = self._rig.measure(step.mode, set_reference=step.set_reference, feedback=self._show)
+        except StepFailedError as error:
+            self._running.check()  # raises when a node has ended: then the step is repeated
+            self._progress.note(str(error))
+            if self._restarted:
+                # restarted nodes may not have discovered each other yet
+                self._restarted = False
+                self._progress.note(f"step {self._number} is repeated")
+                return self._move_and_measure(step)
+            if step.mode != "none":
+                number = max([self._rig.last_step, *(report.step for report in self.reports)], default=0)
+                self.reports.append(StepReport(max(number, 0), error=str(error)))
+            return None
+        self._restarted = False
+        if moved:
+            self._progress.note(moved)
+        if self._reference < 0 or step.set_reference:
+            self._reference = result.step
+        self.reports.append(_report(step, result))
+        return Reading(result.force_mean, self._rig.strain_of_step, result.valid_fraction)
+
+    def _move(self, step: ProgrammeStep) -> str:
+        """Move, and return the reason when the move ended before its position; empty otherwise."""
+        position, until = step.position, step.until
+        assert position is not None, "checked by the caller"
+        if until is None:
+            self._tell(f"move to {position * 1e3:.3f} mm")
+            self._rig.move(position, step.speed)
+            return ""
+        self._tell(f"move towards {position * 1e3:.3f} mm")
+        conditions: list[MetCondition] = []
+
+        def met(reading: Reading) -> bool:
+            condition = until.met(reading)
+            if condition is not None:
+                conditions.append(condition)
+            return bool(conditions)
+
+        ended = self._rig.move(position, step.speed, until=met)
+        where = f"step {self._number}: move ended at {ended.position * 1e3:.4f} mm, {ended.force:.1f} N"
+        why = condition_sentence(conditions[0]) if conditions else "no condition was met before its position"
+        return f"{where}: {why}"
+
+    def _tell(self, text: str) -> None:
+        self._progress.step(self._number, self._steps, text)
+
+    def _show(self, feedback: MeasureStep.Feedback) -> None:
+        self._progress.step(self._number, self._steps, feedback.stage, feedback.frame, feedback.frames)
+
+    def _with_restarts(self, work: Callable[[], Any]) -> Any:
+        """Call a function; when nodes end meanwhile, start them again and call it once more."""
+        while True:
+            try:
+                return work()
+            except NodeDiedError as death:
+                self._restart(death)
+
+    def _restart(self, death: NodeDiedError) -> None:
+        while True:
+            try:
+                without_reference = self._start_again(death)
+                self._rig.wait_until_ready(self._running.graph.names)
+                self._restarted = True
+                if without_reference and self._reference >= 0:
+                    self._rig.set_reference()
+                    self.reference_was_lost = True
+                    self._progress.note(
+                        f"{' and '.join(without_reference)} lost the reference: until the end of the programme "
+                        "displacements count from the next step; afterwards all steps are measured again against step "
+                        f"{self._reference}"
+                    )
+                return
+            except NodeDiedError as another:
+                death = another
+
+    def _start_again(self, death: NodeDiedError) -> list[str]:
+        """Request a hold, start the nodes that have ended again, and return those that lost the reference."""
+        dead = self._running.dead()
+        self._deaths.update(dead.keys())
+        if any(self._deaths[name] > MOST_DEATHS for name in dead):
+            raise death
+        since = time.time_ns()
+        for name, how in dead.items():
+            self._running.restart(name, **self._changes(name))
+            self._progress.note(
+                f"{name} {how} (see {self._running.log(name)}); it is started again, "
+                f"and step {self._number} is repeated"
+            )
+        for request in (self._rig.hold, self._rig.cancel):
+            # the node that should answer may have ended itself
+            with suppress(StepFailedError, WaitTimeoutError):
+                request(INTERRUPTION_S)
+        self._rig.wait_until_started(dead, since)
+        return [name for name in dead if name in WITH_REFERENCE]
+
+    def _changes(self, name: str) -> dict[str, Any]:
+        """Return the parameters with which a restarted node continues where it ended."""
+        entry = next(each for each in self._running.graph.nodes if each.name == name)
+        if name == "recorder" and entry.parameters["bag_path"]:
+            return {"bag_path": str(next_part(Path(entry.parameters["bag_path"])))}
+        if name == "experiment":  # the interrupted step has a number already
+            return {"first_step": self._rig.last_step + 2, "reference_step": self._reference}
+        if name == "camera" and entry.parameters.get("truth_folder"):
+            return {"truth_folder": ""}  # a new file would start with another reference
+        return {}
+
+
+def next_part(bag: Path) -> Path:
+    """Return the folder of the next part of a recording: bag-2, bag-3 ... beside bag."""
+    number = 2
+    while bag.with_name(f"{bag.name}-{number}").exists():
+        number += 1
+    return bag.with_name(f"{bag.name}-{number}")
+
+
+def _report(step: ProgrammeStep, result: MeasureStep.Result) -> StepReport:
+    return StepReport(
+        result.step,
+        position=result.position_mean,
+        force=result.force_mean,
+        force_range=result.force_range,
+        rms_displacement=result.rms_displacement,
+        white=step.mode == "white",
+        valid_fraction=result.valid_fraction,
+        processing_time=result.processing_time,
+    )

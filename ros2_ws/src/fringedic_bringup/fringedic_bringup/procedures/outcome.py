@@ -1,0 +1,115 @@
+"""Progress of a procedure while it runs, and its outcome."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+CALIBRATION_FILE = "calibration.yaml"
+
+
+class Progress(Protocol):
+    """Receives the progress of a procedure."""
+
+    def stage(self, text: str) -> None:
+        """Take a text about what is being done now."""
+
+    def step(self, number: int, steps: int, text: str, frame: int = 0, frames: int = 0) -> None:
+        """Take the progress of a load step; `number` counts from 1."""
+
+    def note(self, text: str) -> None:
+        """Take a text that stays on the screen."""
+
+
+@dataclass
+class StepReport:
+    """Outcome of one load step.
+
+    Attributes
+    ----------
+    step
+        Number in the experiment.
+    position, force, force_range
+        Mean over the exposures [m], [N], and the range of the force [N].
+    valid_fraction
+        Measured points over all points.
+    rms_displacement, white
+        RMS of the displacement: [m], but [px] for a step in white light.
+    processing_time
+        From the last exposure to the last result [s].
+    dropped, missing
+        Frames that the camera dropped; exposures whose image is missing in the recording.
+    errors
+        RMS of measured minus true u, v, w and z [µm]; empty without a ground truth.
+    error
+        Why the step failed, empty when it did not.
+    """
+
+    step: int
+    position: float = float("nan")
+    force: float = float("nan")
+    force_range: float = float("nan")
+    valid_fraction: float = float("nan")
+    rms_displacement: float = float("nan")
+    white: bool = False
+    processing_time: float = float("nan")
+    dropped: int = 0
+    missing: int = 0
+    errors: dict[str, float] = field(default_factory=dict)
+    error: str = ""
+
+
+@dataclass
+class RunReport:
+    """Outcome of a run: the folder with recording, dataset and pictures, and the steps.
+
+    Attributes
+    ----------
+    unmeasured
+        Why there is no dataset of what was recorded; empty when there is one.
+    """
+
+    experiment: str
+    folder: Path
+    steps: list[StepReport]
+    pictures: list[Path]
+    unmeasured: str = ""
+
+    @property
+    def failed(self) -> bool:
+        """Whether a step failed, a frame is missing, or nothing could be measured."""
+        return bool(self.unmeasured) or any(step.error or step.missing for step in self.steps)
+
+
+@dataclass(frozen=True)
+class CalibrationReport:
+    """Outcome of a calibration.
+
+    Attributes
+    ----------
+    folder
+        Contains ``calibration.yaml`` and its companions when the calibration may be used, ``report.html``,
+        ``distortion.yaml``, the recording ``bag`` and ``logs``.
+    go
+        Whether the calibration may be used.
+    words
+        Sentences about the camera and the rig, or the reason why there is no result.
+    """
+
+    folder: Path
+    go: bool
+    words: tuple[str, ...]
+
+    @property
+    def file(self) -> Path:
+        """The calibration, as a rig file names it."""
+        return self.folder / CALIBRATION_FILE
+
+    @property
+    def report(self) -> Path | None:
+        """The report; None when the calibration ended before it was written."""
+        from fringedic.report.calibration import CALIBRATION_REPORT  # not at the top: it loads the calibration
+
+        path = self.folder / CALIBRATION_REPORT
+        return path if path.exists() else None

@@ -1,0 +1,159 @@
+"""Replays a recording through new processing nodes, in a ROS domain of its own, into a new recording."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+from fringedic.errors import ConfigurationError, NodeDiedError, RecordingError
+from fringedic.recording.reader import BagReader
+from fringedic_bringup.launch.graph import replay_graph
+from fringedic_bringup.launch.processes import RunningGraph, private_domain
+from fringedic_bringup.participant import Participant
+from fringedic_bringup.procedures.outcome import Progress
+from fringedic_msgs.msg import StepStatus
+from fringedic_ros.qos import LATCHED_BY_MANY
+
+_LOOK_EVERY_S = 0.1
+_REMAINING = 100  # callbacks after the end of the player, which leaves when its last status was received
+
+
+def replay(
+    bag: Path,
+    output: Path,
+    progress: Progress,
+    *,
+    overrides: Mapping[str, Mapping[str, Any]] | None = None,
+    steps: Sequence[int] = (),
+    reference: int | None = None,
+    calibration: Path | None = None,
+    environment: Mapping[str, str] | None = None,
+) -> Path:
+    """Process a recording again by the nodes and return the new recording.
+
+    With the recorded parameters the derived topics are bit-identical, for any number of threads.
+
+    Parameters
+    ----------
+    bag
+        Recording with raw topics.
+    output
+        New folder for the recording ``bag`` and the ``logs`` of the nodes.
+    progress
+        Receives each step, the errors of steps and a summary.
+    overrides
+        Parameters that replace the recorded ones, ``{"dic": {"window": 24}}``.
+    steps
+        Only these steps and their references; all when empty.
+    reference
+        A step that all others are measured against, earlier ones too; by default as recorded.
+    calibration
+        File that replaces the recorded calibration of the rig.
+    environment
+        Further environment variables of the nodes, such as NUMBA_NUM_THREADS.
+
+    Raises
+    ------
+    RecordingError
+        The recording lacks frames, exposures or steps, or the output contains a recording already.
+    ConfigurationError
+        A chosen step is not in the recording.
+    NodeDiedError
+        A node ended, or nodes did not answer the player; the message contains the end of its log.
+    """
+    target = output / "bag"
+    if target.exists():
+        raise RecordingError(f"{target} exists already; choose another --output")
+    count = _count_steps(bag, set(steps), reference)
+    graph = replay_graph(bag, target, overrides or {}, steps=steps, reference=reference, calibration=calibration)
+    with (
+        private_domain() as domain,
+        _PlayedSteps(graph.namespace, domain, count, progress) as played,
+        RunningGraph(graph, output / "logs", domain=domain, environment=environment) as running,
+    ):
+        running.expect_end("player")
+        progress.stage(f"replaying {bag}")
+        while running.exit_code("player") is None:
+            running.check()
+            played.report(_LOOK_EVERY_S)
+        running.check()
+        played.report_rest()
+    if not target.exists():
+        raise NodeDiedError(f"the recorder wrote no recording; see {running.log('recorder')}")
+    return target
+
+
+class _PlayedSteps:
+    """Passes the topic ``player/status`` on as progress.
+
+    Parameters
+    ----------
+    namespace, domain
+        Of the player.
+    steps
+        Number of steps that it plays.
+    progress
+        Receives the steps.
+    """
+
+    def __init__(self, namespace: str, domain: int, steps: int, progress: Progress) -> None:
+        self._participant = Participant("replay", namespace, domain=domain)
+        self._participant.node.create_subscription(StepStatus, "player/status", self._take, LATCHED_BY_MANY)
+        self._progress = progress
+        self._steps, self._number = steps, 0
+        self._frames: dict[tuple[str, int], int] = {}
+        self._problems = 0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self._participant.close()
+
+    def report(self, timeout_s: float) -> None:
+        """Report one status that has been received or is received in this time."""
+        self._participant.spin_once(timeout_s)
+
+    def report_rest(self) -> None:
+        """Report everything that was received, and a summary."""
+        for _ in range(_REMAINING):
+            self._participant.spin_once(0.0)
+        self._progress.note(f"{self._number} steps, {sum(self._frames.values())} frames, {self._problems} problems")
+
+    def _take(self, status: StepStatus) -> None:
+        if status.stage == StepStatus.BEGIN:
+            self._number += 1
+            self._progress.step(self._number, self._steps, f"recorded step {status.step}")
+            return
+        self._frames[status.experiment, status.step] = status.frame
+        if status.stage == StepStatus.ERROR:
+            self._problems += 1
+            self._progress.note(f"step {status.step}: {status.error_message} (error {status.error_code})")
+
+
+def _count_steps(bag: Path, chosen: set[int], reference: int | None) -> int:
+    """Return the number of steps that the player plays: all, or the chosen ones with their references.
+
+    Raises
+    ------
+    RecordingError
+        The recording lacks frames, exposures or steps.
+    ConfigurationError
+        A chosen step is not in the recording.
+    """
+    reader = BagReader(bag)
+    reader.find("camera/image_raw", "camera/exposure", "experiment/step")
+    names = reader.find_optional("experiment/step", "experiment/reference")
+    steps: set[int] = set()
+    references: set[int] = set()
+    for topic, message, _ in reader.messages(names.values()):
+        (steps if topic == names["experiment/step"] else references).add(message.step)
+    requested = chosen if reference is None else chosen | {reference}
+    absent = sorted(requested - steps)
+    if absent:
+        present = ", ".join(map(str, sorted(steps)))
+        raise ConfigurationError(f"{bag} has no step {', '.join(map(str, absent))}; it has {present}")
+    if not chosen:
+        return len(steps)
+    return len(requested if reference is not None else (requested | references | {min(steps)}) & steps)

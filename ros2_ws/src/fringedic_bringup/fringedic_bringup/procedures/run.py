@@ -1,0 +1,250 @@
+"""One experiment from start to end: start the nodes, drive move -> hold -> measure, write the results."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from fringedic.configuration.forecast import forecast
+from fringedic.configuration.programme import Programme
+from fringedic.configuration.rig_file import RigFile, load_programme, load_rig_file
+from fringedic.configuration.sections import VIRTUAL_RIG
+from fringedic.configuration.virtual_calibration import calibration_of
+from fringedic.errors import ConfigurationError, DatasetError
+from fringedic.figures.maps import save_pictures
+from fringedic.frames.files import IMAGE_SUFFIXES
+from fringedic.frames.records import frame_record, stamp_of
+from fringedic.recording.reader import BagReader
+from fringedic.recording.writer import BagWriter
+from fringedic.report import write_report
+from fringedic.report.calibration_sentences import in_force_words
+from fringedic.report.forecast import forecast_sentence
+from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
+from fringedic_bringup.launch.graph import rig_graph
+from fringedic_bringup.launch.processes import RunningGraph
+from fringedic_bringup.procedures.driving import drive
+from fringedic_bringup.procedures.outcome import Progress, RunReport, StepReport
+
+Reconstruct = Callable[[xr.DataArray], xr.Dataset]
+
+
+def load_rig(rig_path: Path, programme_path: Path | None, images: Path | None) -> tuple[RigFile, Programme]:
+    """Read what a run needs.
+
+    Parameters
+    ----------
+    rig_path, programme_path
+        The rig file, and a programme that replaces the one in it.
+    images
+        Folder or pattern that replaces ``camera.files``.
+
+    Raises
+    ------
+    ConfigurationError
+        A file is not valid, names images that do not exist, or no programme defines the steps.
+    """
+    rig = load_rig_file(rig_path)
+    if images is not None:
+        if rig.camera.source != "files":
+            raise ConfigurationError(f"{rig_path}: camera.source is {rig.camera.source}; only 'files' takes images")
+        rig = rig.model_copy(update={"camera": rig.camera.model_copy(update={"files": str(images.absolute())})})
+    programme = load_programme(programme_path) if programme_path is not None else rig.programme
+    if rig.camera.files is not None:
+        place = rig_path.parent / rig.camera.files
+        found = place.iterdir() if place.is_dir() else place.parent.glob(place.name)
+        count = sum(path.suffix.lower() in IMAGE_SUFFIXES for path in found)
+        if not count:
+            raise ConfigurationError(f"{place}: contains no images; give their folder with --images")
+        if programme is None:
+            programme = Programme.model_validate({"experiment": rig_path.stem, "steps": [{"mode": "white"}] * count})
+    if programme is None:
+        raise ConfigurationError(f"{rig_path}: has no programme; add one or give it with --programme")
+    if programme.specimen is not None:
+        rig = rig.model_copy(update={"specimen": programme.specimen})
+    return rig, programme
+
+
+def run_experiment(
+    rig: RigFile,
+    rig_path: Path,
+    programme: Programme,
+    folder: Path,
+    progress: Progress,
+    *,
+    domain: int | None = None,
+) -> RunReport:
+    """Run a programme on a rig and leave recording, dataset, pictures, report and logs in a folder.
+
+    A step that fails is reported and the programme continues. A node that ends is started again, and the step is
+    repeated.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file, and where it was read.
+    programme
+        The load steps.
+    folder
+        Where ``bag``, ``logs``, the dataset ``results.nc``, ``report.html``, a picture per step and, for a virtual
+        rig, ``truth.nc`` are written.
+    progress
+        Receives the progress.
+    domain
+        ROS_DOMAIN_ID; None takes the one of the environment.
+
+    Raises
+    ------
+    ConfigurationError
+        The folder contains a recording already.
+    RecordingError
+        The disk has less space than the programme needs; nothing was started.
+    NodeDiedError, WaitTimeoutError, StepFailedError
+        The nodes did not start, or one of them ended repeatedly.
+    """
+    if (folder / "bag").exists():
+        raise ConfigurationError(f"{folder} contains a recording already; choose another --output")
+    expected = forecast(rig, programme)
+    progress.note(f"{programme.experiment}: {forecast_sentence(expected)}")
+    expected.check_disk(folder)
+    graph = rig_graph(rig, rig_path, folder, experiment=programme.experiment)
+    if isinstance(rig.calibration, str) and rig.calibration != VIRTUAL_RIG:
+        for words in in_force_words(rig_path.parent / rig.calibration, datetime.now(UTC)):
+            progress.note(words)
+    progress.stage(f"{programme.experiment}: starting {len(graph.nodes)} nodes")
+    with RunningGraph(graph, folder / "logs", domain=domain) as running:
+        driven = drive(running, programme, progress, domain=domain)
+        progress.stage(f"{programme.experiment}: closing the recording")
+    join_parts(folder / "bag", progress)
+    progress.stage(f"{programme.experiment}: writing dataset, pictures and report")
+    return write_results(
+        programme.experiment, folder, driven.steps, exact=_exact(rig), measure_again=driven.measure_again
+    )
+
+
+def join_parts(bag: Path, progress: Progress) -> None:
+    """Join the parts that several recorders wrote into one recording; the parts are kept beside it.
+
+    Parameters
+    ----------
+    bag
+        Folder of the first part, and of the joined recording in the end. Without other parts nothing is done.
+    progress
+        Receives the progress.
+    """
+    others = sorted(bag.parent.glob(f"{bag.name}-*"), key=lambda part: int(part.name.removeprefix(f"{bag.name}-")))
+    if not others:
+        return
+    first = bag.rename(bag.with_name(f"{bag.name}-1"))
+    progress.stage(f"joining {1 + len(others)} parts of the recording")
+    with BagWriter(bag) as whole:
+        for part in (BagReader(path) for path in (first, *others)):
+            for topic in part.topics.values():
+                whole.add_recorded_topic(topic)
+            for message in part.raw(part.topics):
+                whole.write(message.topic, message.data, message.log_time, message.publish_time)
+
+
+def write_results(
+    experiment: str,
+    folder: Path,
+    steps: list[StepReport],
+    *,
+    exact: Reconstruct | None = None,
+    measure_again: int | None = None,
+) -> RunReport:
+    """Write dataset, pictures and report of a recording; add lost frames and errors against the truth to the steps.
+
+    Parameters
+    ----------
+    measure_again
+        Reference step for a new measurement of all steps from the recorded frames; None takes the nodes' results.
+    exact
+        Reconstructs surfaces with the exact calibration of a virtual rig that was measured with another calibration;
+        the errors of these heights are added as ``z_exact``.
+    """
+    bag = folder / "bag"
+    recorded = BagReader(bag)
+    if not recorded.find_optional("camera/exposure"):
+        return RunReport(experiment, folder, steps, [], unmeasured="no frame was exposed")
+    target = folder / "results.nc"
+    losses = frame_losses(bag)
+    for report in steps:
+        report.dropped, report.missing = losses.get(report.step, (0, 0))
+    try:
+        if measure_again is not None:
+            process_bag(bag, output=target, experiment=experiment, reference=measure_again)
+        elif recorded.find_optional("phase/status"):
+            dataset_from_derived(bag, output=target, experiment=experiment)
+        else:
+            process_bag(bag, output=target, experiment=experiment)
+    except DatasetError as error:
+        return RunReport(experiment, folder, steps, [], unmeasured=str(error))
+    truth_file = folder / "truth.nc"
+    errors: xr.Dataset | None = None
+    pictures: list[Path] = []
+    heights: dict[int, dict[str, float]] = {}
+    with open_experiment(target) as dataset:
+        untold = dataset
+        if truth_file.exists():
+            with open_truth(truth_file) as truth:
+                # failed steps have no truth, nor have those after a restart of the virtual camera
+                is_told = dataset.step.values < truth.sizes["step"]
+                told, untold = dataset.isel(step=is_told), dataset.isel(step=~is_told)
+                errors = compare_with_truth(told, truth_file)
+                pictures += save_pictures(told, folder, truth=truth)
+                heights = {} if exact is None else _heights(told, truth, exact)
+        if untold.sizes["step"]:
+            pictures += save_pictures(untold, folder)
+    write_report(bag if measure_again is None else target, folder / "report.html", overwrite=True)
+    for report in steps:
+        if errors is not None and report.step in errors.step.values:
+            report.errors = _errors_of(errors, report.step) | heights.get(report.step, {})
+    return RunReport(experiment, folder, steps, pictures)
+
+
+def frame_losses(bag: Path) -> dict[int, tuple[int, int]]:
+    """Return (frames that the camera dropped, exposures without image in the recording) of each step."""
+    reader = BagReader(bag)
+    names = reader.find("camera/image_raw", "camera/exposure")
+    images, records = set(), defaultdict(list)
+    for topic, message, _ in reader.messages(names.values()):
+        if topic == names["camera/image_raw"]:
+            images.add(stamp_of(message))
+        else:
+            record = frame_record(message)
+            records[record.step].append(record)
+    losses: dict[int, tuple[int, int]] = {}
+    dropped_before = 0
+    for step, exposures in sorted(records.items()):
+        dropped = max(record.dropped for record in exposures)
+        losses[step] = dropped - dropped_before, sum(record.stamp not in images for record in exposures)
+        dropped_before = dropped
+    return losses
+
+
+def _exact(rig: RigFile) -> Reconstruct | None:
+    """Return a reconstruction with the exact calibration of a virtual rig; None when the run uses that one anyway."""
+    if rig.virtual_rig is None or rig.calibration in (None, VIRTUAL_RIG):
+        return None
+    model, finest = calibration_of(rig.virtual_configuration()), rig.patterns()[-1]
+    return lambda phase: model.reconstruct(phase, finest.pitch, orientation=finest.orientation)
+
+
+def _heights(dataset: xr.Dataset, truth: xr.Dataset, exact: Reconstruct) -> dict[int, dict[str, float]]:
+    """Return the RMS error of z [µm] of the steps with the exact calibration."""
+    errors = {}
+    for step in dataset.step.values:
+        measured = exact(dataset.phase.sel(step=step)).z.values
+        true = truth.z_deformed.isel(step=int(step)).sel(row=dataset.row.values, column=dataset.column.values).values
+        errors[int(step)] = {"z_exact": 1e6 * float(np.sqrt(np.nanmean((measured - true) ** 2)))}
+    return errors
+
+
+def _errors_of(errors: xr.Dataset, step: int) -> dict[str, float]:
+    row = errors.sel(step=step)
+    return {name: float(row[f"error_{name}"]) for name in ("u", "v", "w", "z")}

@@ -1,0 +1,159 @@
+"""The subcommands that need no ROS, by the table of docs/command.md, run where ROS cannot be imported."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter
+from typer.main import get_command
+
+from fringedic_bringup.command.main import app
+
+ROOT = Path(__file__).parents[4]
+WITHOUT_ROS = ROOT / "tests" / "without_ros"
+BAG = ROOT / "ros2_ws" / "src" / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
+TABLE = re.findall(
+    r"^\| `fringedic (\w+) ?([^`]*)` \| .* \| (yes|no)([^|]*) \|$", (ROOT / "docs" / "command.md").read_text(), re.M
+)
+ROS_FREE_OPTION = re.compile(r"no with `(--[a-z]+)`")
+
+# Runs the commands given as JSON one after the other, and writes their exit codes and outputs as JSON.
+RUNNER = """
+import json, sys, threading, time, traceback
+from typer.testing import CliRunner
+from fringedic_bringup.command.main import app
+
+def draw():
+    "Draws a triangle in the window of `fringedic region`, as a person does."
+    import pygame
+    while not (pygame.display.get_init() and pygame.display.get_surface()):
+        time.sleep(0.02)
+    for place in ((100, 80), (400, 80), (400, 300)):
+        for kind in (pygame.MOUSEBUTTONDOWN, pygame.MOUSEBUTTONUP):
+            pygame.event.post(pygame.event.Event(kind, pos=place, button=1))
+    pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_RETURN))
+
+results = {}
+for title, words in json.load(sys.stdin).items():
+    if words[0] == "region" and "--help" not in words:
+        threading.Thread(target=draw, daemon=True).start()
+    done = CliRunner().invoke(app, words)
+    error = "".join(traceback.format_exception(done.exception)) if done.exception else ""
+    results[title] = [done.exit_code, done.output, error]
+json.dump(results, open(sys.argv[1], "w"))
+"""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Exit code, output and traceback of a command."""
+
+    code: int
+    output: str
+    error: str
+
+
+def commands(folder: Path) -> dict[str, list[str]]:
+    """Return the arguments of every command that needs no ROS, or needs none with an option, by its name."""
+    images = [str(folder / f"static-{number}.png") for number in range(3)]
+    bag = str(folder / "run" / "bag")
+    dataset = str(folder / "without_ros.nc")
+    return {
+        "measure": ["measure", *images, "--spacing", "4", "--output", str(folder / "measured")],
+        "advise": ["advise", *images],
+        "noise": ["noise", *(word for image in images for word in ("--images", image)), "--output", str(folder / "n")],
+        "region": ["region", images[0], "--output", str(folder / "region.png")],
+        "target": ["target", "--pitch-mm", "0.5", "--output", str(folder / "grid.pdf")],
+        "info": ["info", bag],
+        "recover": ["recover", bag, "--output", str(folder / "recovered")],
+        "process": ["process", bag, "--output", dataset],
+        "export": ["export", dataset, "--to", "netcdf", "--output", str(folder / "exported")],
+        "report": ["report", dataset, "--output", str(folder / "report.html")],
+        # a recording of an experiment is read and refused, because a calibration of this size is too long for a test
+        "calibrate": ["calibrate", "--from", bag, "--output", str(folder / "calibration")],
+    }
+
+
+def environment() -> dict[str, str]:
+    """Return the environment of a process that cannot import ROS and draws on a display in memory."""
+    paths = os.pathsep.join(filter(None, [str(WITHOUT_ROS), os.environ.get("PYTHONPATH")]))
+    return {**os.environ, "PYTHONPATH": paths, "DISPLAY": "none", "SDL_VIDEODRIVER": "dummy", "COLUMNS": "200"}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("commands")
+
+
+@pytest.fixture(scope="module")
+def outcomes(folder: Path) -> dict[str, Outcome]:
+    """Run all commands, and the help of every subcommand, in one process that cannot import ROS."""
+    shutil.copytree(BAG, folder / "run" / "bag")
+    rng = np.random.default_rng(5)
+    texture = gaussian_filter(rng.normal(size=(160, 200)), 1.5)
+    grey = 128 + 35 * texture / texture.std()
+    for number in range(3):
+        noisy = grey + rng.normal(0, 2, grey.shape)
+        cv2.imwrite(str(folder / f"static-{number}.png"), np.clip(noisy, 0, 255).astype(np.uint8))
+    wanted = commands(folder) | {f"{name} --help": [name, "--help"] for name in get_command(app).commands}
+    done = subprocess.run(
+        [sys.executable, "-c", RUNNER, str(folder / "results.json")],
+        input=json.dumps(wanted),
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    results = json.loads((folder / "results.json").read_text())
+    return {name: Outcome(*result) for name, result in results.items()}
+
+
+@pytest.mark.parametrize("module", ["rclpy", "sensor_msgs.msg", "fringedic_msgs.msg", "fringedic_ros", "camera_node"])
+def test_ros_is_blocked(module: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", f"import {module}"], env=environment(), capture_output=True, text=True, check=False
+    )
+    assert "ROS is blocked" in done.stderr
+
+
+def test_table_lists_every_command() -> None:
+    assert sorted(name for name, *_ in TABLE) == sorted(get_command(app).commands)
+
+
+@pytest.mark.parametrize(
+    "name", [name for name, _, needs, rest in TABLE if needs == "no" or ROS_FREE_OPTION.search(rest)]
+)
+def test_command_runs_without_ros(name: str, outcomes: dict[str, Outcome]) -> None:
+    outcome = outcomes[name]
+    if name == "calibrate":
+        assert "RecordingError" in outcome.error
+        assert "experiment/plane" in outcome.error
+    else:
+        assert outcome.code == 0, outcome.output + outcome.error
+
+
+@pytest.mark.parametrize("name", [name for name, *_ in TABLE])
+def test_help_shows_an_example_without_ros(name: str, outcomes: dict[str, Outcome]) -> None:
+    outcome = outcomes[f"{name} --help"]
+    assert outcome.code == 0, outcome.error
+    assert f"Example: fringedic {name}" in outcome.output
+
+
+def test_results_are_written(folder: Path, outcomes: dict[str, Outcome]) -> None:
+    assert outcomes
+    names = ("measured/displacement.nc", "n/noise_floor.yaml", "region.png", "region.yaml", "grid.pdf", "recovered")
+    for name in (*names, "without_ros.nc", "report.html"):
+        assert (folder / name).exists(), name
+    assert list((folder / "exported").glob("*.nc"))

@@ -1,0 +1,150 @@
+"""Action `move_crosshead`: one move at a time, followed by the samples of the machine."""
+
+from __future__ import annotations
+
+import time
+
+from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+
+from fringedic.errors import CrossheadRangeError, FringedicError, MachineError, WaitTimeoutError
+from fringedic_msgs.action import MoveCrosshead
+from fringedic_ros.lifecycle import HardwareNode
+from load_frame_node.crosshead import Crosshead
+from load_frame_node.machines import LoadMode
+from load_frame_node.parameters import LoadFrameParameters
+
+Result = MoveCrosshead.Result
+_FEEDBACK_PERIOD_S = 0.1
+_START_TIMEOUT_S = 5.0  # from the request to the first motion
+_STOP_TIMEOUT_S = 30.0
+_LOST_MODES = (LoadMode.FAULT, LoadMode.UNKNOWN)  # the machine does not follow the move any more
+
+
+class MoveServer:
+    """Passes the goals of `move_crosshead` to the machine, one at a time, and reports how each ends.
+
+    Parameters
+    ----------
+    node
+        Owner of the action server.
+    crosshead
+        The machine and its samples.
+    """
+
+    def __init__(self, node: HardwareNode[LoadFrameParameters], crosshead: Crosshead) -> None:
+        self._node = node
+        self._crosshead = crosshead
+        self._goal: ServerGoalHandle | None = None
+        ActionServer(
+            node,
+            MoveCrosshead,
+            "move_crosshead",
+            self._move,
+            cancel_callback=self._cancel,
+            callback_group=ReentrantCallbackGroup(),
+        )
+
+    def _cancel(self, goal: ServerGoalHandle) -> CancelResponse:
+        return CancelResponse.ACCEPT if goal is self._goal else CancelResponse.REJECT
+
+    async def _move(self, goal: ServerGoalHandle) -> MoveCrosshead.Result:
+        request, crosshead = goal.request, self._crosshead
+        if not self._node.active:
+            return self._end(goal, Result.MACHINE_FAULT, "the load frame is not active; configure and activate it")
+        if self._goal is not None:
+            return self._end(goal, Result.BUSY, _busy_message(self._goal.request, request))
+        distance = abs(request.position - crosshead.sample.position)
+        try:
+            crosshead.move_to(request.position, request.speed)
+            requested = time.time_ns()
+        except CrossheadRangeError as error:
+            return self._end(goal, Result.INVALID_GOAL, str(error))
+        except MachineError as error:
+            return self._end(goal, Result.MACHINE_FAULT, str(error))
+        self._goal, crosshead.hold_requested = goal, False
+        try:
+            # twice the time at constant speed, and an allowance for the speed ramps
+            return await self._follow(goal, requested, 2 * distance / request.speed + _STOP_TIMEOUT_S)
+        except FringedicError as error:
+            return self._end(goal, Result.MACHINE_FAULT, str(error))
+        finally:
+            self._goal = None
+
+    async def _follow(self, goal: ServerGoalHandle, requested_ns: int, timeout_s: float) -> MoveCrosshead.Result:
+        """Publish feedback until the move has ended, and return its result."""
+        crosshead, started, moved = self._crosshead, time.monotonic(), False
+        tolerance = 1e-3 * self._node.parameters.value.position_tolerance_mm
+
+        def is_over() -> bool:
+            nonlocal moved
+            if goal.is_cancel_requested or not self._node.active or crosshead.hold_requested:
+                return True
+            sample = crosshead.sample
+            if sample.stamp_ns < requested_ns:  # acquired before the request
+                return False
+            moved |= sample.mode is LoadMode.MOVING
+            arrived = abs(sample.position - goal.request.position) <= tolerance
+            return sample.mode in _LOST_MODES or (sample.mode is not LoadMode.MOVING and (moved or arrived))
+
+        while not is_over():
+            passed = time.monotonic() - started
+            if passed > timeout_s or (not moved and passed > _START_TIMEOUT_S):
+                await self._stop()
+                done = f"arrive within {timeout_s:g} s" if moved else f"begin to move within {_START_TIMEOUT_S:g} s"
+                return self._end(goal, Result.TIMEOUT, f"the crosshead did not {done}; a hold was requested")
+            sample = crosshead.sample
+            goal.publish_feedback(MoveCrosshead.Feedback(position=sample.position, force=sample.force))
+            try:
+                await crosshead.changed.wait(is_over, _FEEDBACK_PERIOD_S)
+            except WaitTimeoutError:
+                continue
+        return await self._outcome(goal)
+
+    async def _outcome(self, goal: ServerGoalHandle) -> MoveCrosshead.Result:
+        crosshead = self._crosshead
+        if goal.is_cancel_requested:
+            await self._stop()
+            return self._end(goal, Result.CANCELLED, f"cancelled; holding at {1e3 * crosshead.sample.position:.4f} mm")
+        if crosshead.hold_requested:
+            await self._wait_until_still()
+            stopped = f"load_frame/hold stopped the move at {1e3 * crosshead.sample.position:.4f} mm"
+            return self._end(goal, Result.CANCELLED, stopped)
+        if not self._node.active or crosshead.sample.mode in _LOST_MODES:
+            return self._end(goal, Result.MACHINE_FAULT, "the machine stopped, or no longer reports its state")
+        return self._end(goal, Result.NONE, "")
+
+    async def _stop(self) -> None:
+        """Request a hold and wait until the crosshead stands still."""
+        if self._crosshead.machine is not None:
+            self._crosshead.hold()
+            await self._wait_until_still()
+
+    async def _wait_until_still(self) -> None:
+        requested = time.time_ns()
+
+        def is_still() -> bool:
+            sample = self._crosshead.sample
+            return not self._node.active or (sample.stamp_ns > requested and sample.mode is not LoadMode.MOVING)
+
+        await self._crosshead.changed.wait(is_still, _STOP_TIMEOUT_S, "the end of the motion")
+
+    def _end(self, goal: ServerGoalHandle, code: int, message: str) -> MoveCrosshead.Result:
+        if code == Result.NONE:
+            goal.succeed()
+        elif goal.is_cancel_requested:
+            goal.canceled()
+        else:
+            self._node.get_logger().error(message)
+            self._node.diagnostics.failure(message)
+            goal.abort()
+        sample = self._crosshead.sample
+        return MoveCrosshead.Result(
+            error_code=code, error_message=message, position=sample.position, force=sample.force
+        )
+
+
+def _busy_message(active: MoveCrosshead.Goal, refused: MoveCrosshead.Goal) -> str:
+    of = f"of {active.controller} " if active.controller else ""
+    who = f"{refused.controller} has to" if refused.controller else "you have to"
+    return f"the crosshead follows another goal, {of}to {1e3 * active.position:g} mm; {who} wait until it has arrived"

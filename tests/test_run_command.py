@@ -1,0 +1,191 @@
+"""The command with nodes: a run, its recording in all other commands, and runs that are interrupted or killed."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from running_system import RecordedExperiment, node_pid, wait_until
+from typer.testing import CliRunner, Result
+
+import fringedic
+from fringedic.errors import ConfigurationError
+from fringedic.frames.messages import image_array
+from fringedic.recording.reader import BagReader
+from fringedic.rig.model import RigModel
+from fringedic_bringup.command.main import app
+
+FRAMES = 12
+
+
+def fringedic_command(*words: str | Path | int) -> Result:
+    return CliRunner().invoke(app, [str(word) for word in words])
+
+
+def test_a_run_leaves_recording_dataset_truth_and_pictures(recorded: RecordedExperiment) -> None:
+    folder = recorded.report.folder
+    names = {path.name for path in folder.iterdir()}
+    assert {"bag", "results.nc", "report.html", "truth.nc", "calibration.yaml", "logs"} <= names
+    assert {"step_002.png", "step_002_errors.png"} <= names
+    counts = {name.removeprefix("/rig/"): count for name, count in BagReader(folder / "bag").counts.items()}
+    assert counts["camera/image_raw"] == counts["camera/exposure"] == 3 * FRAMES
+    assert counts["experiment/step"] == 3 * (FRAMES + 3)
+    assert counts["coupling/displacement"] == counts["coupling/status"] == 3
+    with fringedic.open_experiment(folder / "results.nc") as dataset:
+        errors = fringedic.compare_with_truth(dataset, folder / "truth.nc")
+        assert list(dataset.step.values) == [0, 1, 2]
+        moved = [float(abs(dataset.v.sel(step=step)).mean()) for step in (0, 1, 2)]
+    assert moved[0] == 0 < moved[1] < moved[2]
+    assert float(errors.error_v.sel(step=2)) < 8, "1/50 px at 400 µm per pixel"
+
+
+def test_a_run_prints_progress_and_a_table(recorded: RecordedExperiment) -> None:
+    assert "starting 9 nodes" in recorded.output
+    for step in (1, 2, 3):
+        assert f"step {step} of 3: " in recorded.output
+    assert "errors are RMS against the ground truth" in recorded.output
+    assert f"{recorded.report.folder}: report.html, recording (bag)" in " ".join(recorded.output.split())
+
+
+def test_info_export_and_recover(recorded: RecordedExperiment, tmp_path: Path) -> None:
+    folder = recorded.report.folder
+    shown = fringedic_command("info", folder / "bag")
+    assert shown.exit_code == 0
+    assert "/rig/camera/image_raw" in shown.stdout
+    assert "36" in shown.stdout
+    exported = fringedic_command("export", folder / "bag", "--output", tmp_path / "exported")
+    assert exported.exit_code == 0, exported.exception
+    assert (tmp_path / "exported" / "tiny.nc").exists()
+    assert (tmp_path / "exported" / "tiny_png" / "step_001.png").exists()
+    words = ("export", folder / "results.nc", "--to", "csv", "--to", "netcdf", "--step", 1)
+    again = fringedic_command(*words, "--output", tmp_path / "exported")
+    assert "tiny.nc exists already" in again.stdout
+    assert "1 of 2 formats" in str(again.exception)
+    assert (tmp_path / "exported" / "tiny_csv" / "step_001.csv").exists()
+    saved = fringedic_command("recover", folder / "bag", "--output", tmp_path / "saved")
+    assert saved.exit_code == 0, saved.exception
+    assert BagReader(tmp_path / "saved").counts == BagReader(folder / "bag").counts
+
+
+def test_failed_recording_is_named_and_the_others_are_processed(recorded: RecordedExperiment, tmp_path: Path) -> None:
+    words = ("process", tmp_path / "nowhere", recorded.report.folder / "bag", "--step", "1", "--reference", "2")
+    done = fringedic_command(*words, "--output", tmp_path / "desk")
+    assert "nowhere: no such recording" in done.stdout
+    assert str(done.exception) == f"failed: {tmp_path / 'nowhere'}"
+    with fringedic.open_experiment(tmp_path / "desk" / "tiny.nc") as dataset:
+        assert dataset.step.values.tolist() == [1, 2]
+        assert set(dataset.reference_step.values.tolist()) == {2}
+
+
+def test_replay_and_process_with_the_same_changes_give_the_same_arrays(
+    recorded: RecordedExperiment, tmp_path: Path
+) -> None:
+    """One step, another reference, window and calibration: the results differ from the recorded ones in both."""
+    bag = recorded.report.folder / "bag"
+    model = RigModel.from_yaml(recorded.report.folder / "calibration.yaml")
+    other = dataclasses.replace(model, camera_distance=1.01 * model.camera_distance)
+    other.to_yaml(tmp_path / "other.yaml")
+    changes = ("--step", 1, "--reference", 2, "--set", "dic.window=20", "--calibration", tmp_path / "other.yaml")
+    processed = fringedic_command("process", bag, *changes, "--output", tmp_path / "desk.nc")
+    assert processed.exit_code == 0, processed.exception
+    replayed = fringedic_command("replay", bag, *changes, "--output", tmp_path / "again")
+    assert replayed.exit_code == 0, replayed.exception
+    assert "step 1 of 2: recorded step 2" in replayed.stdout
+    assert "step 2 of 2: recorded step 1" in replayed.stdout
+    assert "2 steps, 24 frames, 0 problems" in replayed.stdout
+
+    replayed_bag = tmp_path / "again" / "bag"
+    reader = BagReader(replayed_bag)
+    [calibration] = [message for _, message, _ in reader.messages(reader.find("calibration").values())]
+    assert calibration.identifier == RigModel.from_yaml(tmp_path / "other.yaml").identifier
+    before, after = phases(bag), phases(replayed_bag)
+    np.testing.assert_array_equal(before[[2, 1]], after, "the phase does not depend on any of these changes")
+    with (
+        fringedic.open_experiment(replayed_bag) as nodes,
+        fringedic.open_experiment(tmp_path / "desk.nc") as desk,
+        fringedic.open_experiment(bag) as former,
+    ):
+        for name in ("phase", "displacement_y", "shape_z", "u", "w", "reference_step"):
+            assert np.array_equal(nodes[name].values, desk[name].values, equal_nan=True), name
+        change = float(np.sqrt(np.nanmean((nodes.shape_z - former.shape_z).values ** 2)))
+        assert np.isfinite(change)
+        assert change > 1e-6, "the other calibration moves the surface"
+    assert [status.window for status in dic_statuses(bag)] == [32, 32, 32]
+    assert [status.window for status in dic_statuses(replayed_bag)] == [20, 20]
+
+
+def dic_statuses(bag: Path) -> list[Any]:
+    """Return the statuses of the dic node, one of each step."""
+    reader = BagReader(bag)
+    return [message for _, message, _ in reader.messages(reader.find("dic/status").values())]
+
+
+def phases(bag: Path) -> np.ndarray:
+    """Return the phase maps of a recording in the order of publishing, shape (step, row, column)."""
+    reader = BagReader(bag)
+    return np.stack([image_array(message) for _, message, _ in reader.messages(reader.find("phase/map").values())])
+
+
+def test_replay_of_a_step_that_does_not_exist_is_refused(recorded: RecordedExperiment, tmp_path: Path) -> None:
+    words = ("replay", recorded.report.folder / "bag", "--reference", 7, "--output", tmp_path / "x")
+    refused = fringedic_command(*words)
+    assert isinstance(refused.exception, ConfigurationError)
+    assert "has no step 7; it has 0, 1, 2" in str(refused.exception)
+    assert not (tmp_path / "x").exists(), "no node was started"
+
+
+class Running:
+    """A run of the command in a process of its own, whose steps take seconds and are only recorded."""
+
+    NODES = ("recorder", "load_frame", "camera", "experiment")
+
+    def __init__(self, tiny: Path, folder: Path) -> None:
+        self.bag = folder / "run" / "bag"
+        self._run, self._output = folder / "run", folder / "output"
+        content = yaml.safe_load(tiny.read_text()) | {"recording": {"process": False}}
+        content["programme"]["ramp"]["hold_s"] = 3.0
+        (folder / "rig.yaml").write_text(yaml.safe_dump(content))
+        program = "from fringedic_bringup.command.main import main; main()"
+        command = [sys.executable, "-u", "-c", program, "run", str(folder / "rig.yaml"), "--output", str(self._run)]
+        with self._output.open("w") as output:
+            self.process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
+
+    def wait_until_printed(self, words: str) -> None:
+        """Wait until the command has printed these words."""
+
+        def printed() -> bool:
+            assert self.process.poll() is None, self._output.read_text()
+            return words in self._output.read_text()
+
+        wait_until(printed, words, timeout_s=90.0)
+
+    def pids(self) -> list[int]:
+        """Return the processes of some nodes."""
+        return [node_pid(self._run, name) for name in self.NODES]
+
+
+def test_interrupted_run_closes_the_recording_and_ends_its_nodes(tiny: Path, tmp_path: Path) -> None:
+    running = Running(tiny, tmp_path)
+    running.wait_until_printed("step 2 of 3")
+    pids = running.pids()
+    running.process.send_signal(signal.SIGINT)
+    assert running.process.wait(60) == 130
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+    assert not BagReader(running.bag).lost
+
+
+def test_nodes_end_with_a_killed_command(tiny: Path, tmp_path: Path) -> None:
+    running = Running(tiny, tmp_path)
+    running.wait_until_printed("step 1 of 3")
+    pids = running.pids()
+    os.kill(running.process.pid, signal.SIGKILL)
+    running.process.wait()
+    wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in pids), "the end of the nodes")
+    assert not BagReader(running.bag).lost
