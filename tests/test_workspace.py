@@ -107,8 +107,8 @@ def test_all_packages_have_one_version_and_one_setup() -> None:
     versions = {name: ElementTree.parse(SOURCES / name / "package.xml").findtext("version") for name in PACKAGES}
     cited = yaml.safe_load((SOURCES.parent.parent / "CITATION.cff").read_text())["version"]
     assert set(versions.values()) == {fringedic.__version__, cited}, versions
-    setups = {path.resolve() for path in SOURCES.glob("*/setup.py")}
-    assert setups == {SOURCES / "fringedic" / "setup.py"}
+    setups = {path.read_text() for path in SOURCES.glob("*/setup.py") if path.parent.name != "fringedic"}
+    assert len(setups) == 1
 
 
 def test_library_imports_no_ros() -> None:

@@ -1,4 +1,4 @@
-"""Packaging of every Python package of this workspace: the others link to this file.
+"""Packaging of every Python package of this workspace: theirs run this file in their own folder.
 
 Name, version, description and licence come from package.xml; the rest, which differs, is in setup.cfg.
 """
