@@ -29,9 +29,10 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> xr.Dataset:
 
 
 def test_recording_gives_the_same_results(dataset: xr.Dataset) -> None:
-    """Bit by bit where the compiled code is the same; elsewhere within the rounding of float32.
+    """Bit by bit where the compiled code is the same; elsewhere within a hundredth of the standard uncertainty.
 
-    Numba compiles for the processor at hand: fused operations of another one change last bits.
+    Numba compiles for the processor at hand: fused operations of another one change last bits, and derivatives of a
+    displacement contain more of this than the displacement.
     """
     expected = np.load(FOLDER / "expected.npz")
     exact = str(expected["processor"]) == THIS_PROCESSOR
@@ -45,8 +46,9 @@ def test_recording_gives_the_same_results(dataset: xr.Dataset) -> None:
         if exact:
             assert np.array_equal(values, expected[name], equal_nan=True), name
         else:
-            scale = np.nanmax(np.abs(expected[name]), initial=1e-30)
-            np.testing.assert_allclose(values, expected[name], rtol=1e-4, atol=1e-5 * scale, err_msg=name)
+            uncertainty = expected.get(f"sigma_{name}")
+            scale = 1e-3 * np.nanmax(np.abs(expected[name])) if uncertainty is None else np.nanmedian(uncertainty)
+            np.testing.assert_allclose(values, expected[name], rtol=1e-4, atol=0.01 * scale, err_msg=name)
 
 
 def test_parameters_of_the_recording_are_known(dataset: xr.Dataset) -> None:
