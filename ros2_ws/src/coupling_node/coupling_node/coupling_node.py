@@ -11,6 +11,7 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from coupling_node.camera_transform import CameraTransform
 from fringedic.patterns.pattern import Orientation, PatternKind
 from fringedic.report.drift import drift_sentence
+from fringedic.rig.compatibility import RigSetup, check_calibration
 from fringedic.rig.model import RigModel
 from fringedic.steps.parameters import CouplingParameters
 from fringedic.steps.shape_tracker import ShapeTracker, StepSurface
@@ -60,9 +61,11 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
     def _take_calibration(self, message: RigCalibration) -> None:
         try:
             rig = RigModel.from_message(message)
+            check_calibration(rig, RigSetup())
         except Exception as error:
             self.get_logger().error(f"calibration '{message.identifier}' refused: {error}")
             self.diagnostics.failure(str(error))
+            self.worker.submit(self._tracker.refuse_calibration, str(error))
             return
         self._transform.publish(rig, message.header.stamp)
         # through the queue, so that it does not apply to steps that arrived before it

@@ -275,3 +275,22 @@ def test_abort_answers_a_step_that_waits(bench: CouplingBench, name: str) -> Non
     bench.send_status("dic", name, 0)
     assert bench.status_of(name, 0).error_code == NodeStatus.STEP_ABORTED
     assert bench.send_step(name, 1).error_code == NodeStatus.NONE
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"camera_width": 1280, "camera_height": 960, "pixel_size": 50e-6}, "1280 x 960 px, this camera has 160 x 120"),
+        ({"pixel_size": 0.4}, "refused: calibration: a pixel_size of 400 mm"),
+    ],
+)
+def test_calibration_of_another_rig_fails_the_step(
+    bench: CouplingBench, name: str, changes: dict[str, float], words: str
+) -> None:
+    bench.calibrations.publish(calibration_message(replace(bench.calibration, **changes), stamp_ns=1))
+    bench.serve(0.2)
+    status = bench.send_step(name, 0)
+    assert status.error_code == NodeStatus.NO_CALIBRATION
+    assert words in status.error_message
+    bench.publish_calibration()
+    assert bench.send_step(name, 1).error_code == NodeStatus.NONE

@@ -27,6 +27,7 @@ class ErrorCode(StrEnum):
     TOO_FEW_VALID = "less of the image is measured than the parameters require"
     NO_REFERENCE = "the step has no reference step to be measured against"
     NO_CALIBRATION = "the step needs the rig's calibration and none has been given"
+    OTHER_RIG = "a calibration belongs to another rig, or a length in it has another unit"
     # of images
     INVALID_SEQUENCE = "fringe frames do not form whole periods of decreasing pitches"
     NO_FRINGES = "an image shows no fringes"

@@ -37,6 +37,7 @@ STATUS_CODES: dict[ErrorCode, int] = {
     ErrorCode.SATURATED: NodeStatus.TOO_FEW_VALID,
     ErrorCode.DARK: NodeStatus.TOO_FEW_VALID,
     ErrorCode.NO_CALIBRATION: NodeStatus.NO_CALIBRATION,
+    ErrorCode.OTHER_RIG: NodeStatus.NO_CALIBRATION,
 }
 REMEMBERED_STEPS = 1000
 JOINED_STEPS = 4  # incomplete steps that are kept until their last message arrives

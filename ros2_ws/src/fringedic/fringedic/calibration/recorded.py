@@ -13,8 +13,10 @@ from fringedic.errors import RecordingError
 from fringedic.frames.collector import FrameCollector, Stack
 from fringedic.recording.frames import RecordedMessage, events
 from fringedic.recording.reader import BagReader
+from fringedic.rig.compatibility import check_calibration
 from fringedic.steps.phase import phase_step
 from fringedic.steps.recorded_parameters import RecordedParameters
+from fringedic.steps.recorded_rig import recorded_setup
 
 _TOPICS = ("camera/image_raw", "camera/exposure", "node_parameters")
 
@@ -65,7 +67,9 @@ def calibrate_recording(
     RecordingError
         The recording contains no calibration, or planes whose frames are incomplete, or no grid before them.
     CalibrationError
-        The planes do not give a calibration; the message gives the reason.
+        The planes do not give a calibration, or one that contradicts the recorded rig; the message gives the reason.
+    PatternError
+        The coarsest fringes repeat in the camera's view.
     """
     reader = BagReader(path)
     planes = {(each.experiment, each.step): each for each in _messages(reader, "experiment/plane")}
@@ -79,7 +83,8 @@ def calibrate_recording(
     if wanted:
         steps = ", ".join(f"step {step} of '{experiment}'" for experiment, step in sorted(wanted))
         raise RecordingError(f"{path}: frames are missing of {steps}")
-    replay.session.calibrate(datetime.fromtimestamp(1e-9 * stack.stamp, UTC))
+    calibrated = replay.session.calibrate(datetime.fromtimestamp(1e-9 * stack.stamp, UTC))
+    check_calibration(calibrated.model, recorded_setup(reader))
     return replay.session
 
 

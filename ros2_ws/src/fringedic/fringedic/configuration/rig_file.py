@@ -30,6 +30,7 @@ from fringedic.errors import ConfigurationError, FringedicError
 from fringedic.metadata import CalibrationMetadata, HardwareMetadata, Metadata, NoiseFloorMetadata, SpecimenMetadata
 from fringedic.patterns.pattern import ProjectedPattern
 from fringedic.patterns.sequences import step_sequence
+from fringedic.rig.compatibility import RigSetup, check_calibration
 from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRigConfiguration
 
@@ -150,6 +151,11 @@ class RigFile(Section):
         )
         return [pattern for pattern in shown.patterns for _ in sequence.exposures_ms or [0]]
 
+    def setup(self) -> RigSetup:
+        """Return the parts of the rig that its calibration has to fit."""
+        absolute = self.nodes.phase.relative_phase == "refuse"
+        return RigSetup(self.camera_size(), self.projector_size(), self.patterns() if absolute else ())
+
     def metadata(self, path: str | os.PathLike[str]) -> Metadata:
         """Return the metadata of specimen, hardware, calibration and noise floor; `path` is that of this file."""
         known = CalibrationMetadata()
@@ -259,3 +265,26 @@ def load_calibration(rig: RigFile, path: str | os.PathLike[str]) -> RigModel | N
     if not file.is_file():
         raise ConfigurationError(f"calibration: there is no file {file}")
     return RigModel.from_yaml(file)
+
+
+def load_fitting_calibration(rig: RigFile, path: str | os.PathLike[str]) -> RigModel | None:
+    """Return the calibration that a rig file contains or names, after a check that it is that of this rig.
+
+    Parameters
+    ----------
+    rig, path
+        As of `load_calibration`.
+
+    Raises
+    ------
+    ConfigurationError
+        The calibration file cannot be read, belongs to another rig, or has lengths that contradict each other; or the
+        coarsest fringes of the sequence repeat in the camera's view.
+    """
+    calibration = load_calibration(rig, path)
+    if calibration is not None:
+        try:
+            check_calibration(calibration, rig.setup())
+        except FringedicError as error:
+            raise ConfigurationError(f"{path}: {error}", code=error.code) from error
+    return calibration

@@ -24,6 +24,9 @@ from fringedic.phase.settings import DEFAULT_SETTINGS, PhaseSettings
 # Part of the lines across the fringes in which the phase jumps by a turn. One fringe that covers the view makes no jump
 # but at a few lines with noise or edges; fringes that repeat jump on every line.
 _AMBIGUOUS_LINES = 0.05
+# Part of a coarsest fringe by which the absolute phase jumps where this fringe repeats; a step of the surface shifts
+# the fringes by less, because the coarsest one covers the view.
+_REPETITION = 0.75
 
 
 def measure_phase(
@@ -165,23 +168,30 @@ def _from_one_image(exposures: Sequence[ExposedStack], settings: PhaseSettings) 
 
 def _settle_orders(result: xr.Dataset, stack: ExposedStack, accept_relative: bool) -> list[str]:
     """Unwrap over the image where the frames do not determine the orders; refuse orders that contradict each other."""
-    patterns = stack.patterns
-    layout = layout_of(patterns)
+    layout = layout_of(stack.patterns)
     result.phase.attrs["relative"] = 0
-    if layout.code == 0 and len(layout.pitches) > 1:
-        return []
-    along = 1 if patterns[0].orientation == Orientation.VERTICAL else 0
+    along = 1 if stack.patterns[0].orientation == Orientation.VERTICAL else 0
     growth = np.diff(result.phase.values, axis=along)
     known = np.isfinite(growth)
-    jumps = known & (np.abs(growth) > np.pi)
     if layout.code:
-        if jumps.sum() > np.sum(known.any(axis=along)):  # more than one on every line, as at a step of the surface
-            check_code_order(stack.frames, patterns, stack.numbers)
+        jumps = np.sum(known & (np.abs(growth) > np.pi))
+        if jumps > np.sum(known.any(axis=along)):  # more than one on every line, as at a step of the surface
+            check_code_order(stack.frames, stack.patterns, stack.numbers)
         return []
+    pitch, finest = layout.pitches[0], layout.pitches[-1]
+    turn = 2 * np.pi * pitch / finest  # of the coarsest fringes
+    single = pitch == finest
+    jumps = known & (np.abs(growth) > (0.5 if single else _REPETITION) * turn)
     lines = known.any(axis=along)
     if not lines.any() or np.mean(jumps.any(axis=along)[lines]) < _AMBIGUOUS_LINES:
         return []
-    pitch = layout.pitches[0]
+    if not single:
+        seen = np.abs(np.nansum(growth - turn * np.round(growth / turn), axis=along)).max() * pitch / turn
+        raise PhaseError(
+            f"the coarsest fringes of {pitch:g} px repeat in the view, their order is unknown: show a coarsest pitch "
+            f"of at least {np.ceil(seen):g} px (the width of the projector's image always suffices), or a Gray code",
+            code=ErrorCode.INVALID_SEQUENCE,
+        )
     if not accept_relative:
         raise PhaseError(
             f"fringes of one pitch of {pitch:g} px repeat in view, their order is unknown: show coarser pitches or a "

@@ -15,9 +15,11 @@ from fringedic.results.rows import Row, in_order_of_steps, row_of
 from fringedic.results.stores import dataset_path
 from fringedic.results.timeline import Timeline
 from fringedic.results.writer import DatasetWriter
+from fringedic.rig.compatibility import check_calibration
 from fringedic.rig.model import RigModel
 from fringedic.steps.pipeline import OfflinePipeline
 from fringedic.steps.recorded_parameters import StepSettings
+from fringedic.steps.recorded_rig import recorded_setup
 
 
 def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
@@ -73,6 +75,10 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
         `fringedic.recording.repair.recover` saves the rest.
     ConfigurationError
         An override is unknown or not allowed.
+    CalibrationError
+        The calibration belongs to another rig, or its lengths contradict each other.
+    PatternError
+        The coarsest fringes repeat in the view of `calibration`.
     DatasetError
         The output exists or cannot be written, or the recording contains no frame of the experiment or of a requested
         step, or several experiments.
@@ -88,6 +94,8 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
         "experiment/step", "experiment/reference", "calibration", "node_parameters", "load_frame/state"
     )
     timeline = Timeline(reader, names, experiment)
+    if calibration is not None:
+        check_calibration(calibration, recorded_setup(reader))
     pipeline = OfflinePipeline(overrides or {}, timeline.experiment, reference, calibration)
     references = timeline.references if reference is None else {reference}
     asked = references if reference is not None else set()

@@ -12,6 +12,7 @@ from fringedic.errors import FringedicError
 from fringedic.frames.collector import FrameCollector, Stack
 from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.frames import RecordedFrame, RecordedMessage
+from fringedic.rig.compatibility import RigSetup, check_calibration
 from fringedic.rig.model import RigModel
 from fringedic.steps.displacement_tracker import DisplacementTracker
 from fringedic.steps.phase import phase_step, white_texture
@@ -59,6 +60,13 @@ class OfflinePipeline:
         A step that is the reference of all others, whatever the recording names; its frames come first.
     calibration
         Of the rig, instead of the recorded one.
+
+    Raises
+    ------
+    ConfigurationError
+        An override is unknown or not allowed.
+    CalibrationError
+        The lengths of the calibration contradict each other.
     """
 
     def __init__(
@@ -112,6 +120,7 @@ class OfflinePipeline:
         return [self._abandoned(*key) for key in self._collector.open_steps]
 
     def _set_calibration(self, calibration: RigModel) -> None:
+        check_calibration(calibration, RigSetup())
         self._calibration = calibration
         self._shape.set_calibration(calibration)
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import ErrorCode, StepError
+from fringedic.errors import CalibrationError, ErrorCode, StepError
+from fringedic.rig.compatibility import check_camera, check_heights
 from fringedic.rig.model import RigModel
 from fringedic.steps.drift_marker import MarkerMotion, measure_drift
 from fringedic.steps.parameters import CouplingParameters
@@ -21,6 +22,7 @@ from fringedic.surface.nearest_order import nearest_order_to_plane
 _SHAPE = ("x", "y", "z", "sigma_z")
 _DISPLACEMENT = ("x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w")
 _LOCAL = ("u_t", "v_t", "w_n")
+_NONE_YET = "no calibration yet: publish one on 'calibration', or process the recording with --calibration FILE"
 _STRAIN = ("e_11", "e_22", "e_12", "sigma_e_11", "sigma_e_22", "sigma_e_12")
 
 
@@ -61,6 +63,7 @@ class ShapeTracker:
     def __init__(self, parameters: CouplingParameters) -> None:
         self.parameters = parameters
         self._calibration: RigModel | None = None
+        self._without_calibration = _NONE_YET
         self._references = References()
         self._phases: LatestSteps[PhaseResult] = LatestSteps()
         self._prepared: StepSurface | None = None
@@ -69,15 +72,27 @@ class ShapeTracker:
         """Set the rig's model, with which the following steps and their reference are reconstructed."""
         self._calibration = calibration
 
+    def refuse_calibration(self, reason: str) -> None:
+        """Fail the following steps with this reason, until another calibration is set."""
+        self._calibration = None
+        self._without_calibration = f"the latest calibration was refused: {reason}"
+
     def set_reference(self, experiment: str, step: int) -> None:
         """Make a step the reference of the following ones; it may be a step that is still to come."""
         self._references.set(experiment, step)
 
     def surface(self, phase: PhaseResult) -> StepSurface | None:
-        """Make the surface of a step while its displacement is still being measured; None without a calibration."""
-        if self._calibration is None:
+        """Make the surface of a step while its displacement is still being measured.
+
+        Returns
+        -------
+        StepSurface or None
+            None without a calibration of this camera; `step` then raises the error.
+        """
+        calibration = self._calibration
+        if calibration is None or phase.phase.shape != (calibration.camera_height, calibration.camera_width):
             return None
-        return self._make_surface(_for_reconstruction(phase), self._calibration)
+        return self._make_surface(_for_reconstruction(phase), calibration)
 
     def step(
         self, phase: PhaseResult, displacement: DicResult, *, surface: StepSurface | None = None
@@ -96,9 +111,10 @@ class ShapeTracker:
         Raises
         ------
         StepError
-            No calibration has been set (`ErrorCode.NO_CALIBRATION`); the reference step was not measured or is no
-            longer kept (`NO_REFERENCE`); the phase has another size than the reference's (`FRAME_MISMATCH`); less of
-            the cloud is measured than ``parameters.minimum_valid_fraction`` (`TOO_FEW_VALID`).
+            No calibration is set (`ErrorCode.NO_CALIBRATION`), or that of another rig (`OTHER_RIG`); the
+            reference step was not measured or is no longer kept (`NO_REFERENCE`); the phase has another size than the
+            reference's (`FRAME_MISMATCH`); less of the cloud is measured than ``parameters.minimum_valid_fraction``
+            (`TOO_FEW_VALID`).
         """
         parameters = self.parameters
         key = (phase.experiment, phase.step)
@@ -107,6 +123,7 @@ class ShapeTracker:
         phase = _for_reconstruction(phase) if surface is None else surface.phase
         first = phase if key == reference_key else self._require_reference(phase, key, reference_key)
         current = self._current(surface, phase, calibration)
+        _require_heights(current)
         reference = current if first is phase else self._reference_surface(first, calibration)
         cloud = couple(
             reference.prepared,
@@ -137,12 +154,12 @@ class ShapeTracker:
 
     def _require_calibration(self, phase: PhaseResult) -> RigModel:
         if self._calibration is None:
-            raise StepError(
-                f"experiment '{phase.experiment}', step {phase.step}: no calibration yet; publish one on 'calibration'",
-                experiment=phase.experiment,
-                step=phase.step,
-                code=ErrorCode.NO_CALIBRATION,
-            )
+            raise _step_error(phase, self._without_calibration, ErrorCode.NO_CALIBRATION)
+        rows, columns = phase.phase.shape
+        try:
+            check_camera(self._calibration, (columns, rows))
+        except CalibrationError as error:
+            raise _step_error(phase, str(error), error.code) from error
         return self._calibration
 
     def _require_reference(self, phase: PhaseResult, key: StepKey, reference_key: StepKey) -> PhaseResult:
@@ -189,6 +206,22 @@ class ShapeTracker:
     def _drift(self, fields: xr.Dataset, reference_step: int) -> MarkerMotion | None:
         region = self.parameters.drift_marker_px
         return measure_drift(fields, region, reference_step) if region[2] else None
+
+
+def _require_heights(surface: StepSurface) -> None:
+    try:
+        check_heights(surface.shape, surface.calibration)
+    except CalibrationError as error:
+        raise _step_error(surface.phase, str(error), error.code) from error
+
+
+def _step_error(phase: PhaseResult, message: str, code: ErrorCode | None) -> StepError:
+    return StepError(
+        f"experiment '{phase.experiment}', step {phase.step}: {message}",
+        experiment=phase.experiment,
+        step=phase.step,
+        code=code,
+    )
 
 
 def _for_reconstruction(phase: PhaseResult) -> PhaseResult:

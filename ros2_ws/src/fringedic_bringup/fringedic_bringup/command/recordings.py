@@ -47,13 +47,17 @@ def process(
     overwrite: Overwrite = False,
 ) -> None:
     """Process recordings again without nodes and write the results as datasets."""
+    from fringedic.recording.reader import BagReader
     from fringedic.results import process_bag
     from fringedic.rig.model import RigModel
+    from fringedic.steps.recorded_rig import require_calibration
 
     values = parameter_values(settings)
     model = None if calibration is None else RigModel.from_yaml(calibration_file(calibration))
 
     def work(bag: Path) -> None:
+        if model is None:
+            require_calibration(BagReader(bag))
         target = output
         if output is not None and len(bags) > 1:
             output.mkdir(parents=True, exist_ok=True)

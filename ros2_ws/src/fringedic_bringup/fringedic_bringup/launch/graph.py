@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from fringedic.configuration.rig_file import RigFile, load_calibration
+from fringedic.configuration.rig_file import RigFile, load_fitting_calibration
 from fringedic.configuration.sections import ExtensometerSection
 from fringedic.frames.region import Region
 from fringedic.recording.reader import BagReader
@@ -62,10 +62,10 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
     Raises
     ------
     ConfigurationError
-        The calibration file cannot be read.
+        The calibration file cannot be read or belongs to another rig, or the coarsest fringes repeat in the view.
     """
+    calibration = load_fitting_calibration(rig, rig_path)
     folder.mkdir(parents=True, exist_ok=True)
-    calibration = load_calibration(rig, rig_path)
     calibration_file = ""
     if calibration is not None:
         calibration_file = str((folder / "calibration.yaml").absolute())

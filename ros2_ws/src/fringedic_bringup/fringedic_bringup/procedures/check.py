@@ -11,7 +11,7 @@ import numpy as np
 
 from fringedic.calibration import RigCalibration, RigCheck, check_rig
 from fringedic.calibration.history import record_check
-from fringedic.configuration.rig_file import RigFile, load_calibration
+from fringedic.configuration.rig_file import RigFile, load_fitting_calibration
 from fringedic.configuration.sections import VIRTUAL_RIG
 from fringedic.errors import CalibrationError, ConfigurationError
 from fringedic.frames.messages import image_array
@@ -59,11 +59,11 @@ def check(
     Raises
     ------
     ConfigurationError
-        The folder contains a recording already, or the rig has no calibration or no projector.
+        The folder contains a recording already, the rig has no projector, or no calibration that fits it.
     NodeDiedError, WaitTimeoutError, StepFailedError
         The nodes did not start, one of them ended, or a plane could not be placed or measured.
     """
-    model = load_calibration(rig, rig_path)
+    model = load_fitting_calibration(rig, rig_path)
     if model is None or rig.projector is None:
         raise ConfigurationError(
             f"{rig_path}: has no {'calibration' if rig.projector else 'projector'}, so there is nothing to check"

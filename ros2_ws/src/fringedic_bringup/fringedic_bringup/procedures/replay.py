@@ -8,6 +8,9 @@ from typing import Any, Self
 
 from fringedic.errors import ConfigurationError, NodeDiedError, RecordingError
 from fringedic.recording.reader import BagReader
+from fringedic.rig.compatibility import check_calibration
+from fringedic.rig.model import RigModel
+from fringedic.steps.recorded_rig import recorded_setup, require_calibration
 from fringedic_bringup.launch.graph import replay_graph
 from fringedic_bringup.launch.processes import RunningGraph, private_domain
 from fringedic_bringup.participant import Participant
@@ -56,7 +59,12 @@ def replay(
     Raises
     ------
     RecordingError
-        The recording lacks frames, exposures or steps, or the output contains a recording already.
+        The recording lacks frames, exposures or steps, or a calibration when none is given; or the output contains a
+        recording already.
+    CalibrationError
+        The calibration belongs to another rig, or its lengths contradict each other.
+    PatternError
+        The coarsest fringes repeat in the view of the calibration.
     ConfigurationError
         A chosen step is not in the recording.
     NodeDiedError
@@ -65,6 +73,10 @@ def replay(
     target = output / "bag"
     if target.exists():
         raise RecordingError(f"{target} exists already; choose another --output")
+    if calibration is None:
+        require_calibration(BagReader(bag))
+    else:
+        check_calibration(RigModel.from_yaml(calibration), recorded_setup(BagReader(bag)))
     count = _count_steps(bag, set(steps), reference)
     graph = replay_graph(bag, target, overrides or {}, steps=steps, reference=reference, calibration=calibration)
     with (
