@@ -82,7 +82,7 @@ def test_truncated_recording(experiment: RunReport, tmp_path: Path) -> None:
     with file.open("r+b") as stream:
         stream.truncate(file.stat().st_size * 6 // 10)
     assert BagReader(bag).lost
-    whole = recover(bag, tmp_path / "recovered")
+    whole = recover(bag, tmp_path / "recovered").path
     with fringedic.open_experiment(fringedic.process_bag(whole, output=tmp_path / "cut.nc")) as dataset:
         assert np.isfinite(dataset.u.sel(step=0).values).mean() > WORKING
         assert dataset.sizes["step"] < 3 or str(dataset.error.values[-1])

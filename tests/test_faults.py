@@ -187,7 +187,7 @@ def test_recording_is_readable_after_the_recorder_was_killed(rig: Rig) -> None:
         message.step for _, message, _ in reader.messages(reader.find("experiment/step").values()) if message.stage == 3
     ]
     assert result.step in ends
-    whole = recover(rig.folder / "bag", rig.folder / "recovered")
+    whole = recover(rig.folder / "bag", rig.folder / "recovered").path
     with fringedic.open_experiment(fringedic.process_bag(whole, output=rig.folder / "recovered.nc")) as dataset:
         last = dataset.sel(step=result.step)
         assert np.isfinite(last.w.values).mean() > WORKING

@@ -71,6 +71,7 @@ def test_info_export_and_recover(recorded: RecordedExperiment, tmp_path: Path) -
     assert (tmp_path / "exported" / "tiny_csv" / "step_001.csv").exists()
     saved = fringedic_command("recover", folder / "bag", "--output", tmp_path / "saved")
     assert saved.exit_code == 0, saved.exception
+    assert "lost: nothing, the recording was complete" in saved.stdout
     assert BagReader(tmp_path / "saved").counts == BagReader(folder / "bag").counts
 
 

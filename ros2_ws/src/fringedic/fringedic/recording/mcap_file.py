@@ -1,30 +1,43 @@
-"""Finds and reads the chunks of one MCAP file, by its index or, without one, by a scan of the file."""
+"""Reads one MCAP file: its chunks by the index at its end, or by a scan where the index is missing or damaged."""
 
 from __future__ import annotations
 
-import re
+import mmap
 import struct
-from collections import defaultdict
-from contextlib import suppress
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
-import yaml
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
-from mcap.opcode import Opcode
-from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, Message, Schema
-from mcap.stream_reader import CRCValidationError, breakup_chunk
+from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Message, Schema, Statistics
+from mcap.stream_reader import StreamReader, breakup_chunk
 
 from fringedic.errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
-_RECORD_HEADER = struct.Struct("<BQ")
-_DAMAGE = (McapError, CRCValidationError, zstandard.ZstdError, struct.error, UnicodeDecodeError)
+RECORD_HEADER = struct.Struct("<BQ")  # opcode, length of the rest
+# Raised by the parsing of damaged bytes: lengths beyond the file or the memory, wrong text, wrong checksums.
+DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, RuntimeError, MemoryError, OverflowError)
+_FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, start of its offsets, checksum
+
+Bytes = bytes | mmap.mmap
+
+
+class ChunkPlace(NamedTuple):
+    """One chunk: log times of its first and last message [ns], its bytes in the file, numbers of its channels."""
+
+    start_time: int
+    end_time: int
+    offset: int
+    length: int
+    channels: frozenset[int]
 
 
 @dataclass
@@ -41,66 +54,41 @@ class McapFile:
         Places of the chunks in the file.
     counts
         Messages of each channel.
-    lost
-        Description of the damage; empty for a complete file.
+    indexed
+        Messages of each channel by the index of the file; empty without an index.
+    damage
+        Description of each kind of damage; empty for a complete file.
     """
 
     path: Path
     channels: dict[int, Channel] = field(default_factory=dict)
     schemas: dict[int, Schema] = field(default_factory=dict)
     chunks: list[ChunkPlace] = field(default_factory=list)
-    counts: defaultdict[int, int] = field(default_factory=lambda: defaultdict(int))
-    lost: str = ""
+    counts: Counter[int] = field(default_factory=Counter)
+    indexed: Counter[int] = field(default_factory=Counter)
+    damage: list[str] = field(default_factory=list)
+
+    def add_chunk(self, offset: int, length: int, records: list[McapRecord]) -> int:
+        """Add a chunk by its records; return the number of messages whose channel is not defined anywhere before."""
+        times, counts = [], Counter[int]()
+        for record in records:
+            if isinstance(record, Schema):
+                self.schemas[record.id] = record
+            elif isinstance(record, Channel):
+                self.channels[record.id] = record
+            elif isinstance(record, Message):
+                counts[record.channel_id] += 1
+                times.append(record.log_time)
+        known = Counter({channel: count for channel, count in counts.items() if channel in self.channels})
+        self.counts += known
+        if known:
+            self.chunks.append(ChunkPlace(min(times), max(times), offset, length, frozenset(known)))
+        return counts.total() - known.total()
 
 
-class ChunkPlace(NamedTuple):
-    """One chunk: log times of its first and last message [ns], offset in the file [byte], numbers of its channels."""
-
-    start_time: int
-    end_time: int
-    offset: int
-    channels: frozenset[int]
-
-
-def mcap_files(path: Path) -> list[Path]:
-    """Return the MCAP files of a recording in their order.
-
-    Parameters
-    ----------
-    path
-        A rosbag2 folder or one MCAP file.
-
-    Raises
-    ------
-    RecordingError
-        There is no such recording, or it contains no MCAP file.
-    """
-    if path.is_file():
-        return [path]
-    if not path.is_dir():
-        raise RecordingError(f"{path}: no such recording")
-    files = sorted(path.glob("*.mcap"), key=lambda file: [int(n) for n in re.findall(r"\d+", file.stem)] or [0])
-    metadata = path / "metadata.yaml"
-    if metadata.is_file():
-        with suppress(yaml.YAMLError, KeyError, TypeError):
-            named = yaml.safe_load(metadata.read_text("utf-8"))["rosbag2_bagfile_information"]["relative_file_paths"]
-            listed = [path / Path(name).name for name in named]
-            if listed and all(file.is_file() for file in listed):
-                files = listed
-    if not files:
-        raise RecordingError(f"{path}: holds no .mcap file; convert other storage with 'ros2 bag convert'")
-    return files
-
-
-def open_file(path: Path, rescan: bool) -> McapFile:
-    """Return the chunks and channels of a file.
-
-    Parameters
-    ----------
-    path
-        The file.
-    rescan
-        Scan the whole file instead of reading its index; a file without index is always scanned.
+@contextmanager
+def opened(path: Path) -> Iterator[Bytes]:
+    """Map a file into memory.
 
     Raises
     ------
@@ -109,84 +97,106 @@ def open_file(path: Path, rescan: bool) -> McapFile:
     """
     try:
         with open(path, "rb") as stream:
-            if stream.read(len(MAGIC)) != MAGIC:
-                raise RecordingError(f"{path}: is not an MCAP file")
-            file = None if rescan else _from_index(path, stream)
-            return file or _from_scan(path, stream)
+            if not path.stat().st_size:
+                yield b""
+                return
+            with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+                if data[: len(MAGIC)] != MAGIC[: len(data)] and data[-len(MAGIC) :] != MAGIC:
+                    raise RecordingError(f"{path}: is not an MCAP file")
+                yield data
     except RecordingError:
         raise
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def _from_index(path: Path, stream: BinaryIO) -> McapFile | None:
-    """Read the index at the end of a finished file; None when there is none."""
-    try:
-        stream.seek(0)
-        summary = make_reader(stream).get_summary()
-    except (*_DAMAGE, OSError, ValueError):
+def read_index(path: Path, data: Bytes) -> McapFile | None:
+    """Return a file by its index; None for a file without an index that lists all its messages.
+
+    Parameters
+    ----------
+    path, data
+        The file and its content.
+
+    Raises
+    ------
+    DAMAGE
+        The index does not fit its checksum or cannot be read.
+    """
+    end = len(data) - len(MAGIC)
+    if end < _FOOTER.size or data[end:] != MAGIC:
         return None
-    if summary is None or summary.statistics is None:
+    _, _, start, _, checksum = _FOOTER.unpack(data[end - _FOOTER.size : end])
+    if not start:
         return None
-    if summary.statistics.message_count and not summary.chunk_indexes:
-        return None
-    file = McapFile(path, summary.channels, summary.schemas)
-    file.counts.update(summary.statistics.channel_message_counts)
-    for index in summary.chunk_indexes:
-        present = frozenset(index.message_index_offsets) or frozenset(summary.channels)
-        file.chunks.append(
-            ChunkPlace(index.message_start_time, index.message_end_time, index.chunk_start_offset, present)
-        )
-    return file
-
-
-def _from_scan(path: Path, stream: BinaryIO) -> McapFile:
-    """Read a file up to its last complete record; a chunk with a wrong checksum is left out."""
-    file = McapFile(path)
-    size = path.stat().st_size
-    position, finished, broken, messages_outside = len(MAGIC), False, 0, 0
-    while position + _RECORD_HEADER.size <= size:
-        stream.seek(position)
-        opcode, length = _RECORD_HEADER.unpack(stream.read(_RECORD_HEADER.size))
-        end = position + _RECORD_HEADER.size + length
-        if end > size:
-            break
-        if opcode == Opcode.CHUNK:
-            try:
-                _index_chunk(file, position, stream.read(length))
-            except _DAMAGE:
-                broken += 1
-        elif opcode == Opcode.MESSAGE:
-            messages_outside += 1
-        position = end
-        if opcode == Opcode.FOOTER:
-            finished = True
-            break
-    if messages_outside:
-        raise RecordingError(f"{path}: is written without chunks; convert it with 'ros2 bag convert'")
-    damage = []
-    if broken:
-        damage.append(f"{broken} chunk{'s' if broken > 1 else ''} left out because of a wrong checksum")
-    if not finished:
-        damage.append(f"not closed; {size - position} bytes after the last complete record are lost")
-    file.lost = " and ".join(damage)
-    return file
-
-
-def _index_chunk(file: McapFile, position: int, data: bytes) -> None:
-    chunk = Chunk.read(ReadDataStream(BytesIO(data)))
-    counts: defaultdict[int, int] = defaultdict(int)
-    for record in breakup_chunk(chunk, validate_crc=True):
-        if isinstance(record, Schema):
+    if checksum and zlib.crc32(data[start : end - 4]) != checksum:
+        raise McapError("the index does not fit its checksum")
+    file, statistics = McapFile(path), None
+    for record in StreamReader(BytesIO(data[start:]), skip_magic=True).records:
+        if isinstance(record, Statistics):
+            statistics = record
+        elif isinstance(record, Schema):
             file.schemas[record.id] = record
         elif isinstance(record, Channel):
             file.channels[record.id] = record
-        elif isinstance(record, Message):
-            counts[record.channel_id] += 1
-    known = {channel: count for channel, count in counts.items() if channel in file.channels}
-    for channel, count in known.items():
-        file.counts[channel] += count
-    file.chunks.append(ChunkPlace(chunk.message_start_time, chunk.message_end_time, position, frozenset(known)))
+        elif isinstance(record, ChunkIndex):
+            file.chunks.append(_place(record))
+    if statistics is None or (statistics.message_count and not file.chunks):
+        return None
+    file.indexed = Counter({channel: count for channel, count in statistics.channel_message_counts.items() if count})
+    file.counts = Counter(file.indexed)
+    return file if file.counts.keys() <= file.channels.keys() else None
+
+
+def _place(index: ChunkIndex) -> ChunkPlace:
+    return ChunkPlace(
+        index.message_start_time,
+        index.message_end_time,
+        index.chunk_start_offset,
+        index.chunk_length,
+        frozenset(index.message_index_offsets),
+    )
+
+
+def check_chunks(indexed: McapFile, data: Bytes) -> McapFile:
+    """Return a file with an index without its damaged chunks; its damage says how many there are."""
+    file = McapFile(indexed.path, indexed.channels, indexed.schemas, indexed=indexed.indexed)
+    broken = 0
+    for place in indexed.chunks:
+        try:
+            file.add_chunk(place.offset, place.length, chunk_records(data[place.offset : place.offset + place.length]))
+        except DAMAGE:
+            broken += 1
+    if broken:
+        file.damage.append(left_out(broken))
+    return file
+
+
+def left_out(chunks: int) -> str:
+    """Return the description of damaged chunks."""
+    return f"{chunks} chunk{'s' if chunks > 1 else ''} left out because of a wrong checksum"
+
+
+def chunk_records(data: bytes) -> list[McapRecord]:
+    """Return the records of a chunk.
+
+    Parameters
+    ----------
+    data
+        The chunk with the header of its record, the opcode and length of which are not used.
+
+    Raises
+    ------
+    DAMAGE
+        The chunk is damaged.
+    """
+    chunk = Chunk.read(ReadDataStream(BytesIO(data[RECORD_HEADER.size :])))
+    if chunk.compression == "zstd":
+        # the size in a damaged frame would be allocated before the checksum is compared
+        size = zstandard.get_frame_parameters(chunk.data).content_size
+        if size not in (chunk.uncompressed_size, zstandard.CONTENTSIZE_UNKNOWN):
+            raise McapError(f"{size} bytes instead of {chunk.uncompressed_size}")
+    return breakup_chunk(chunk, validate_crc=True)
 
 
 def read_messages(file: McapFile, place: ChunkPlace) -> list[Message]:
@@ -200,10 +210,8 @@ def read_messages(file: McapFile, place: ChunkPlace) -> list[Message]:
     try:
         with open(file.path, "rb") as stream:
             stream.seek(place.offset)
-            _, length = _RECORD_HEADER.unpack(stream.read(_RECORD_HEADER.size))
-            chunk = Chunk.read(ReadDataStream(BytesIO(stream.read(length))))
-        records = breakup_chunk(chunk, validate_crc=True)
-    except (*_DAMAGE, OSError) as error:
+            records = chunk_records(stream.read(place.length))
+    except (*DAMAGE, OSError) as error:
         raise RecordingError(
             f"{file.path}: damaged at byte {place.offset} ({error}); use 'fringedic recover' to save the rest"
         ) from error

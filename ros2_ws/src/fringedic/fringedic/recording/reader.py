@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import heapq
 import os
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+from mcap.records import Channel, Schema
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fringedic.errors import ErrorCode, RecordingError
-from fringedic.recording.mcap_file import mcap_files, open_file, read_messages
+from fringedic.recording.bag_files import BagFiles, find_files, open_file
+from fringedic.recording.mcap_file import McapFile, read_messages
 from fringedic.recording.topics import RawMessage, Topic
 
 REORDER_WINDOW = 64  # messages by which topics may overtake each other on their way into the recording
@@ -24,15 +27,20 @@ class BagReader:
     ----------
     path
         A rosbag2 folder with MCAP files, or one MCAP file.
-    rescan
-        Scan the whole file instead of reading its index; a file without index is always scanned.
+    check
+        Read every chunk on opening and leave out those that are damaged. Without it, a file with an undamaged index is
+        opened by its index alone, and a damaged chunk raises an error when it is reached.
 
     Attributes
     ----------
+    files
+        The MCAP files in their order.
     topics
         Every topic by its full name.
     counts
         Messages of each topic.
+    missing
+        Messages of each topic that an index or ``metadata.yaml`` counts and that are not in the files.
     lost
         Description of the damage; empty for a complete recording.
 
@@ -54,24 +62,23 @@ class BagReader:
     [('/force', 42, 10)]
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, rescan: bool = False) -> None:
+    def __init__(self, path: str | os.PathLike[str], *, check: bool = False) -> None:
         self.path = Path(path)
-        self._files = [open_file(file, rescan) for file in mcap_files(self.path)]
+        found = find_files(self.path)
+        self.files = tuple(found.present)
+        self._files = [open_file(file, check=check) for file in found.present]
         self.topics: dict[str, Topic] = {}
         self.counts: dict[str, int] = {}
+        indexed: Counter[str] = Counter()
         for file in self._files:
             for number, channel in file.channels.items():
-                schema = file.schemas[channel.schema_id]
-                self.topics[channel.topic] = Topic(
-                    channel.topic,
-                    schema.name,
-                    schema.data.decode(),
-                    schema.encoding,
-                    channel.metadata.get("topic_type_hash", ""),
-                    channel.metadata.get("offered_qos_profiles", ""),
-                )
+                self.topics[channel.topic] = _topic(channel, file.schemas.get(channel.schema_id))
                 self.counts[channel.topic] = self.counts.get(channel.topic, 0) + file.counts[number]
-        self.lost = "; ".join(f"{file.path.name}: {file.lost}" for file in self._files if file.lost)
+                indexed[channel.topic] += file.indexed[number]
+        expected = indexed | Counter(found.counts)
+        self.missing = {name: count - self.counts.get(name, 0) for name, count in sorted(expected.items())}
+        self.missing = {name: count for name, count in self.missing.items() if count > 0}
+        self.lost = "; ".join(_damage(self._files, found, self.missing))
         self._typestore = get_typestore(Stores.EMPTY)
         self._registered: set[str] = set()
 
@@ -151,7 +158,7 @@ class BagReader:
             for order, message in enumerate(read_messages(file, chunk)):
                 topic = file.channels[message.channel_id].topic
                 if topic in wanted:
-                    raw = RawMessage(topic, message.data, message.log_time, message.publish_time)
+                    raw = RawMessage(topic, message.data, message.log_time, message.publish_time, message.sequence)
                     heapq.heappush(waiting, (message.log_time, number, chunk.offset, order, raw))
         while waiting:
             yield heapq.heappop(waiting)[-1]
@@ -210,3 +217,27 @@ class BagReader:
         return sorted(
             topic for topic, count in self.counts.items() if count and (topic == name or topic.endswith(f"/{name}"))
         )
+
+
+def _topic(channel: Channel, schema: Schema | None) -> Topic:
+    return Topic(
+        channel.topic,
+        schema.name if schema else "",
+        schema.data.decode(errors="replace") if schema else "",
+        schema.encoding if schema else "",
+        channel.metadata.get("topic_type_hash", ""),
+        channel.metadata.get("offered_qos_profiles", ""),
+    )
+
+
+def _damage(files: Iterable[McapFile], found: BagFiles, missing: dict[str, int]) -> Iterator[str]:
+    """Yield a description of each damaged or missing file, and of the messages that are missing."""
+    for file in files:
+        if file.damage:
+            yield f"{file.path.name}: {' and '.join(file.damage)}"
+    for name in found.missing:
+        yield f"{name} is missing"
+    if found.damage:
+        yield found.damage
+    if missing:
+        yield "missing messages: " + ", ".join(f"{count} of {name}" for name, count in missing.items())

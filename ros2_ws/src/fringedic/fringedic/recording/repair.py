@@ -6,12 +6,34 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from fringedic.recording.mcap_file import mcap_files
 from fringedic.recording.reader import BagReader
 from fringedic.recording.writer import BagWriter
 
 
-def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None) -> Path:
+@dataclass(frozen=True)
+class Recovery:
+    """Outcome of a recovery.
+
+    Attributes
+    ----------
+    path
+        The new recording.
+    messages
+        Messages in it.
+    missing
+        Messages of each topic that the damaged recording counts and that could not be read. They are known only if its
+        index or its ``metadata.yaml`` is complete.
+    lost
+        Description of the damage; empty if the recording was complete.
+    """
+
+    path: Path
+    messages: int
+    missing: dict[str, int]
+    lost: str
+
+
+def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None) -> Recovery:
     """Write a complete recording of all readable messages of a damaged one, which is not changed.
 
     Parameters
@@ -23,15 +45,20 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
 
     Returns
     -------
-    Path
-        The new recording.
+    Recovery
+        The new recording, and what could not be read.
 
     Raises
     ------
     RecordingError
         There is no such recording, or the new one cannot be written.
+
+    Examples
+    --------
+    >>> recover("recordings/plate-7/bag").missing  # doctest: +SKIP
+    {'/rig/camera/image_raw': 1}
     """
-    reader = BagReader(path, rescan=True)
+    reader = BagReader(path, check=True)
     source = Path(path)
     target = Path(output) if output is not None else source.with_name(f"{source.stem}_recovered")
     with BagWriter(target) as writer:
@@ -39,7 +66,7 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
             writer.add_recorded_topic(topic)
         for message in reader.raw():
             writer.write(*message)
-    return target
+        return Recovery(target, writer.message_count, reader.missing, reader.lost)
 
 
 @dataclass(frozen=True)
@@ -81,7 +108,7 @@ def info(path: str | os.PathLike[str]) -> BagInfo:
         path=reader.path,
         start_time=reader.start_time,
         end_time=reader.end_time,
-        size=sum(file.stat().st_size for file in mcap_files(reader.path)),
+        size=sum(file.stat().st_size for file in reader.files),
         topics={name: (topic.type_name, reader.counts[name]) for name, topic in sorted(reader.topics.items())},
         lost=reader.lost,
     )

@@ -58,9 +58,10 @@ class Topic:
 
 
 class RawMessage(NamedTuple):
-    """One serialised message with its times [ns]."""
+    """One serialised message with its times [ns], and its number in its publisher's own count."""
 
     topic: str
     data: bytes
     log_time: int
     publish_time: int
+    sequence: int = 0

@@ -233,7 +233,7 @@ def test_recover_writes_a_whole_recording_beside_the_damaged_one(typestore, tmp_
     damaged = file.read_bytes()[: -len(file.read_bytes()) // 3]
     file.write_bytes(damaged)
     found = list(BagReader(path).raw())
-    recovered = recover(path)
+    recovered = recover(path).path
     assert recovered == tmp_path / "bag_recovered"
     assert file.read_bytes() == damaged
     again = BagReader(recovered)
@@ -254,8 +254,8 @@ def test_a_flipped_byte_is_detected_and_costs_one_chunk(typestore, tmp_path):
     file.write_bytes(data)
     with pytest.raises(RecordingError, match=r"bag_0\.mcap: damaged at byte \d+ .*fringedic recover"):
         list(BagReader(path).raw())
-    assert "1 chunk left out" in BagReader(path, rescan=True).lost
-    numbers = {each.data for each in BagReader(recover(path)).raw(["/rig/camera/image_raw"])}
+    assert "1 chunk left out" in BagReader(path, check=True).lost
+    numbers = {each.data for each in BagReader(recover(path).path).raw(["/rig/camera/image_raw"])}
     assert not numbers & {picture(typestore, number) for number in (4, 5, 6)}
     assert numbers == {picture(typestore, number) for number in (0, 1, 2, 3, 7)}
 
@@ -331,7 +331,7 @@ def test_a_killed_recorder_loses_no_image_and_half_a_second_of_force(typestore, 
         assert kept <= read[topic]
         if kind == "image" and size == (960, 1280):
             assert total - len(read[topic]) <= 1
-    with AnyReader([recover(tmp_path / "bag")]) as again:
+    with AnyReader([recover(tmp_path / "bag").path]) as again:
         assert again.message_count == sum(reader.counts.values())
 
 

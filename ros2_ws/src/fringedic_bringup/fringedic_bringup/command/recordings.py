@@ -103,10 +103,11 @@ def info(bag: Bag) -> None:
 
 @app.command(epilog="Example: fringedic recover recordings/plate-7/bag --output saved")
 def recover(bag: Bag, output: Output = None) -> None:
-    """Write a complete recording from the readable part of a damaged one."""
+    """Write a complete recording from the readable part of a damaged one, and list what could not be read."""
     from fringedic.recording.repair import recover as recover_bag
+    from fringedic.report.recordings import recovery_sentences
 
-    say(f"recording: {recover_bag(bag, output)}")
+    say(*recovery_sentences(recover_bag(bag, output)))
 
 
 @app.command(epilog="Example: fringedic export recordings/plate-7/bag --to vtk --to csv --output plate-7")
