@@ -14,20 +14,17 @@ import xarray as xr
 from fringedic.calibration.findings import CalibrationWarning
 from fringedic.calibration.fit import Solution, information_criterion
 from fringedic.calibration.fit_results import Candidate, Parameter, PlaneResult
-from fringedic.calibration.geometry import SCALES, Camera, place_plane, predict, rig_model
+from fringedic.calibration.geometry import SCALES, Camera, check_size, place_plane, predict, rig_model
 from fringedic.calibration.models import ModelFitter, scatter_of
 from fringedic.calibration.outliers import unusual_ripple
 from fringedic.calibration.planes import CalibrationPlanes
 from fringedic.calibration.result import RigCalibration
 from fringedic.calibration.variants import ModelVariant
 from fringedic.camera.findings import Finding
-from fringedic.errors import CalibrationError
 from fringedic.rig.geometry import PARAMETERS, parameter_values
 from fringedic.rig.model import RigModel
 from fringedic.rig.uncertainty import position_errors
 
-WIDEST_FIELD = 2.0  # width over camera distance (an angle of view of 90 degree); wider means wrong angles
-NEAREST, FARTHEST = 0.01, 50.0  # [m] of the camera from the plane; the scale is wrong beyond these
 _STEP = 1e-5  # of a parameter's scale, for central differences
 _RIPPLE = 2e-3 * 2 * math.pi  # [rad] the noise of a usual sequence (q = 8, 1 grey level); averaging does not reduce it
 _OUTLIERS = 1e-3  # share of the pixels; noise alone has none beyond six standard deviations
@@ -103,7 +100,7 @@ def assess(fitter: ModelFitter, selection: Selection, origin: Origin) -> RigCali
         any rig: angles or lengths of the wrong unit.
     """
     camera, planes, solution = fitter.camera, fitter.planes, selection.solution
-    _check_size(camera, solution.values["camera_distance"], bool(np.any(planes.placement.angles)))
+    check_size(camera, solution.values["camera_distance"])
     model = _with_covariance(camera, solution, origin)
     results, maps = zip(
         *(_plane_result(fitter, selection, model, index) for index in range(len(planes.blocks))), strict=True
@@ -131,21 +128,6 @@ def assess(fitter: ModelFitter, selection: Selection, origin: Origin) -> RigCali
         created=origin.created,
     )
     return dataclasses.replace(calibration, warnings=tuple(_warnings(calibration, fitter, selection.used)))
-
-
-def _check_size(camera: Camera, distance: float, turned: bool) -> None:
-    """Refuse a rig of an impossible size: phases do not determine the size, and fit as well with a wrong unit."""
-    width = camera.pixel_size * max(camera.width / camera.pixel_aspect, camera.height)
-    if width > WIDEST_FIELD * distance:
-        wrong = "angles are too large; are they in radian?" if turned else "heights are too large; are they in metre?"
-        raise CalibrationError(
-            f"the camera would stand {1e3 * distance:.3g} mm from a field of {1e3 * width:.3g} mm: the {wrong}"
-        )
-    if not NEAREST < distance < FARTHEST:
-        raise CalibrationError(
-            f"the camera would stand {distance:.3g} m from a field of {width:.3g} m: are the grid's pitch, the pixel "
-            "size and heights given in metre and angles in radian (in files: millimetre, degree)?"
-        )
 
 
 def _with_covariance(camera: Camera, solution: Solution, origin: Origin) -> RigModel:
@@ -208,7 +190,7 @@ def _residual(fitter: ModelFitter, solution: Solution, index: int) -> np.ndarray
     """Return measured - predicted phase of the blocks of a plane [rad], (n, m)."""
     plane = fitter.planes.blocks[index]
     column, row = fitter.camera.ideal(*np.meshgrid(plane.column, plane.row))
-    pixels = np.stack([column.ravel(), row.ravel(), np.ones(column.size)], axis=-1)
+    pixels = np.stack([column.ravel(), row.ravel(), np.ones(column.size)])
     predicted = predict(fitter.camera, solution.values, fitter.placement, (index,), (pixels,)).reshape(column.shape)
     result: np.ndarray = plane.phase - predicted
     return result

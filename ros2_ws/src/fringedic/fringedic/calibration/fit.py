@@ -70,7 +70,7 @@ class Observations:
     planes
         Indices of the planes.
     pixels
-        For each plane the ideal pixels of its blocks, (n, 3): column, row, 1.
+        For each plane the ideal pixels of its blocks, (3, n): column, row, 1.
     phases, sigmas
         For each plane [rad], (n,).
     """
@@ -88,7 +88,7 @@ class Observations:
         chosen = [self.planes.index(plane) for plane in planes]
         return Observations(
             tuple(planes),
-            tuple(self.pixels[i][::skip] for i in chosen),
+            tuple(self.pixels[i][:, ::skip] for i in chosen),
             tuple(self.phases[i][::skip] for i in chosen),
             tuple(self.sigmas[i][::skip] for i in chosen),
         )
@@ -136,7 +136,7 @@ def observe(camera: Camera, planes: Sequence[PlaneBlocks]) -> Observations:
         column, row = np.meshgrid(plane.column, plane.row)
         known = np.isfinite(plane.phase)
         ideal = camera.ideal(column[known], row[known])
-        pixels.append(np.stack([*ideal, np.ones(int(known.sum()))], axis=-1))
+        pixels.append(np.stack([*ideal, np.ones(int(known.sum()))]))
         phases.append(plane.phase[known])
         sigmas.append(plane.sigma[known])
     return Observations(tuple(range(len(planes))), tuple(pixels), tuple(phases), tuple(sigmas))

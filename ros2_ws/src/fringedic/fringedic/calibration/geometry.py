@@ -18,11 +18,14 @@ from fringedic.calibration.closed_form import SixParameters
 from fringedic.calibration.placement import Placement
 from fringedic.camera.distortion import DistortionMap
 from fringedic.camera.plane_homography import PinHole, PlaneHomography
+from fringedic.errors import CalibrationError
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.geometry import GENERAL as GENERAL_MODEL
 from fringedic.rig.geometry import SIX_PARAMETER
 from fringedic.rig.model import RigModel
 
+_WIDEST_FIELD = 2.0  # width over camera distance (an angle of view of 90 degree); wider means wrong angles
+_NEAREST, _FARTHEST = 0.01, 50.0  # [m] of the camera from the plane; the scale is wrong beyond these
 # Parameters with the change that scales each in the fit: about the size of its usual deviations.
 _LENGTH, _ANGLE = 1e-2, 1e-2
 SCALES: dict[str, float] = {
@@ -172,6 +175,23 @@ def rig_model(camera: Camera, values: Mapping[str, float]) -> RigModel:
     )
 
 
+def check_size(camera: Camera, distance: float) -> None:
+    """Refuse a rig of an impossible size: phases do not determine the size, and fit as well with a wrong unit.
+
+    Raises
+    ------
+    CalibrationError
+        The camera, at this distance [m], would look at a field wider than any lens sees, or be nearer or farther than
+        that of any rig: angles or lengths of the wrong unit.
+    """
+    width = camera.pixel_size * max(camera.width / camera.pixel_aspect, camera.height)
+    if width > _WIDEST_FIELD * distance or not _NEAREST < distance < _FARTHEST:
+        raise CalibrationError(
+            f"the camera would stand {distance:.3g} m from a field of {width:.3g} m: are the grid's pitch, the pixel "
+            "size and heights given in metre and angles in radian (in files: millimetre, degree)?"
+        )
+
+
 def pin_hole_deviation(camera: Camera, pin_hole: PinHole, values: Mapping[str, float]) -> np.ndarray:
     """Return the deviation of a rig's camera from the pin-hole that grids located, in standard deviations, (3,)."""
     # a grid of another pitch gives the same angles of a larger or smaller rig
@@ -184,16 +204,18 @@ def place_plane(camera: Camera, values: Mapping[str, float], angle: float, heigh
     across, up = values.get("axis_across", 0.0), values.get("axis_height", 0.0)
     skew, slope = values.get("axis_skew", 0.0), values.get("axis_slope", 0.0)
     if camera.vertical:
-        direction, point, turn = np.array([skew, 1.0, slope]), np.array([across, 0.0, up]), -angle
+        direction, point, turn = (skew, 1.0, slope), (across, 0.0, up), -angle
     else:
-        direction, point, turn = np.array([1.0, skew, slope]), np.array([0.0, across, up]), angle
-    k = direction / np.linalg.norm(direction)
+        direction, point, turn = (1.0, skew, slope), (0.0, across, up), angle
+    length = math.hypot(*direction)
+    kx, ky, kz = (each / length for each in direction)
     c, s = math.cos(turn), math.sin(turn)
     # Rodrigues' rotation of the direction (0, 0, 1) about k
-    turned = np.array([s * k[1], -s * k[0], c]) + (1 - c) * k[2] * k
+    share = (1 - c) * kz
+    turned = (s * ky + share * kx, share * ky - s * kx, c + share * kz)
     # the point of the axis keeps its distance from the plane, which is its height at angle 0
-    offset = turned @ point - up + height * turned[2]
-    return turned, float(offset)
+    offset = sum(a * b for a, b in zip(turned, point, strict=True)) - up + height * turned[2]
+    return np.array(turned), offset
 
 
 def predict(
@@ -212,7 +234,7 @@ def predict(
     planes
         Indices of planes.
     pixels
-        For each of them its ideal pixels, (n, 3): column, row, 1.
+        For each of them its ideal pixels, (3, n): column, row, 1.
 
     Returns
     -------
@@ -220,16 +242,16 @@ def predict(
         Phases [rad], float64, shape (n1 + n2 + ...,): one plane after the other.
     """
     rig = rig_model(camera, values)
-    matrix, points = rig.ray_matrix, []
+    axes, rays = rig.projector_axes.T, rig.ray_matrix
+    towards = axes @ rays
+    camera_pin_hole = axes @ (np.array([0.0, 0.0, rig.camera_distance]) - rig.projector_position)
+    directions = []
     for plane, pixel in zip(planes, pixels, strict=True):
         normal, offset = place_plane(camera, values, *placement.of(plane, values))
-        rays = pixel @ matrix.T
-        along = (offset - normal[2] * rig.camera_distance) / (rays @ normal)
-        point = along[:, None] * rays
-        point[:, 2] += rig.camera_distance
-        points.append(point)
-    x, y, z = np.concatenate(points).T
-    return rig.phase(x, y, z, camera.pitch, camera.orientation)
+        # a plane maps pixels of the camera to directions of the projector by a homography
+        distance = offset - normal[2] * rig.camera_distance
+        directions.append((distance * towards + np.outer(camera_pin_hole, normal @ rays)) @ pixel)
+    return rig.phase_towards(np.concatenate(directions, axis=1), camera.pitch, camera.orientation)
 
 
 def six_parameter_start(found: SixParameters, camera: Camera) -> dict[str, float]:

@@ -20,7 +20,7 @@ from fringedic.calibration.fit import (
     observe,
     parameters_of,
 )
-from fringedic.calibration.geometry import Camera, general_start, rig_model, six_parameter_start
+from fringedic.calibration.geometry import Camera, check_size, general_start, rig_model, six_parameter_start
 from fringedic.calibration.placement import SMALLEST_MOVE, Placement
 from fringedic.calibration.planes import CalibrationPlanes
 from fringedic.calibration.variants import ModelVariant
@@ -130,7 +130,9 @@ class ModelFitter:
         across, along = self.camera.on_reference(*self.camera.ideal(column, row))
         some = list(planes)
         placement = Placement(self.placement.angles[some], self.placement.heights[some])
-        return closed_form([self.planes.blocks[i] for i in some], across, along, placement)
+        found = closed_form([self.planes.blocks[i] for i in some], across, along, placement)
+        check_size(self.camera, found.camera_distance)  # a wrong unit: no fit would converge
+        return found
 
     def _general_start(self, six: Solution, planes: Sequence[int]) -> dict[str, float]:
         start = general_start(six.values, self.camera, self.placement.turned(planes))

@@ -88,7 +88,8 @@ class RigGeometry:
 
     def _check_numbers(self) -> None:
         for name in _NUMBERS:
-            if not np.all(np.isfinite(getattr(self, name))):
+            value = getattr(self, name)
+            if not all(map(math.isfinite, value if name in _TUPLES else (value,))):
                 raise CalibrationError(f"{name} is {getattr(self, name)}: it has to be a finite number")
         for name in _POSITIVE:
             if getattr(self, name) <= 0:
@@ -132,10 +133,12 @@ class RigGeometry:
     @property
     def projector_axes(self) -> np.ndarray:
         """Rotation matrix (3, 3): its columns are the projector's right, up and backward axes in the rig frame."""
-        forward = -np.array(self.projector_position) / np.linalg.norm(self.projector_position)
-        right = np.cross(forward, (0.0, 1.0, 0.0))
+        x, y, z = forward = -np.array(self.projector_position) / np.linalg.norm(self.projector_position)
+        right = np.array([-z, 0.0, x])  # horizontal: forward x (0, 1, 0)
         right /= np.linalg.norm(right)
-        attitude = np.stack([right, np.cross(right, forward), -forward], axis=1)
+        # written out, because np.cross takes longer than the phases of a plane
+        up = np.array([-right[2] * y, right[2] * x - right[0] * z, right[0] * y])
+        attitude = np.stack([right, up, -forward], axis=1)
         yaw, pitch, roll = self.projector_rotation
         axes: np.ndarray = attitude @ _rotation_y(yaw) @ _rotation_x(pitch) @ _rotation_z(roll)
         return axes
@@ -161,7 +164,29 @@ class RigGeometry:
             (vertical fringes) or +y (horizontal).
         """
         points = np.stack(np.broadcast_arrays(x, y, z), axis=-1).astype(float)
-        right, up, backward = np.moveaxis((points - self.projector_position) @ self.projector_axes, -1, 0)
+        towards = np.moveaxis((points - self.projector_position) @ self.projector_axes, -1, 0)
+        return self.phase_towards(towards, pitch, orientation)
+
+    def phase_towards(
+        self, directions: np.ndarray, pitch: float, orientation: Orientation = Orientation.VERTICAL
+    ) -> np.ndarray:
+        """Return the phase of the fringes along directions from the projector's pin-hole.
+
+        Parameters
+        ----------
+        directions
+            Components along the `projector_axes` (right, up, backward), float64 (3, ...); any length.
+        pitch
+            Fringe pitch [projector px].
+        orientation
+            Direction of the fringes.
+
+        Returns
+        -------
+        ndarray
+            Absolute phase [rad] as of `phase`, float64 (...).
+        """
+        right, up, backward = directions
         m, n = -right / backward, -up / backward
         stretch = 1 + self.projector_k1 * (m**2 + n**2)
         along = m if orientation == Orientation.VERTICAL else n

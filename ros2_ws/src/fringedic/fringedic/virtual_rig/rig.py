@@ -375,6 +375,8 @@ class VirtualRig:
         A light path meets the surface again only behind a part that faces away from the projector, and that part lies
         on the same path: only points at the same projector pixels as averted parts can be in shadow.
         """
+        if isinstance(self.configuration.specimen, ReferencePlaneSpecimen):
+            return irradiance > 0.0
         left, right, low, high = self._surface.outline
         grid = np.meshgrid(np.linspace(left, right, _SHADOW_GRID), np.linspace(low, high, _SHADOW_GRID))
         grid_column, grid_row, grid_irradiance, _ = self._light_geometry(position, *grid)

@@ -53,6 +53,7 @@ class Bench:
             "projector": {},
             "specimen": {"kind": "reference_plane"},
             "stage": {},
+            "texture": {"feature_um": 4000.0},  # not seen in a phase: few strokes are quicker to lay
         }
         for name, entries in changes.items():
             sections[name] = {**sections[name], **entries}
@@ -407,7 +408,7 @@ def test_wrong_units_are_recognised(misaligned: tuple[Bench, list[np.ndarray]]) 
         with pytest.raises(CalibrationError, match=r"camera would stand .* given in metre"):
             calibrate_rig(phases, ANGLES, pixel_size, **known)
     heights = np.array([-10e-3, -5e-3, 0.0, 5e-3, 10e-3])
-    with pytest.raises(CalibrationError, match="heights are too large; are they in metre"):
+    with pytest.raises(CalibrationError, match=r"camera would stand .* heights given in metre"):
         bench.calibrate([bench.plane(0.0, height) for height in heights], None, heights=1e3 * heights)
 
 
@@ -483,9 +484,10 @@ def test_sigma_of_float32_images_and_crops() -> None:
     calibration = bench.calibrate(noisy(bench.planes(ANGLES[:7]), 1), ANGLES[:7])
     sphere = bench.phase(SPHERE)
     whole = calibration.reconstruct(sphere, np.full_like(sphere, NOISE))
-    column, row = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
-    exact = np.sqrt(np.sum(position_errors(calibration.model, column, row, whole.z) ** 2, axis=0))
-    calibrated = np.sqrt(whole.sigma_z**2 - whole.noise_z**2)
+    some = whole[{"row": slice(None, None, 2), "column": slice(1, None, 3)}]
+    column, row = np.meshgrid(some.column, some.row)
+    exact = np.sqrt(np.sum(position_errors(calibration.model, column, row, some.z) ** 2, axis=0))
+    calibrated = np.sqrt(some.sigma_z**2 - some.noise_z**2)
     error = float(np.abs(calibrated / exact[2] - 1).max())
     assert error < 0.02, error
     single = calibration.reconstruct(sphere.astype(np.float32), np.full(sphere.shape, NOISE, np.float32))
