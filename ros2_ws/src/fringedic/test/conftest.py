@@ -24,7 +24,7 @@ def _spots_at(
 ) -> np.ndarray:
     """Sum the spots at the points (at_x, at_y); `bins` (row, column) counts the spots before each 8 x 8 square."""
     out = np.zeros(at_x.shape)
-    reach = 6 * radius
+    reach = 5 * radius  # where a spot ends, its grey level is below 0.002, far below the rounding to whole ones
     squares = bins.shape[1]
     for r in prange(at_x.shape[0]):
         for c in range(at_x.shape[1]):

@@ -16,7 +16,12 @@ from scipy.ndimage import binary_dilation, gaussian_filter
 
 from fringedic.errors import CrossheadRangeError, ImageError
 from fringedic.virtual_rig import exposure, tracing
-from fringedic.virtual_rig.configuration import ReferencePlaneSpecimen, VirtualRigConfiguration, preset
+from fringedic.virtual_rig.configuration import (
+    ReferencePlaneSpecimen,
+    RigidSpecimen,
+    VirtualRigConfiguration,
+    preset,
+)
 from fringedic.virtual_rig.optics import camera_optics, camera_pin_hole, projector_optics, projector_pin_hole
 from fringedic.virtual_rig.specimens import make_surface
 from fringedic.virtual_rig.texture import make_texture
@@ -375,8 +380,11 @@ class VirtualRig:
         A light path meets the surface again only behind a part that faces away from the projector, and that part lies
         on the same path: only points at the same projector pixels as averted parts can be in shadow.
         """
-        if isinstance(self.configuration.specimen, ReferencePlaneSpecimen):
-            return irradiance > 0.0
+        specimen = self.configuration.specimen
+        if isinstance(specimen, ReferencePlaneSpecimen) or (
+            isinstance(specimen, RigidSpecimen) and specimen.shape == "plane"
+        ):
+            return irradiance > 0.0  # a plane has no part behind another
         left, right, low, high = self._surface.outline
         grid = np.meshgrid(np.linspace(left, right, _SHADOW_GRID), np.linspace(low, high, _SHADOW_GRID))
         grid_column, grid_row, grid_irradiance, _ = self._light_geometry(position, *grid)

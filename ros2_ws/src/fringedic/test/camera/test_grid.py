@@ -59,12 +59,15 @@ def good_image() -> np.ndarray:
 
 
 def left_by(distortion: DistortionMap, twin: VirtualRig) -> tuple[float, np.ndarray]:
-    """Distortion left after the best homography [px]: root mean square over all pixels, and its map."""
-    row, column = np.mgrid[: twin.shape[0], : twin.shape[1]]
-    true = np.stack(twin.straight_pixels(), axis=-1).reshape(-1, 2)
+    """Distortion left after the best homography [px], root mean square and map, at every fifth pixel of row and column.
+
+    The narrowest bump of a lens is 75 px wide.
+    """
+    row, column = np.mgrid[: twin.shape[0] : 5, : twin.shape[1] : 5]
+    true = np.stack([each[row, column] for each in twin.straight_pixels()], axis=-1).reshape(-1, 2)
     found = np.stack(distortion.ideal(column, row), axis=-1).reshape(-1, 2)
     error = apply_homography(fit_homography(found[::31], true[::31]), found) - true
-    return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), error.reshape(*twin.shape, 2)
+    return float(np.sqrt(np.mean(np.sum(error**2, axis=1)))), error.reshape(*row.shape, 2)
 
 
 def untouched(twin: VirtualRig) -> DistortionMap:

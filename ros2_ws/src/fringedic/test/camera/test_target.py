@@ -54,6 +54,15 @@ def test_svg_has_the_pitch_the_turn_and_a_true_ruler(tmp_path: Path, page: str) 
     assert "100 %" in words
 
 
+def dots_around(rectangle: list[float], matrix: np.ndarray, height: float) -> tuple[slice, slice]:
+    """Rows and columns of the canvas, `height` [mm] high, that a rectangle (left, low, width, height) can reach."""
+    left, low, wide, high = rectangle
+    x, y = (matrix @ [[left, left + wide] * 2, [low, low, low + high, low + high], [1.0] * 4])[:2] / 72 * 25.4
+    edges = [each * DOTS_PER_MM for each in (height - y, x)]
+    row, column = (slice(max(0, int(each.min()) - 2), max(0, int(each.max()) + 3)) for each in edges)
+    return row, column
+
+
 def within(place: np.ndarray, start: float, length: float) -> np.ndarray:
     """Part of each dot that is between two edges."""
     near, far = (place - start) * DOTS_PER_MM + 0.5, (start + length - place) * DOTS_PER_MM + 0.5
@@ -86,12 +95,15 @@ def drawn_pdf(path: Path) -> np.ndarray:
             state.append(state[-1])
         elif "re" in words:
             left, low, width, height = (float(word) for word in words[:4])
-            inside = within(u, left, width) * within(v, low, height)
+            part = dots_around([left, low, width, height], matrix, size[1])
+            inside = within(u[part], left, width) * within(v[part], low, height)
             if words[-1] == "f":
-                white *= 1 - inside * clip
+                white[part] *= 1 - inside * clip[part]
             else:
                 assert words[-2:] == ["W", "n"]
-                state[-1] = (matrix, clip * inside)
+                clipped = np.zeros_like(clip)
+                clipped[part] = clip[part] * inside
+                state[-1] = (matrix, clipped)
     return 1 - white
 
 

@@ -109,14 +109,15 @@ def test_shadows_of_the_step_match_light_paths_traced_on_the_height():
         block = 0.5 * (np.tanh((x + 0.012) / 0.25e-3) - np.tanh((x - 0.012) / 0.25e-3))
         return -2e-3 + 4e-3 * block + 1e-3 * (1 + np.tanh((y - 0.004) / 0.25e-3))
 
-    x, y, z = (truth[n].values for n in "xyz")
+    some = slice(None, None, 5)  # rows that are traced
+    x, y, z = (truth[n].values[some] for n in "xyz")
     np.testing.assert_allclose(z, height(x, y), atol=1e-9)
     clearance = np.full(x.shape, np.inf)
     for t in np.linspace(2e-5, 0.02, 4000):
         x_t, y_t, z_t = x + t * (projector[0] - x), y + t * (projector[1] - y), z + t * (projector[2] - z)
         clearance = np.minimum(clearance, z_t - height(x_t, y_t))
     shadow = clearance < 0
-    disagree = shadow == view.lit
+    disagree = shadow == view.lit[some]
     assert 0.02 < shadow.mean() < 0.1
     assert disagree.mean() < 1e-3
     # the block hides what lies left of it, since the light comes from the right
