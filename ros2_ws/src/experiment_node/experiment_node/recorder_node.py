@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import time
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from typing import Literal, TypedDict
 from pydantic import BaseModel, ConfigDict, Field
 from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
-from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -23,7 +24,7 @@ from experiment_node.topics import DERIVED_TOPICS, EXPOSURE, IMAGE, RAW_TOPICS, 
 from experiment_node.writing_thread import ReceivedMessage, WritingThread
 from fringedic.errors import ErrorCode, FringedicError, RecordingError
 from fringedic.recording.topics import Qos
-from fringedic.recording.writer import BagWriter
+from fringedic.recording.writer import BagWriter, Split
 from fringedic_msgs.msg import RecorderStatus, StepStatus
 from fringedic_ros.main import run
 from fringedic_ros.parameters import declare
@@ -46,6 +47,12 @@ class RecorderParameters(BaseModel):
     bag_path: str = Field("", description="Folder of the recording, which must not exist; empty: nothing is recorded.")
     derived: bool = Field(False, description="Record phase, displacement and clouds as well, not only the raw topics.")
     compression: Literal["none", "zstd"] = Field("none", description="Compression of the recording.")
+    split_gb: float = Field(
+        0.0, ge=0, le=1e5, description="Size after which the recording continues in its next file [GB]; 0: one file."
+    )
+    split_s: float = Field(
+        0.0, ge=0, le=1e7, description="Duration after which the recording continues in its next file [s]; 0: one file."
+    )
     flush_interval_s: float = Field(
         0.5, gt=0, le=60, description="Messages received earlier than this survive a kill of the recorder [s]."
     )
@@ -103,7 +110,8 @@ class RecorderNode(Node):
         path, interval = Path(parameters.bag_path), parameters.flush_interval_s
         self._status.path = str(path.absolute())
         try:
-            writer = BagWriter(path, compression=parameters.compression, flush_interval_s=interval)
+            split = Split(size=1e9 * (parameters.split_gb or math.inf), duration=parameters.split_s or math.inf)
+            writer = BagWriter(path, compression=parameters.compression, flush_interval_s=interval, split=split)
         except (FringedicError, OSError) as error:
             self._fail(error)
             return
@@ -250,9 +258,16 @@ class RecorderNode(Node):
         self._status_publisher.publish(self._status)
 
 
+_HISTORIES: dict[HistoryPolicy, Literal["keep_last", "keep_all"]] = {
+    HistoryPolicy.KEEP_LAST: "keep_last",
+    HistoryPolicy.KEEP_ALL: "keep_all",
+}
+
+
 def _recorded_qos(profile: QoSProfile) -> Qos:
     return Qos(
-        depth=profile.depth,
+        depth=profile.depth or Qos.depth,
+        history=_HISTORIES.get(profile.history, "unknown"),
         reliability="best_effort" if profile.reliability == ReliabilityPolicy.BEST_EFFORT else "reliable",
         durability="transient_local" if profile.durability == DurabilityPolicy.TRANSIENT_LOCAL else "volatile",
     )

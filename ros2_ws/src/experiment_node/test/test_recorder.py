@@ -111,6 +111,27 @@ def test_what_was_published_is_in_the_bag_bit_by_bit(rig: Rig, tmp_path: Path) -
     assert qos[0]["durability"] == "transient_local"
 
 
+def test_split_recording_loses_nothing_between_its_files(rig: Rig, tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    frames = [rng.integers(0, 256, (48, 64), np.uint8) for _ in range(20)]
+    with recorder(tmp_path, split_gb=1e-5):
+        rig.connect()
+        for index, pixels in enumerate(frames):
+            rig.image(1000 + index, pixels)
+            rig.exposure(1000 + index, index, len(frames))
+        rig.end_step()
+        rig.wait(lambda: rig.statuses[-1].messages >= 2 * len(frames) + 1, "all messages to be written")
+
+    bag = BagReader(tmp_path / "bag")
+    assert not bag.lost
+    assert len(bag.files) >= 4
+    recorded = [message for _, message, _ in bag.messages(["/camera/image_raw"])]
+    assert [np.reshape(image.data, (48, 64)).tolist() for image in recorded] == [each.tolist() for each in frames]
+    assert [each.sequence for each in bag.stored() if each.topic == "/camera/exposure"] == [*range(1, len(frames) + 1)]
+    assert (tmp_path / "bag" / "manifest.sha256").exists()
+    assert "depth: 0" not in (tmp_path / "bag" / "metadata.yaml").read_text()
+
+
 def test_derived_topics_are_recorded_on_request(rig: Rig, tmp_path: Path) -> None:
     with recorder(tmp_path, derived=True):
         rig.connect()

@@ -13,6 +13,7 @@ from pydantic import Field, model_validator
 
 from fringedic.configuration.yaml_section import Section
 from fringedic.patterns.sequences import FringeOrder
+from fringedic.recording.writer import Split
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 
 MILLI = 1e-3
@@ -283,3 +284,14 @@ class RecordingSection(Section):
     compression: Literal["zstd", "none"] = Field(
         "none", description="Compression; zstd saves a fifth of the space for two to three times the processor time."
     )
+    split_gb: float | None = Field(
+        None, gt=0, le=1e5, description="Size after which a recording continues in its next file [GB]."
+    )
+    split_minutes: float | None = Field(
+        None, gt=0, le=1e5, description="Duration after which a recording continues in its next file."
+    )
+
+    @property
+    def split(self) -> Split:
+        """When a recording continues in its next file."""
+        return Split(size=1e9 * (self.split_gb or math.inf), duration=60 * (self.split_minutes or math.inf))

@@ -6,8 +6,10 @@ from .reader import BagReader as BagReader
 from .repair import BagInfo as BagInfo
 from .repair import Recovery as Recovery
 from .repair import info as info
+from .repair import join as join
 from .repair import recover as recover
 from .topics import Qos as Qos
 from .topics import RawMessage as RawMessage
 from .topics import Topic as Topic
 from .writer import BagWriter as BagWriter
+from .writer import Split as Split

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Channel, Schema
+from mcap.records import Channel, Message, Schema
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fringedic.errors import ErrorCode, RecordingError
@@ -163,6 +163,21 @@ class BagReader:
         while waiting:
             yield heapq.heappop(waiting)[-1]
 
+    def stored(self) -> Iterator[RawMessage]:
+        """Iterate over serialised messages in the order in which they were written, which is that of their receipt.
+
+        It differs from `raw` if the clock of the computer was set back during the recording.
+
+        Raises
+        ------
+        RecordingError
+            See `raw`.
+        """
+        for file in self._files:
+            for chunk in sorted(file.chunks, key=lambda place: place.offset):
+                for message in read_messages(file, chunk):
+                    yield _raw(file, message)
+
     def published(self, topics: Iterable[str] | None = None) -> Iterator[RawMessage]:
         """Iterate over serialised messages in the order of publishing, in which every cause precedes its effect.
 
@@ -217,6 +232,11 @@ class BagReader:
         return sorted(
             topic for topic, count in self.counts.items() if count and (topic == name or topic.endswith(f"/{name}"))
         )
+
+
+def _raw(file: McapFile, message: Message) -> RawMessage:
+    topic = file.channels[message.channel_id].topic
+    return RawMessage(topic, message.data, message.log_time, message.publish_time, message.sequence)
 
 
 def _topic(channel: Channel, schema: Schema | None) -> Topic:

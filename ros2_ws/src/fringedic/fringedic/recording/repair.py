@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from fringedic.errors import RecordingError
 from fringedic.recording.reader import BagReader
-from fringedic.recording.writer import BagWriter
+from fringedic.recording.writer import ONE_FILE, BagWriter, Split
 
 
 @dataclass(frozen=True)
@@ -62,11 +65,53 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
     source = Path(path)
     target = Path(output) if output is not None else source.with_name(f"{source.stem}_recovered")
     with BagWriter(target) as writer:
-        for topic in reader.topics.values():
-            writer.add_recorded_topic(topic)
-        for message in reader.raw():
-            writer.write(*message)
+        _append(writer, reader)
         return Recovery(target, writer.message_count, reader.missing, reader.lost)
+
+
+def join(parts: Iterable[Path], target: Path, *, split: Split = ONE_FILE) -> Recovery:
+    """Write one recording of the readable messages of several, which are not changed.
+
+    Parameters
+    ----------
+    parts
+        The recordings in their order; one that cannot be read is left out.
+    target
+        Folder of the new one.
+    split
+        When it continues in its next file.
+
+    Returns
+    -------
+    Recovery
+        The new recording, and what could not be read.
+
+    Raises
+    ------
+    RecordingError
+        The parts define a topic differently, or the new recording cannot be written.
+    """
+    missing: Counter[str] = Counter()
+    damage = []
+    with BagWriter(target, split=split) as writer:
+        for part in parts:
+            try:
+                reader = BagReader(part, check=True)
+            except RecordingError as error:
+                damage.append(str(error))
+                continue
+            _append(writer, reader)
+            missing += Counter(reader.missing)
+            if reader.lost:
+                damage.append(f"{part.name}: {reader.lost}")
+        return Recovery(target, writer.message_count, dict(missing), "; ".join(damage))
+
+
+def _append(writer: BagWriter, reader: BagReader) -> None:
+    for topic in reader.topics.values():
+        writer.add_recorded_topic(topic)
+    for message in reader.stored():
+        writer.write(*message)
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,16 @@ from typing import Any, Literal, NamedTuple
 
 @dataclass(frozen=True)
 class Qos:
-    """Quality of service that the publisher of a recorded topic offered, and that a player offers again."""
+    """Quality of service that the publisher of a recorded topic offered, and that a player offers again.
+
+    Most middlewares do not transmit history and depth of a publisher. The history is ``unknown`` then, and the depth is
+    the default of a player, because players refuse a depth of 0.
+    """
 
     depth: int = 10
     reliability: Literal["reliable", "best_effort"] = "reliable"
     durability: Literal["volatile", "transient_local"] = "volatile"
-    history: Literal["keep_last", "keep_all"] = "keep_last"
+    history: Literal["keep_last", "keep_all", "unknown"] = "unknown"
 
     def profile(self) -> dict[str, Any]:
         """Return the profile in the form of rosbag2 (version 9), without time limits."""

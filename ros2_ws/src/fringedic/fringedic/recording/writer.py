@@ -1,34 +1,49 @@
-"""Writes rosbag2 directories with an MCAP file that stays readable after a crash."""
+"""Writes rosbag2 directories with MCAP files that stay readable after a crash."""
 
 from __future__ import annotations
 
 import errno
+import hashlib
+import math
 import os
 import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, Literal
+from typing import Literal
 
 import yaml
-from mcap.writer import CompressionType, Writer
 
-from fringedic import __version__
 from fringedic.errors import ErrorCode, RecordingError
+from fringedic.recording.bag_files import METADATA
+from fringedic.recording.bag_metadata import bag_metadata
 from fringedic.recording.definitions import interface_definition, type_hash
-from fringedic.recording.topics import Qos, Topic
+from fringedic.recording.manifest import write_manifest, write_whole
+from fringedic.recording.mcap_output import McapOutput, WrittenFile
+from fringedic.recording.topics import Qos, RawMessage, Topic
 
-_COMPRESSIONS = {"none": CompressionType.NONE, "zstd": CompressionType.ZSTD}
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 
+@dataclass(frozen=True)
+class Split:
+    """When a recording continues in its next file: size [byte] and duration [s] of a file; by default never."""
+
+    size: float = math.inf
+    duration: float = math.inf
+
+
+ONE_FILE = Split()
+
+
 class BagWriter:
-    """Writes a rosbag2 directory with one MCAP file that stays readable when the process or the machine dies.
+    """Writes a rosbag2 directory whose MCAP files stay readable when the process or the machine dies.
 
     Written messages are passed to the operating system about every half second while messages arrive; an owner without
     messages for longer calls `flush` by timer. `sync` makes all messages survive a power cut. It takes about 150 ms and
-    is meant for the end of a step.
+    is meant for the end of a step. The last act of `close` is a manifest with the SHA-256 of every file.
 
     Parameters
     ----------
@@ -38,6 +53,9 @@ class BagWriter:
         ``zstd`` or ``none``.
     flush_interval_s
         Time [s] after which messages are passed to the operating system, so that they survive a crash of this process.
+    split
+        Size and duration after which the recording continues in its next file. A file exceeds the size by its index and
+        definitions.
 
     Raises
     ------
@@ -62,24 +80,23 @@ class BagWriter:
         *,
         compression: Literal["zstd", "none"] = "zstd",
         flush_interval_s: float = 0.5,
+        split: Split = ONE_FILE,
     ) -> None:
         self.path = Path(path)
+        self._compression = compression
         self._flush_interval = flush_interval_s
+        self._split = split
         if self.path.exists():
             raise RecordingError(f"{self.path} exists already; choose another name, nothing was overwritten")
-        self._file_name = f"{self.path.name}_0.mcap"
-        self._topics: dict[str, tuple[int, Topic]] = {}
+        self._topics: dict[str, Topic] = {}
         self._counts: defaultdict[str, int] = defaultdict(int)
-        self._first_time, self._last_time = 2**63 - 1, 0
+        self._finished: list[WrittenFile] = []
         self._flushed_at = 0.0
         self._closed = False
         self._failure: OSError | None = None
         with self._named_errors():
             self.path.mkdir(parents=True)
-            self._stream: BinaryIO = (self.path / self._file_name).open("xb")
-            self._writer = Writer(self._stream, compression=_COMPRESSIONS[compression])
-            self._writer.start(profile="ros2", library=f"fringedic {__version__}")
-            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._output = self._next_output()
             self._write_metadata()
 
     def __enter__(self) -> BagWriter:
@@ -100,8 +117,8 @@ class BagWriter:
 
     @property
     def size(self) -> int:
-        """Bytes in the file so far."""
-        return (self.path / self._file_name).stat().st_size
+        """Bytes in the files so far."""
+        return sum((self.path / file.name).stat().st_size for file in self._finished) + self._output.size_on_disk
 
     def add_topic(
         self, name: str, type_name: str, qos: Iterable[Qos] = (Qos(),), *, publisher_hash: str | None = None
@@ -124,7 +141,7 @@ class BagWriter:
             messages could not be decoded), or the topic exists with another type.
         """
         if name in self._topics:
-            known = self._topics[name][1].type_name
+            known = self._topics[name].type_name
             if known != type_name:
                 raise RecordingError(f"{self.path}: topic {name} is recorded as {known}, not as {type_name}")
             return
@@ -138,12 +155,24 @@ class BagWriter:
         self.add_recorded_topic(Topic(name, type_name, definition, "ros2msg", hash_, profiles))
 
     def add_recorded_topic(self, topic: Topic) -> None:
-        """Announce a topic with the definition from another recording."""
+        """Announce a topic with the definition from another recording; one that is announced already stays as it is.
+
+        Raises
+        ------
+        RecordingError
+            The topic exists with another definition.
+        """
+        known = self._topics.get(topic.name)
+        if known is not None:
+            if (known.type_name, known.definition) != (topic.type_name, topic.definition):
+                raise RecordingError(
+                    f"{self.path}: topic {topic.name} has two definitions of its type {topic.type_name}; recordings of "
+                    "different versions cannot be joined"
+                )
+            return
         with self._named_errors():
-            schema = self._writer.register_schema(topic.type_name, topic.encoding, topic.definition.encode())
-            metadata = {"offered_qos_profiles": topic.qos, "topic_type_hash": topic.hash}
-            channel = self._writer.register_channel(topic.name, "cdr", schema, metadata)
-        self._topics[topic.name] = (channel, topic)
+            self._output.announce(topic)
+        self._topics[topic.name] = topic
 
     def write(self, topic: str, data: bytes, log_time: int, publish_time: int, sequence: int | None = None) -> None:
         """Append one serialised message.
@@ -165,50 +194,66 @@ class BagWriter:
         RecordingError
             The topic was not announced, or the file cannot be written.
         """
-        try:
-            channel = self._topics[topic][0]
-        except KeyError:
-            raise RecordingError(f"{self.path}: topic {topic} was not announced; call add_topic first") from None
+        if topic not in self._topics:
+            raise RecordingError(f"{self.path}: topic {topic} was not announced; call add_topic first")
+        count = self._counts[topic] if sequence is None else sequence
         with self._named_errors():
-            count = self._counts[topic] if sequence is None else sequence
-            self._writer.add_message(channel, log_time, data, publish_time, count)
+            if self._is_full(len(data), log_time):
+                self._begin_next_file()
+            self._output.write(RawMessage(topic, data, log_time, publish_time, count))
         self._counts[topic] += 1
-        self._first_time = min(self._first_time, log_time)
-        self._last_time = max(self._last_time, log_time)
         if time.monotonic() - self._flushed_at > self._flush_interval:
             self.flush()
 
     def flush(self) -> None:
         """Pass all messages to the operating system, so that they survive a crash of this process."""
         with self._named_errors():
-            self._writer.flush()  # type: ignore[no-untyped-call]
+            self._output.flush()
         self._flushed_at = time.monotonic()
 
     def sync(self) -> None:
         """Write all messages to the disk, so that they survive a power cut."""
-        self.flush()
         with self._named_errors():
-            os.fsync(self._stream.fileno())
+            self._output.sync()
+        self._flushed_at = time.monotonic()
 
     def close(self) -> None:
-        """Write index and metadata and close the file; a recording that has failed is closed without them."""
+        """Write index, metadata and manifest; a recording that has failed is closed without them."""
         if self._closed:
             return
         self._closed = True
-        if self._failure is not None:
-            with suppress(OSError):
-                self._stream.close()
-            return
         try:
-            with self._named_errors():
-                self._writer.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(self._metadata())})
-                self._writer.finish()  # type: ignore[no-untyped-call]
-                self._stream.flush()
-                os.fsync(self._stream.fileno())
-                self._write_metadata()
+            if self._failure is None:
+                with self._named_errors():
+                    self._finish_file()
+                    metadata = self._write_metadata()
+                    checksums = {file.name: file.checksum for file in self._finished}
+                    write_manifest(self.path, checksums | {METADATA: hashlib.sha256(metadata.encode()).hexdigest()})
         finally:
             with suppress(OSError):
-                self._stream.close()
+                self._output.abandon()
+
+    def _next_output(self) -> McapOutput:
+        return McapOutput(self.path / f"{self.path.name}_{len(self._finished)}.mcap", self._compression)
+
+    def _is_full(self, size: int, log_time: int) -> bool:
+        """Return whether the present file has to end before a message of a size [byte] and time [ns]."""
+        file = self._output.summary
+        if not file.messages:
+            return False
+        return self._output.size + size > self._split.size or log_time - file.start_time > 1e9 * self._split.duration
+
+    def _begin_next_file(self) -> None:
+        self._finish_file()
+        self._output = self._next_output()
+        for topic in self._topics.values():
+            self._output.announce(topic)
+        self._write_metadata()
+
+    def _finish_file(self) -> None:
+        files = [*self._finished, self._output.summary]
+        metadata = bag_metadata(files, self._topics.values(), self._counts)
+        self._finished.append(self._output.finish(yaml.safe_dump(metadata)))
 
     @contextmanager
     def _named_errors(self) -> Iterator[None]:
@@ -227,49 +272,10 @@ class BagWriter:
                 self._failure = RecordingError(f"{self.path}: cannot be written: {error.strerror}")
             raise self._failure from error
 
-    def _metadata(self) -> dict[str, Any]:
-        count = self.message_count
-        start = {"nanoseconds_since_epoch": self._first_time if count else 0}
-        duration = {"nanoseconds": self._last_time - self._first_time if count else 0}
-        return {
-            "version": 9,
-            "storage_identifier": "mcap",
-            "relative_file_paths": [self._file_name],
-            "duration": duration,
-            "starting_time": start,
-            "message_count": count,
-            "topics_with_message_count": [
-                {
-                    "topic_metadata": {
-                        "name": topic.name,
-                        "type": topic.type_name,
-                        "serialization_format": "cdr",
-                        "offered_qos_profiles": yaml.safe_load(topic.qos) or [],
-                        "type_description_hash": topic.hash,
-                    },
-                    "message_count": self._counts[topic.name],
-                }
-                for _, topic in self._topics.values()
-            ],
-            "compression_format": "",
-            "compression_mode": "",
-            "files": [
-                {
-                    "path": self._file_name,
-                    "starting_time": dict(start),
-                    "duration": dict(duration),
-                    "message_count": count,
-                }
-            ],
-            "custom_data": {"fringedic_version": __version__},
-            "ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
-        }
-
-    def _write_metadata(self) -> None:
-        """Replace metadata.yaml atomically, so that it is complete at any time."""
-        temporary = self.path / "metadata.yaml.writing"
-        with open(temporary, "w", encoding="utf-8") as file:
-            yaml.safe_dump({"rosbag2_bagfile_information": self._metadata()}, file, sort_keys=False)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(self.path / "metadata.yaml")
+    def _write_metadata(self) -> str:
+        """Write metadata.yaml and return its text."""
+        files = self._finished if self._closed else [*self._finished, self._output.summary]
+        content = {"rosbag2_bagfile_information": bag_metadata(files, self._topics.values(), self._counts)}
+        text = yaml.safe_dump(content, sort_keys=False)
+        write_whole(self.path / METADATA, text)
+        return text

@@ -20,9 +20,9 @@ from fringedic.errors import RecordingError
 from fringedic.frames.records import stamp_of
 from fringedic.recording.definitions import interface_definition, type_hash
 from fringedic.recording.reader import BagReader
-from fringedic.recording.repair import info, recover
-from fringedic.recording.topics import Qos
-from fringedic.recording.writer import BagWriter
+from fringedic.recording.repair import info, join, recover
+from fringedic.recording.topics import Qos, Topic
+from fringedic.recording.writer import BagWriter, Split
 
 PICTURE = "bench_msgs/msg/Picture"
 FORCE = "bench_msgs/msg/Force"
@@ -83,7 +83,9 @@ def write_bag(path, store, pictures=8, **options):
     """Ten force samples between two pictures, the log time in steps of 10 ms."""
     with BagWriter(path, **options) as writer:
         writer.add_topic("/rig/camera/image_raw", PICTURE)
-        writer.add_topic("/rig/load_frame/state", FORCE, [Qos(depth=1000, durability="transient_local")])
+        writer.add_topic(
+            "/rig/load_frame/state", FORCE, [Qos(depth=1000, durability="transient_local", history="keep_last")]
+        )
         for number in range(10 * pictures):
             when = 10**18 + number * 10**7
             if number % 10 == 0:
@@ -397,3 +399,119 @@ def test_gaps_in_the_publishers_count_are_kept(typestore, tmp_path):
     with (tmp_path / "bag" / "bag_0.mcap").open("rb") as stream:
         found = [message.sequence for _, _, message in make_reader(stream).iter_messages()]
     assert found == [7, 8, 11, 3]
+
+
+def file_sizes(path):
+    return {file.name: file.stat().st_size for file in path.glob("*.mcap")}
+
+
+@pytest.mark.parametrize("split", [Split(size=2500), Split(duration=0.2)], ids=["size", "duration"])
+def test_a_split_recording_is_one_for_every_reader(typestore, tmp_path, split):
+    whole = list(BagReader(write_bag(tmp_path / "whole", typestore)).raw())
+    path = write_bag(tmp_path / "bag", typestore, split=split, compression="none")
+    names = [f"bag_{number}.mcap" for number in range(len(file_sizes(path)))]
+    assert len(names) >= 3
+    assert sorted(file_sizes(path)) == names
+    reader = BagReader(path)
+    assert reader.lost == ""
+    assert [message[:4] for message in reader.raw()] == [message[:4] for message in whole]
+    assert list(reader.stored()) == list(reader.raw())
+    metadata = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert metadata["relative_file_paths"] == [each["path"] for each in metadata["files"]] == names
+    assert metadata["message_count"] == sum(each["message_count"] for each in metadata["files"]) == len(whole)
+    with AnyReader([path]) as other:
+        assert other.message_count == len(whole)
+        assert [raw for _, _, raw in other.messages()] == [message.data for message in whole]
+    for name in names:  # each file can be read alone
+        with (path / name).open("rb") as stream:
+            assert len(make_reader(stream, validate_crcs=True).get_summary().channels) == 2
+
+
+def test_files_of_a_split_recording_have_the_wanted_size(typestore, tmp_path):
+    data = picture(typestore, 1, (40, 50))
+    with BagWriter(tmp_path / "bag", compression="none", split=Split(size=100_000)) as writer:
+        writer.add_topic("/image", PICTURE)
+        for number in range(200):
+            writer.write("/image", data, number, number)
+    ends = []
+    for name in sorted(file_sizes(tmp_path / "bag")):
+        with (tmp_path / "bag" / name).open("rb") as stream:
+            chunks = make_reader(stream).get_summary().chunk_indexes
+        ends.append(max(each.chunk_start_offset + each.chunk_length for each in chunks))
+    assert len(ends) == 5
+    assert all(95_000 < end < 103_000 for end in ends[:-1])  # two kilobytes of metadata and definitions on top
+
+
+def test_a_split_recording_of_a_killed_recorder_is_read_to_its_end(typestore, tmp_path):
+    writer = BagWriter(tmp_path / "bag", split=Split(duration=10e-9))
+    writer.add_topic("/force", FORCE)
+    for number in range(25):
+        writer.write("/force", force(typestore, number), number, number)
+    writer.flush()
+    reader = BagReader(tmp_path / "bag")
+    assert reader.lost.startswith("bag_2.mcap: not closed")
+    assert [message.log_time for message in reader.raw()] == [*range(25)]
+    writer.close()
+    assert BagReader(tmp_path / "bag").lost == ""
+
+
+def test_a_full_disk_at_a_split_is_named(typestore, tmp_path):
+    writer = BagWriter(tmp_path / "bag", split=Split(duration=10e-9))
+    writer.add_topic("/force", FORCE)
+    writer.write("/force", force(typestore, 0), 0, 0)
+    (tmp_path / "bag" / "bag_1.mcap").mkdir()
+    with pytest.raises(RecordingError, match="cannot be written: File exists"):
+        writer.write("/force", force(typestore, 1), 20, 20)
+    writer.close()
+    (tmp_path / "bag" / "bag_1.mcap").rmdir()
+    assert [message.log_time for message in BagReader(tmp_path / "bag").raw()] == [0]
+
+
+def test_the_manifest_is_read_by_sha256sum(typestore, tmp_path):
+    path = write_bag(tmp_path / "bag", typestore, split=Split(duration=0.4))
+    done = subprocess.run(["sha256sum", "--check", "manifest.sha256"], cwd=path, capture_output=True, text=True)
+    assert done.stdout.splitlines() == ["bag_0.mcap: OK", "bag_1.mcap: OK", "metadata.yaml: OK"]
+
+
+def test_joined_parts_have_one_channel_per_topic(typestore, tmp_path):
+    first, second = (write_bag(tmp_path / name, typestore, pictures=3) for name in ("bag-1", "bag-2"))
+    (tmp_path / "bag-3").mkdir()
+    joined = join([first, second, tmp_path / "bag-3"], tmp_path / "bag")
+    assert joined.lost == f"{tmp_path / 'bag-3'}: holds no .mcap file; convert other storage with 'ros2 bag convert'"
+    assert joined.messages == 66
+    with (tmp_path / "bag" / "bag_0.mcap").open("rb") as stream:
+        assert sorted(each.topic for each in make_reader(stream).get_summary().channels.values()) == [
+            "/rig/camera/image_raw",
+            "/rig/load_frame/state",
+        ]
+    with AnyReader([tmp_path / "bag"]) as reader:
+        for connection in reader.connections:
+            assert len(list(reader.messages([connection]))) == connection.msgcount
+        assert sum(connection.msgcount for connection in reader.connections) == 66
+    assert [message.sequence for message in BagReader(tmp_path / "bag").stored()] == [
+        message.sequence for part in (first, second) for message in BagReader(part).stored()
+    ]
+
+
+def test_parts_with_different_definitions_are_not_joined(tmp_path):
+    for name, definition in (("bag-1", "uint8 newton"), ("bag-2", "uint16 newton")):
+        with BagWriter(tmp_path / name) as writer:
+            writer.add_recorded_topic(Topic("/force", FORCE, definition, "ros2msg", "", ""))
+    with pytest.raises(RecordingError, match=f"/force has two definitions of its type {FORCE}"):
+        join([tmp_path / "bag-1", tmp_path / "bag-2"], tmp_path / "bag")
+
+
+def test_an_unknown_depth_is_not_recorded_as_zero(typestore, tmp_path):
+    path = write_bag(tmp_path / "bag", typestore)
+    assert "depth: 0" not in (path / "metadata.yaml").read_text()
+    with AnyReader([path]) as reader:
+        image, force_ = sorted(reader.connections, key=lambda each: each.topic)
+    assert [(each.history.name, each.depth) for each in image.ext.offered_qos_profiles] == [("UNKNOWN", 10)]
+    assert [(each.history.name, each.depth) for each in force_.ext.offered_qos_profiles] == [("KEEP_LAST", 1000)]
+
+
+def test_sequence_of_another_middleware_does_not_end_the_recording(typestore, tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/force", FORCE)
+        writer.write("/force", force(typestore, 1), 1, 1, 2**64 - 1)
+    assert [message.sequence for message in BagReader(tmp_path / "bag").raw()] == [2**32 - 1]

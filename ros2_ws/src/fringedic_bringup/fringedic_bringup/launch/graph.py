@@ -228,6 +228,8 @@ def _recorder(rig: RigFile, folder: Path) -> dict[str, Any]:
         "bag_path": str((folder / "bag").absolute()),
         "derived": rig.recording.derived,
         "compression": rig.recording.compression,
+        "split_gb": rig.recording.split_gb or 0.0,
+        "split_s": 60 * (rig.recording.split_minutes or 0.0),
     }
 
 

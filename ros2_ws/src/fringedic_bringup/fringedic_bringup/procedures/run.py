@@ -20,7 +20,8 @@ from fringedic.figures.maps import save_pictures
 from fringedic.frames.files import IMAGE_SUFFIXES
 from fringedic.frames.records import frame_record, stamp_of
 from fringedic.recording.reader import BagReader
-from fringedic.recording.writer import BagWriter
+from fringedic.recording.repair import join
+from fringedic.recording.writer import Split
 from fringedic.report import write_report
 from fringedic.report.calibration_sentences import in_force_words
 from fringedic.report.forecast import forecast_sentence
@@ -119,14 +120,14 @@ def run_experiment(
     with RunningGraph(graph, folder / "logs", domain=domain) as running:
         driven = drive(running, programme, progress, domain=domain)
         progress.stage(f"{programme.experiment}: closing the recording")
-    join_parts(folder / "bag", progress)
+    join_parts(folder / "bag", progress, rig.recording.split)
     progress.stage(f"{programme.experiment}: writing dataset, pictures and report")
     return write_results(
         programme.experiment, folder, driven.steps, exact=_exact(rig), measure_again=driven.measure_again
     )
 
 
-def join_parts(bag: Path, progress: Progress) -> None:
+def join_parts(bag: Path, progress: Progress, split: Split) -> None:
     """Join the parts that several recorders wrote into one recording; the parts are kept beside it.
 
     Parameters
@@ -134,19 +135,20 @@ def join_parts(bag: Path, progress: Progress) -> None:
     bag
         Folder of the first part, and of the joined recording in the end. Without other parts nothing is done.
     progress
-        Receives the progress.
+        Receives the progress, and what is missing in the parts.
+    split
+        When the joined recording continues in its next file.
     """
-    others = sorted(bag.parent.glob(f"{bag.name}-*"), key=lambda part: int(part.name.removeprefix(f"{bag.name}-")))
+    names = (part.name.removeprefix(f"{bag.name}-") for part in bag.parent.glob(f"{bag.name}-*"))
+    numbers = sorted(int(name) for name in names if name.isdecimal())
+    others = [bag.with_name(f"{bag.name}-{number}") for number in numbers]
     if not others:
         return
     first = bag.rename(bag.with_name(f"{bag.name}-1"))
     progress.stage(f"joining {1 + len(others)} parts of the recording")
-    with BagWriter(bag) as whole:
-        for part in (BagReader(path) for path in (first, *others)):
-            for topic in part.topics.values():
-                whole.add_recorded_topic(topic)
-            for message in part.raw(part.topics):
-                whole.write(message.topic, message.data, message.log_time, message.publish_time)
+    joined = join((first, *others), bag, split=split)
+    if joined.lost:
+        progress.note(f"parts of the recording are not complete: {joined.lost}")
 
 
 def write_results(

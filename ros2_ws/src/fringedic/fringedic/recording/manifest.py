@@ -1,0 +1,96 @@
+"""Checksums of the files of a recording, in the form that ``sha256sum --check`` reads."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+MANIFEST = "manifest.sha256"
+_LINE = re.compile(r"([0-9a-f]{64}) [ *](.+)")
+
+
+@dataclass(frozen=True)
+class ManifestCheck:
+    """Comparison of the files of a recording with its manifest.
+
+    Attributes
+    ----------
+    present
+        Whether there is a manifest; a recording that was not closed, or that an earlier version wrote, has none.
+    equal, changed, missing
+        Names of the files with the checksum of the manifest, with another one, and of those that do not exist.
+    unreadable
+        Lines of the manifest that are not in its form.
+    """
+
+    present: bool
+    equal: tuple[str, ...] = ()
+    changed: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    unreadable: int = 0
+
+    @property
+    def fits(self) -> bool:
+        """Whether nothing contradicts the manifest."""
+        return not (self.changed or self.missing or self.unreadable)
+
+
+def write_manifest(folder: Path, checksums: Mapping[str, str]) -> None:
+    """Write the manifest of a recording.
+
+    Parameters
+    ----------
+    folder
+        The recording.
+    checksums
+        SHA-256 of each file in hexadecimal digits, by its name.
+    """
+    write_whole(folder / MANIFEST, "".join(f"{checksum}  {name}\n" for name, checksum in checksums.items()))
+
+
+def check_manifest(folder: Path) -> ManifestCheck:
+    """Compare the files of a recording with its manifest.
+
+    Parameters
+    ----------
+    folder
+        The recording.
+
+    Raises
+    ------
+    OSError
+        A file cannot be read.
+    """
+    path = folder / MANIFEST
+    if not path.is_file():
+        return ManifestCheck(present=False)
+    lines = path.read_text("utf-8", errors="replace").splitlines()
+    stated = {match[2]: match[1] for match in map(_LINE.fullmatch, lines) if match}
+    files = {name: folder / Path(name).name for name in stated}
+    found = {name: _checksum(file) for name, file in files.items() if file.is_file()}
+    return ManifestCheck(
+        present=True,
+        equal=tuple(name for name in found if found[name] == stated[name]),
+        changed=tuple(name for name in found if found[name] != stated[name]),
+        missing=tuple(name for name in stated if name not in found),
+        unreadable=len(lines) - len(stated),
+    )
+
+
+def _checksum(file: Path) -> str:
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file so that it is complete at any time, also after a power cut."""
+    temporary = path.with_name(f"{path.name}.writing")
+    with open(temporary, "w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    temporary.replace(path)
