@@ -69,6 +69,10 @@ def test_info_export_and_recover(recorded: RecordedExperiment, tmp_path: Path) -
     assert "tiny.nc exists already" in again.stdout
     assert "1 of 2 formats" in str(again.exception)
     assert (tmp_path / "exported" / "tiny_csv" / "step_001.csv").exists()
+    verified = fringedic_command("verify", folder / "bag")
+    assert verified.exit_code == 0, verified.stdout
+    assert verified.stdout.splitlines()[-1] == "36 of 36 frames, 0 lost"
+    assert "fit manifest.sha256" in verified.stdout
     saved = fringedic_command("recover", folder / "bag", "--output", tmp_path / "saved")
     assert saved.exit_code == 0, saved.exception
     assert "lost: nothing, the recording was complete" in saved.stdout

@@ -75,6 +75,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
         "region": ["region", images[0], "--output", str(folder / "region.png")],
         "target": ["target", "--pitch-mm", "0.5", "--output", str(folder / "grid.pdf")],
         "info": ["info", bag],
+        "verify": ["verify", bag],
         "recover": ["recover", bag, "--output", str(folder / "recovered")],
         "process": ["process", bag, "--output", dataset],
         "export": ["export", dataset, "--to", "netcdf", "--output", str(folder / "exported")],

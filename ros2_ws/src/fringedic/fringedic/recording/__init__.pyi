@@ -11,5 +11,7 @@ from .repair import recover as recover
 from .topics import Qos as Qos
 from .topics import RawMessage as RawMessage
 from .topics import Topic as Topic
+from .verification import Verification as Verification
+from .verification import verify as verify
 from .writer import BagWriter as BagWriter
 from .writer import Split as Split

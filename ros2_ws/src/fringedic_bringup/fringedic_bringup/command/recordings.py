@@ -101,6 +101,18 @@ def info(bag: Bag) -> None:
         say(f"damaged: {summary.lost}; `fringedic recover {bag}` writes a recording of the readable part")
 
 
+@app.command(epilog="Example: fringedic verify recordings/plate-7/bag")
+def verify(bag: Bag) -> None:
+    """Check that a recording is complete and unchanged: checksums, the publishers' counts, the frames of every step."""
+    from fringedic.recording.verification import verify as verify_bag
+    from fringedic.report.recordings import verification_sentences
+
+    verification = verify_bag(bag)
+    say(*verification_sentences(verification))
+    if not verification.complete:
+        raise typer.Exit(1)
+
+
 @app.command(epilog="Example: fringedic recover recordings/plate-7/bag --output saved")
 def recover(bag: Bag, output: Output = None) -> None:
     """Write a complete recording from the readable part of a damaged one, and list what could not be read."""

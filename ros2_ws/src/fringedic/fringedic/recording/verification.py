@@ -1,0 +1,190 @@
+"""Proves that a recording is complete: checksums, the publishers' own counts, and the frames of every step."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter, defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from fringedic.frames.records import frame_record, stamp_of
+from fringedic.recording.frames import EXPOSURE, IMAGE
+from fringedic.recording.manifest import ManifestCheck, check_manifest
+from fringedic.recording.reader import BagReader
+from fringedic.recording.topics import RawMessage, Topic
+
+STEP = "experiment/step"
+_END = 3  # stage of a step that succeeded, in fringedic_msgs/StepStatus
+
+Step = tuple[str, int]  # experiment and number
+
+
+@dataclass(frozen=True)
+class Verification:
+    """Outcome of a verification.
+
+    Attributes
+    ----------
+    path
+        The recording.
+    files, messages
+        Numbers of its MCAP files and of its readable messages.
+    manifest
+        Comparison of the files with the manifest.
+    damage
+        Description of the damage; empty if every chunk and every index fits its checksum.
+    gaps
+        Messages of each topic that are missing in the count of its publisher, between the first and the last recorded.
+    frames, lost_frames
+        Frames with image and exposure record, and frames that lack one of them or both.
+    unfinished_steps
+        Experiment and number of each step that did not succeed -> (frames recorded, frames of the step).
+    dropped
+        Frames that the camera dropped before it published them.
+    """
+
+    path: Path
+    files: int
+    messages: int
+    manifest: ManifestCheck
+    damage: str
+    gaps: dict[str, int]
+    frames: int
+    lost_frames: int
+    unfinished_steps: dict[Step, tuple[int, int]]
+    dropped: int
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is damaged, changed or lost."""
+        return self.manifest.fits and not (self.damage or self.gaps or self.lost_frames)
+
+
+def verify(path: str | os.PathLike[str]) -> Verification:
+    """Check that a recording is complete.
+
+    Every file is compared with the manifest that was written when the recording was closed, every chunk with its
+    checksum, every topic with the sequence numbers of its publisher, and the images with the exposure records.
+
+    Parameters
+    ----------
+    path
+        A rosbag2 folder with MCAP files, or one MCAP file.
+
+    Raises
+    ------
+    RecordingError
+        There is no such recording, or it has another format.
+
+    Examples
+    --------
+    >>> verify("recordings/plate-7/bag").complete  # doctest: +SKIP
+    True
+    """
+    reader = BagReader(path, check=True)
+    gaps, frames = _Gaps(reader.topics), _Frames(reader)
+    for message in reader.stored():
+        gaps.add(message)
+        frames.add(message)
+    return Verification(
+        path=reader.path,
+        files=len(reader.files),
+        messages=sum(reader.counts.values()),
+        manifest=check_manifest(reader.path) if reader.path.is_dir() else ManifestCheck(present=False),
+        damage=reader.lost,
+        gaps=dict(gaps.missing),
+        frames=frames.complete,
+        lost_frames=frames.lost(gaps.missing, reader.missing),
+        unfinished_steps=frames.unfinished_steps(),
+        dropped=frames.dropped,
+    )
+
+
+class _Gaps:
+    """Missing numbers in the publishers' own counts of their messages.
+
+    A number that is not larger than the one before begins the count of a restarted publisher. Latched topics have
+    several publishers, whose first recorded message may have any number; they are left out.
+    """
+
+    def __init__(self, topics: Mapping[str, Topic]) -> None:
+        self.missing: Counter[str] = Counter()
+        self._last: dict[str, int] = {}
+        self._latched = {name for name, topic in topics.items() if _is_latched(topic)}
+
+    def add(self, message: RawMessage) -> None:
+        """Take the next message in the order of receipt."""
+        last = self._last.get(message.topic)
+        self._last[message.topic] = message.sequence
+        if last is not None and message.sequence > last + 1 and message.topic not in self._latched:
+            self.missing[message.topic] += message.sequence - last - 1
+
+
+def _is_latched(topic: Topic) -> bool:
+    profiles = yaml.safe_load(topic.qos) or []
+    return any(profile["durability"] in ("transient_local", 1) for profile in profiles)
+
+
+class _Frames:
+    """Images, exposure records and stages of steps of a recording."""
+
+    def __init__(self, reader: BagReader) -> None:
+        self.dropped = 0
+        self._reader = reader
+        self._topics = {
+            full: name for full in reader.topics for name in (IMAGE, EXPOSURE, STEP) if f"/{full}".endswith(f"/{name}")
+        }
+        self._images: set[int] = set()
+        self._records: set[int] = set()
+        self._indices: defaultdict[Step, set[int]] = defaultdict(set)
+        self._sizes: dict[Step, int] = {}
+        self._finished: set[Step] = set()
+
+    def add(self, raw: RawMessage) -> None:
+        """Take a message of any topic."""
+        topic = self._topics.get(raw.topic)
+        if topic is None:
+            return
+        message = self._reader.decode(raw.topic, raw.data)
+        if topic == IMAGE:
+            self._images.add(stamp_of(message))
+        elif topic == EXPOSURE:
+            record = frame_record(message)
+            self._records.add(record.stamp)
+            self._indices[record.experiment, record.step].add(record.index)
+            self._sizes[record.experiment, record.step] = record.count
+            self.dropped = max(self.dropped, record.dropped)
+        elif message.stage == _END:
+            self._finished.add((message.experiment, message.step))
+
+    @property
+    def complete(self) -> int:
+        """Frames with image and record; images, if there are no records at all."""
+        return len(self._images & self._records) if self._has_records else len(self._images)
+
+    @property
+    def _has_records(self) -> bool:
+        return EXPOSURE in self._topics.values()
+
+    def lost(self, *missing: Mapping[str, int]) -> int:
+        """Return the largest number of lost frames for which there is evidence.
+
+        Parameters
+        ----------
+        missing
+            Missing messages of each topic by other evidence.
+        """
+        without_image = len(self._records - self._images)
+        without_record = len(self._images - self._records) if self._has_records else 0
+        absent = sum(size - len(self._indices[step]) for step, size in self._sizes.items() if step in self._finished)
+        others = (each.get(full, 0) for each in missing for full, name in self._topics.items() if name != STEP)
+        return max(without_image + max(without_record, absent), *others, 0)
+
+    def unfinished_steps(self) -> dict[Step, tuple[int, int]]:
+        """Return (frames recorded, frames of the step) of each step that did not succeed."""
+        return {
+            step: (len(self._indices[step]), size) for step, size in self._sizes.items() if step not in self._finished
+        }

@@ -1,0 +1,159 @@
+"""A verification finds every lost frame, every lost message and every changed file, and nothing else."""
+
+from pathlib import Path
+
+import pytest
+
+from fringedic.frames.records import stamp_of
+from fringedic.recording import BagReader, BagWriter, Split, verify
+from fringedic.report.recordings import verification_sentences
+
+RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
+IMAGE, EXPOSURE, STEP = "/rig/camera/image_raw", "/rig/camera/exposure", "/rig/experiment/step"
+LOAD, PARAMETERS = "/rig/load_frame/state", "/rig/node_parameters"
+FRAMES = 36
+
+
+def copy(target, *, without=(), sequence=None, split=None):
+    """Copy the recording without the messages of some (topic, number in the topic)."""
+    reader = BagReader(RECORDED)
+    options = {} if split is None else {"split": split}
+    numbers = dict.fromkeys(reader.topics, -1)
+    with BagWriter(target, **options) as writer:
+        for topic in reader.topics.values():
+            writer.add_recorded_topic(topic)
+        for message in reader.stored():
+            numbers[message.topic] += 1
+            if (message.topic, numbers[message.topic]) not in without:
+                number = message.sequence if sequence is None else sequence(message, numbers[message.topic])
+                writer.write(*message[:4], number)
+            if message.topic == IMAGE:
+                writer.flush()
+    return target
+
+
+def number_of(topic, wanted):
+    """Return the number of the first message of a topic that fulfils a condition."""
+    messages = BagReader(RECORDED).messages([topic])
+    return next(number for number, (_, message, _) in enumerate(messages) if wanted(message))
+
+
+def last_line(bag):
+    return list(verification_sentences(verify(bag)))[-1]
+
+
+def test_complete_recording(tmp_path):
+    for bag in (RECORDED, copy(tmp_path / "bag"), copy(tmp_path / "split", split=Split(size=200_000))):
+        found = verify(bag)
+        assert found.complete
+        assert (found.frames, found.lost_frames, found.gaps, found.unfinished_steps) == (FRAMES, 0, {}, {})
+        assert last_line(bag) == "36 of 36 frames, 0 lost"
+    assert verify(RECORDED).manifest.present is False
+    assert len(verify(tmp_path / "split").manifest.equal) == verify(tmp_path / "split").files + 1 >= 4
+
+
+@pytest.mark.parametrize("topic", [IMAGE, EXPOSURE])
+def test_lost_image_or_record_is_a_lost_frame(tmp_path, topic):
+    bag = copy(tmp_path / "bag", without={(topic, 5), (topic, 20)})
+    found = verify(bag)
+    assert not found.complete
+    assert (found.frames, found.lost_frames, found.gaps) == (FRAMES - 2, 2, {topic: 2})
+    assert last_line(bag) == "34 of 36 frames, 2 lost"
+    assert f"missing are 2 of {topic}" in " ".join(verification_sentences(found))
+
+
+def test_frame_that_was_lost_with_its_record_is_found_by_the_count(tmp_path):
+    found = verify(copy(tmp_path / "bag", without={(IMAGE, 7), (EXPOSURE, 7)}))
+    assert (found.frames, found.lost_frames, found.gaps) == (FRAMES - 1, 1, {IMAGE: 1, EXPOSURE: 1})
+
+
+def test_frame_that_was_lost_with_its_record_is_found_by_its_step(tmp_path):
+    """Recorders without sequence numbers write 0."""
+    bag = copy(tmp_path / "bag", without={(IMAGE, 7), (EXPOSURE, 7)}, sequence=lambda *_: 0)
+    found = verify(bag)
+    assert (found.frames, found.lost_frames, found.gaps) == (FRAMES - 1, 1, {})
+    assert not found.complete
+
+
+def test_lost_samples_are_counted_and_cost_no_frame(tmp_path):
+    found = verify(copy(tmp_path / "bag", without={(LOAD, 100), (LOAD, 101), (LOAD, 300)}))
+    assert (found.frames, found.lost_frames, found.gaps) == (FRAMES, 0, {LOAD: 3})
+    assert not found.complete
+
+
+def test_restarted_publisher_loses_nothing(tmp_path):
+    found = verify(copy(tmp_path / "bag", sequence=lambda _, number: number % 17 + 1))
+    assert found.complete
+
+
+def test_latched_topics_have_several_publishers(tmp_path):
+    found = verify(
+        copy(tmp_path / "bag", sequence=lambda each, number: 7 * number if each.topic == PARAMETERS else number)
+    )
+    assert found.complete
+
+
+def test_interrupted_step_is_listed_and_loses_nothing(tmp_path):
+    end = number_of(STEP, lambda message: (message.step, message.stage) == (2, 3))
+    stamps = {stamp_of(m): m.index for _, m, _ in BagReader(RECORDED).messages([EXPOSURE]) if m.step == 2}
+    late = {stamp for stamp, index in stamps.items() if index >= 5}
+    without = {(STEP, end)}
+    for topic in (IMAGE, EXPOSURE):
+        messages = BagReader(RECORDED).messages([topic])
+        without |= {(topic, number) for number, (_, each, _) in enumerate(messages) if stamp_of(each) in late}
+    found = verify(copy(tmp_path / "bag", without=without))
+    assert (found.frames, found.lost_frames) == (FRAMES - 7, 0)
+    assert [*found.unfinished_steps.values()] == [(5, 12)]
+    assert "step 2 of tiny: did not succeed, 5 of 12 frames" in list(verification_sentences(found))
+
+
+def test_changed_file_is_named_although_its_messages_are_intact(tmp_path):
+    bag = copy(tmp_path / "bag")
+    file = bag / "bag_0.mcap"
+    data = bytearray(file.read_bytes())
+    data[10] ^= 1  # in the header of the file, which no checksum covers
+    file.write_bytes(data)
+    found = verify(bag)
+    assert (found.manifest.changed, found.damage, found.lost_frames) == (("bag_0.mcap",), "", 0)
+    assert not found.complete
+    assert "files: bag_0.mcap has changed since the recording was closed" in list(verification_sentences(found))
+
+
+def test_missing_file_of_a_split_recording(tmp_path):
+    bag = copy(tmp_path / "bag", split=Split(size=200_000))
+    (bag / "bag_1.mcap").unlink()
+    found = verify(bag)
+    assert found.manifest.missing == ("bag_1.mcap",)
+    assert "bag_1.mcap is missing" in found.damage
+    assert found.lost_frames > 0
+    assert found.frames + found.lost_frames == FRAMES
+
+
+@pytest.mark.parametrize("place", [0, 66, -30])
+def test_damaged_manifest_is_reported(tmp_path, place):
+    bag = copy(tmp_path / "bag")
+    data = bytearray((bag / "manifest.sha256").read_bytes())
+    data[place] = 0xFF
+    (bag / "manifest.sha256").write_bytes(data)
+    found = verify(bag)
+    assert not found.manifest.fits
+    assert not found.complete
+
+
+def test_damaged_chunk_costs_the_frames_in_it(tmp_path):
+    bag = copy(tmp_path / "bag")
+    file = bag / "bag_0.mcap"
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    file.write_bytes(data)
+    found = verify(bag)
+    assert "1 chunk left out" in found.damage
+    assert found.frames + found.lost_frames == FRAMES
+    missing = BagReader(bag, check=True).missing
+    assert 1 <= missing[IMAGE] <= found.lost_frames <= missing[IMAGE] + missing[EXPOSURE]
+
+
+def test_recording_without_camera(tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_recorded_topic(BagReader(RECORDED).topics[LOAD])
+    assert last_line(tmp_path / "bag") == "0 of 0 frames, 0 lost"
