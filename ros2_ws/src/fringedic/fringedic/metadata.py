@@ -15,6 +15,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from fringedic.errors import ConfigurationError
+from fringedic.yaml_text import load_yaml
 
 FIRST_STEP = "first_step"
 OLD_GAUGES = "extensometers_px"  # key of earlier versions, (row, column)
@@ -169,7 +170,7 @@ class NoiseFloorMetadata(_Entries):
             The file cannot be read or holds no noise floor.
         """
         try:
-            return cls.model_validate(yaml.safe_load(Path(path).read_text("utf-8")))
+            return cls.model_validate(load_yaml(Path(path).read_text("utf-8")))
         except OSError as error:
             raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from error
         except (yaml.YAMLError, UnicodeDecodeError, ValidationError) as error:
@@ -201,7 +202,8 @@ class Metadata(_Entries):
             An entry is unknown or invalid.
         """
         try:
-            return cls.model_validate(translate_metadata(yaml.safe_load(text) or {}))
+            content = load_yaml(text) or {}
+            return cls.model_validate(translate_metadata(content) if isinstance(content, dict) else content)
         except yaml.YAMLError as error:
             raise ConfigurationError(f"specimen and hardware: no YAML: {error}") from error
         except ValidationError as error:
@@ -219,9 +221,10 @@ def translate_metadata(recorded: Mapping[str, Any]) -> dict[str, Any]:
     >>> translate_metadata({"specimen": {"extensometers_px": [[480, 200, 480, 1000]]}})
     {'specimen': {'gauges_px': [{'first': [200, 480], 'second': [1000, 480]}]}}
     """
-    specimen = dict(recorded.get("specimen", {}))
-    if OLD_GAUGES not in specimen:
+    specimen = recorded.get("specimen")
+    if not isinstance(specimen, Mapping) or OLD_GAUGES not in specimen:
         return dict(recorded)
+    specimen = dict(specimen)
     specimen["gauges_px"] = [
         {"first": [left, top], "second": [right, bottom]} for top, left, bottom, right in specimen.pop(OLD_GAUGES)
     ]

@@ -55,7 +55,9 @@ def test_recordings_of_earlier_versions_are_translated() -> None:
 
 def test_datasets_of_earlier_versions_are_translated(tmp_path: Path) -> None:
     attributes = {"facts": json.dumps({"specimen": {"name": "sheet", "extensometers_px": [[480, 200, 470, 1000]]}})}
-    dataset = xr.Dataset({"w": (("step", "row", "column"), [[[0.0]]])}, attrs=attributes)
+    of_steps = {"time": ("step", [0]), "error": ("step", [""])}
+    maps = {"w": (("step", "row", "column"), [[[0.0]]])}
+    dataset = xr.Dataset({**maps, **of_steps}, coords={"step": [0]}, attrs=attributes)
     dataset.to_netcdf(tmp_path / "old.nc", engine="h5netcdf")
     with open_experiment(tmp_path / "old.nc") as again:
         (gauge,) = recorded_metadata(again).specimen.gauges_px

@@ -9,6 +9,7 @@ from pydantic import AfterValidator, Field
 
 from fringedic.errors import VirtualRigError
 from fringedic.virtual_rig import VirtualRigConfiguration
+from fringedic.yaml_text import load_yaml
 
 
 def virtual_configuration(text: str) -> VirtualRigConfiguration:
@@ -20,7 +21,7 @@ def virtual_configuration(text: str) -> VirtualRigConfiguration:
         The text is not a YAML mapping, or an entry is unknown or out of range.
     """
     try:
-        values = yaml.safe_load(text)
+        values = load_yaml(text)
     except yaml.YAMLError as error:
         raise VirtualRigError(f"virtual_rig is not valid YAML: {error}") from error
     if not isinstance(values, dict):

@@ -18,6 +18,7 @@ from fringedic.calibration.variants import ModelVariant
 from fringedic.camera.findings import Finding, GridFinding
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.geometry import current_model_name
+from fringedic.yaml_text import load_yaml
 
 _VERSION = 2  # 1: verdict, warnings and problems were sentences
 _MICRO, _MILLI = 1e-6, 1e-3
@@ -80,7 +81,7 @@ def read_fit(path: Path) -> dict[str, Any]:
     KeyError, TypeError, ValueError, yaml.YAMLError
         The content is not that of such a file, or of a newer version.
     """
-    content = yaml.safe_load(path.read_text(encoding="utf-8"))
+    content = load_yaml(path.read_text(encoding="utf-8"))
     if content["version"] > _VERSION:
         raise ValueError(f"version {content['version']} is newer than this program")
     if content["version"] == 1:

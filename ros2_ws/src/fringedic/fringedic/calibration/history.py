@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from fringedic.calibration.check import RigCheck
 from fringedic.errors import CalibrationError
 from fringedic.metadata import CheckMetadata
+from fringedic.yaml_text import load_yaml
 
 CHECKS_FILE = "calibration_checks.yaml"
 _UM, _MM, _FRINGE = 1e6, 1e3, 2 * math.pi
@@ -66,7 +67,7 @@ def recorded_checks(folder: str | Path) -> list[CheckMetadata]:
     """
     file = Path(folder) / CHECKS_FILE
     try:
-        return [CheckMetadata.model_validate(each) for each in yaml.safe_load(file.read_text(encoding="utf-8")) or []]
+        return [CheckMetadata.model_validate(each) for each in load_yaml(file.read_text(encoding="utf-8")) or []]
     except FileNotFoundError:
         return []
     except (OSError, yaml.YAMLError, UnicodeDecodeError, TypeError, ValidationError) as error:

@@ -101,11 +101,10 @@ class RigCalibration(FitResult):
         folder.mkdir(parents=True, exist_ok=True)
         self.model.to_yaml(folder / MODEL_FILE)
         write_fit(dataclasses.replace(self, summary=summary or self.summary), folder / FIT_FILE)
-        self.residual_map.to_netcdf(
-            folder / RESIDUAL_FILE,
-            engine="h5netcdf",
-            encoding={name: {"zlib": True} for name in self.residual_map.data_vars},
-        )
+        compressed = {name: {"zlib": True} for name in self.residual_map.data_vars}
+        # by way of memory: HDF5 ends the process when it cannot write to the disk
+        content = self.residual_map.to_netcdf(engine="h5netcdf", encoding=compressed)
+        (folder / RESIDUAL_FILE).write_bytes(content)
         return folder / MODEL_FILE
 
     @classmethod

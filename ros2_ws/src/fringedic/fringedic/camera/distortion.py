@@ -20,6 +20,7 @@ from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
 from fringedic.errors import GridError, ImageError
+from fringedic.yaml_text import load_yaml
 
 _INVERSE_STEPS = 60  # a field with a gradient below 0.6 px per pixel is inverted to 1e-12 px
 _CONVERGED = 1e-10  # [px]
@@ -308,12 +309,14 @@ class DistortionMap:
         Raises
         ------
         GridError
-            The file contains no distortion.
+            The file cannot be read or contains no distortion.
         """
         try:
-            content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+            content = load_yaml(Path(path).read_text(encoding="utf-8"))
             return cls.from_dict(content["camera_distortion"])
         except GridError as error:
             raise GridError(f"{path}: {error}") from None
-        except (yaml.YAMLError, KeyError, TypeError) as error:
+        except OSError as error:
+            raise GridError(f"{path}: cannot be read: {error.strerror}") from error
+        except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
             raise GridError(f"{path} contains no distortion of a camera: {error}") from None

@@ -15,6 +15,8 @@ from fringedic.configuration.yaml_section import Section
 from fringedic.metadata import SpecimenMetadata
 
 MILLI = 1e-3
+FARTHEST_MM = 1e5  # larger than every machine; a number beyond it is a typing error
+FASTEST_MM_PER_S = 1e5
 MOST_STEPS = 100_000  # a test of 14 days at 12 s per step; a larger number is a typing error
 
 
@@ -29,9 +31,12 @@ class ProgrammeStep(Section):
     """One load step: move, hold, measure."""
 
     position_mm: float | None = Field(
-        None, description="Crosshead position to move to [mm]; without it the machine stays."
+        None,
+        ge=-FARTHEST_MM,
+        le=FARTHEST_MM,
+        description="Crosshead position to move to [mm]; without it the machine stays.",
     )
-    speed_mm_per_s: float = Field(1.0, gt=0, description="Speed of the crosshead [mm/s].")
+    speed_mm_per_s: float = Field(1.0, gt=0, le=FASTEST_MM_PER_S, description="Speed of the crosshead [mm/s].")
     until: Until | None = Field(None, description="Ends the move before its position; the machine then holds.")
     hold_s: float = Field(0.0, ge=0, le=86400, description="Time between move and measurement [s].")
     mode: Literal["fringes", "white", "none"] = Field(
@@ -63,13 +68,13 @@ class ProgrammeStep(Section):
 class Ramp(Section):
     """Equal steps from one crosshead position to another, both included."""
 
-    from_mm: float = Field(0.0, description="First crosshead position [mm].")
-    to_mm: float = Field(description="Last crosshead position [mm].")
+    from_mm: float = Field(0.0, ge=-FARTHEST_MM, le=FARTHEST_MM, description="First crosshead position [mm].")
+    to_mm: float = Field(ge=-FARTHEST_MM, le=FARTHEST_MM, description="Last crosshead position [mm].")
     steps: int = Field(ge=2, le=10000, description="Number of steps.")
     repeats_at_rest: int = Field(
         0, ge=0, le=1000, description="Additional measurements at the first position, for the noise floor."
     )
-    speed_mm_per_s: float = Field(1.0, gt=0, description="Speed of the crosshead [mm/s].")
+    speed_mm_per_s: float = Field(1.0, gt=0, le=FASTEST_MM_PER_S, description="Speed of the crosshead [mm/s].")
     hold_s: float = Field(0.0, ge=0, le=86400, description="Time between each move and its measurement [s].")
     mode: Literal["fringes", "white"] = Field("fringes", description="white: one frame, in-plane displacement only.")
     until: Until | None = Field(None, description="Ends the ramp after the step that meets it.")

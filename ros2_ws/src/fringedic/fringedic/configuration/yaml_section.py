@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,9 +11,11 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from fringedic.errors import ConfigurationError
+from fringedic.yaml_text import load_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
 # Names of the members of unions in paths of pydantic, which are not keys of the file
+_LONGEST_LIST = 400  # characters of a list of problems; the rest is counted
 _MEMBERS = ("values", "file", "a step", "a ramp", "a cycle")
 
 
@@ -41,7 +44,7 @@ def load_sections(path: Path, model: type[Model], replaced: Mapping[str, str] | 
         key.
     """
     try:
-        content = yaml.safe_load(path.read_text("utf-8"))
+        content = load_yaml(path.read_text("utf-8"))
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -51,8 +54,8 @@ def load_sections(path: Path, model: type[Model], replaced: Mapping[str, str] | 
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        problems = "; ".join(_problem(model, each, replaced or {}) for each in error.errors())
-        raise ConfigurationError(f"{path}: {problems}") from error
+        problems = [_problem(model, each, replaced or {}) for each in error.errors()]
+        raise ConfigurationError(f"{path}: {_listed(problems)}") from error
 
 
 def _problem(model: type[BaseModel], error: Mapping[str, Any], replaced: Mapping[str, str]) -> str:
@@ -66,7 +69,17 @@ def _problem(model: type[BaseModel], error: Mapping[str, Any], replaced: Mapping
     if error["type"] == "missing":
         return f"{name}: is missing"
     words = f"{name}: {error['msg'].removeprefix('Value error, ')}"
-    return words if isinstance(error["input"], dict) else f"{words} (it is {error['input']!r})"
+    return words if isinstance(error["input"], dict) else f"{words} (it is {reprlib.repr(error['input'])})"
+
+
+def _listed(problems: Sequence[str]) -> str:
+    """Return the first problems, and the number of those that would make the message too long."""
+    words, *others = problems
+    for number, each in enumerate(others):
+        if len(words) + len(each) > _LONGEST_LIST:
+            return f"{words}; and {len(others) - number} more"
+        words = f"{words}; {each}"
+    return words
 
 
 def _section_at(model: type[BaseModel], place: Sequence[str | int]) -> type[BaseModel]:

@@ -29,7 +29,7 @@ def read_grey(path: Path) -> np.ndarray:
     Raises
     ------
     ImageError
-        The file is missing, is no image, or has another pixel type.
+        The file is missing, is no image, is larger than 268 million pixels, has several pages, or another pixel type.
 
     Examples
     --------
@@ -45,9 +45,15 @@ def read_grey(path: Path) -> np.ndarray:
         data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
     except OSError as error:
         raise ImageError(f"{path} cannot be read: {error.strerror}") from error
-    image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+    except cv2.error as error:
+        raise ImageError(f"{path} is no image, or larger than 268 million pixels: {error.err}") from error
     if image is None:
         raise ImageError(f"{path} is not an image that can be read")
+    pages = cv2.imcount(str(path))
+    if pages > 1:
+        raise ImageError(f"{path} has {pages} pages, which may be several images: write each to a file of its own")
     if image.dtype not in (np.uint8, np.uint16):
         raise ImageError(f"{path} has pixels of type {image.dtype}; 8 or 16 bits are needed")
     return image if image.ndim == 2 else luminance(image)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fringedic.errors import ImageError
+from fringedic.yaml_text import load_yaml
 
 SUBPIXEL_BITS = 4  # of the corners, when they are drawn
 Point = tuple[float, float]
@@ -198,7 +199,7 @@ class Region:
             The text is no region.
         """
         try:
-            found = _RegionFile.model_validate(yaml.safe_load(text))
+            found = _RegionFile.model_validate(load_yaml(text))
         except yaml.YAMLError as error:
             raise ImageError(f"region: no YAML: {error}") from error
         except ValidationError as error:

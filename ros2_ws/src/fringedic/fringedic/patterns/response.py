@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 
 from fringedic.errors import PatternError
+from fringedic.yaml_text import load_yaml
 
 FULL_SCALE = 255  # of the projector
 _LEAST_BRIGHTNESS = 0.02  # of the fit of gamma: below, rounding to 8 bits and noise dominate the logarithm
@@ -86,7 +87,7 @@ class ResponseCurve:
             The file cannot be read or contains no response curve.
         """
         try:
-            content: Any = yaml.safe_load(Path(path).read_text())
+            content: Any = load_yaml(Path(path).read_text("utf-8"))
             section = content["response_curve"]
             return cls(tuple(float(value) for value in section["brightness"]), float(section.get("sigma", 0.0)))
         except (OSError, yaml.YAMLError, KeyError, TypeError, ValueError) as error:

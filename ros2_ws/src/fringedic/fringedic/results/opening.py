@@ -13,6 +13,7 @@ from fringedic.metadata import translate_metadata
 from fringedic.results.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE
 from fringedic.results.stores import SUFFIXES, dataset_path
 
+_OF_EVERY_EXPERIMENT = ("step", "time", "error")  # variables
 _OF_A_RUN = ("results.nc", "results.zarr")
 
 
@@ -86,9 +87,13 @@ def _open(file: Path) -> xr.Dataset:
         dataset = xr.open_dataset(file, engine="h5netcdf" if netcdf else "zarr", cache=False)
     except (OSError, ValueError, KeyError) as error:
         raise DatasetError(f"{file}: cannot be read as {'NetCDF' if netcdf else 'Zarr'}: {error}") from error
-    if not set(MAP_DIMENSIONS) <= set(dataset.sizes):
+    lacking = (set(MAP_DIMENSIONS) - set(dataset.sizes)) | (set(_OF_EVERY_EXPERIMENT) - set(dataset.variables))
+    if lacking:
         dataset.close()
-        raise DatasetError(f"{file}: is no experiment; it lacks the dimensions step, row and column")
+        raise DatasetError(
+            f"{file}: is no experiment, because it has no {' and no '.join(sorted(lacking))}: give the dataset that "
+            "'fringedic run' or 'fringedic process' wrote, or a recording"
+        )
     if METADATA_ATTRIBUTE in dataset.attrs:
         metadata = translate_metadata(json.loads(dataset.attrs[METADATA_ATTRIBUTE]))
         dataset.attrs[METADATA_ATTRIBUTE] = json.dumps(metadata)

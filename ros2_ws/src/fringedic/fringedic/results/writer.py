@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from fringedic.errors import DatasetError
+from fringedic.errors import DatasetError, ErrorCode
 from fringedic.provenance import git_commit, software
 from fringedic.results.quantities import MAP_DIMENSIONS, MAPS, SCALARS, STEP_NUMBERS
 from fringedic.results.rows import Row
 from fringedic.results.stores import TEXT, Store, Variable, create_store
 from fringedic.steps.recorded_parameters import StepSettings
+
+_ROOM_LEFT = 10_000_000  # [byte] beside the maps of a step: attributes, the index of the file
 
 
 class DatasetWriter:
@@ -66,6 +69,7 @@ class DatasetWriter:
         """Append one step."""
         self._describe(row.step, settings)
         self._last_error = row.error or self._last_error
+        self._require_room(row)
         index = self._count
         self._count += 1
         self._store.grow(self._count)
@@ -84,6 +88,17 @@ class DatasetWriter:
         if row.maps:
             self._write_maps(index, row, settings.spacing)
         self._store.flush()
+
+    def _require_room(self, row: Row) -> None:
+        """Refuse a step that the disk has no room for: HDF5 ends the process when it cannot write."""
+        needed = sum(values.nbytes for values in row.maps.values()) + _ROOM_LEFT
+        free = shutil.disk_usage(self._target.absolute().parent).free
+        if free < needed:
+            raise DatasetError(
+                f"{self._target}: the disk is full, step {row.step} needs {1e-6 * needed:.0f} MB and "
+                f"{1e-6 * free:.0f} MB are free: make room, or choose another output",
+                code=ErrorCode.DISK_FULL,
+            )
 
     def _write_maps(self, index: int, row: Row, spacing: int) -> None:
         points = row.maps["displacement_x"] if "displacement_x" in row.maps else _sampled(row.maps["phase"], spacing)

@@ -11,6 +11,7 @@ import yaml
 from fringedic.camera.distortion import DistortionMap
 from fringedic.errors import CalibrationError
 from fringedic.rig.geometry import RigGeometry
+from fringedic.yaml_text import load_yaml
 
 _MM, _DEGREE, _ONE = 1e-3, math.pi / 180, 1
 
@@ -63,12 +64,12 @@ def read_rig(path: str | Path) -> dict[str, Any]:
     Raises
     ------
     CalibrationError
-        The file is not the calibration of a rig, or an entry is missing.
+        The file cannot be read, is not the calibration of a rig, or an entry is missing.
     GridError
         The lens distortion in the file is invalid.
     """
     try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        content = load_yaml(Path(path).read_text(encoding="utf-8"))
         values: dict[str, Any] = {
             name: _from_people(content[section][key], unit)
             for section, entries in _SECTIONS.items()
@@ -86,7 +87,9 @@ def read_rig(path: str | Path) -> dict[str, Any]:
         }
     except KeyError as error:
         raise CalibrationError(f"{error.args[0]} is missing") from None
-    except (yaml.YAMLError, TypeError, AttributeError) as error:
+    except OSError as error:
+        raise CalibrationError(f"cannot be read: {error.strerror}") from None
+    except (yaml.YAMLError, UnicodeDecodeError, TypeError, AttributeError) as error:
         raise CalibrationError(f"this is not the calibration of a rig: {error}") from None
 
 

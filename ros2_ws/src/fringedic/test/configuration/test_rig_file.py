@@ -252,7 +252,7 @@ def test_one_image_has_to_be_wanted(tmp_path):
     one = VIRTUAL.replace("shifts: 5,", "shifts: 5, fringe_order: one_image, grey_frame: true,")
     with pytest.raises(ConfigurationError, match=r"set nodes\.phase\.relative_phase: accept"):
         load_rig_file(write(tmp_path, one))
-    patterns = load_rig_file(write(tmp_path, one + "\nnodes: {phase: {relative_phase: accept}}")).patterns()
+    patterns = load_rig_file(write(tmp_path, changed(one, "nodes.phase.relative_phase", "accept"))).patterns()
     assert [(each.kind, each.pitch) for each in patterns] == [(PatternKind.GREY, 0.0), (PatternKind.FRINGES, 20.0)]
 
 

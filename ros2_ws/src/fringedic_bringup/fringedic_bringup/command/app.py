@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -12,6 +13,7 @@ import yaml
 from rich.console import Console
 
 from fringedic.errors import ConfigurationError, FringedicError, RecordingError
+from fringedic.yaml_text import load_yaml
 
 app = typer.Typer(
     help="3D shape and displacement of surfaces, measured with one camera and one projector.",
@@ -92,7 +94,10 @@ def parameter_values(settings: Iterable[str] | None) -> dict[str, Any]:
         name, equals, text = setting.partition("=")
         if not equals or name.count(".") != 1:
             raise ConfigurationError(f"--set {setting}: write node.parameter=value, for example dic.window=24")
-        values[name] = yaml.safe_load(text)
+        try:
+            values[name] = load_yaml(text)
+        except yaml.YAMLError as error:
+            raise ConfigurationError(f"--set {name}: {error}") from error
     return values
 
 
@@ -125,10 +130,48 @@ def title_of(bag: Path) -> str:
     return bag.absolute().parent.name if bag.name == "bag" else bag.stem
 
 
+def output_folder(folder: Path) -> Path:
+    """Return a folder after a check that it can be created and written, before anything is measured.
+
+    Raises
+    ------
+    ConfigurationError
+        It cannot.
+    """
+    place = folder.absolute()
+    while not place.exists():
+        place = place.parent
+    if not place.is_dir():
+        raise ConfigurationError(f"--output {folder}: {place} is a file; choose another folder")
+    if not os.access(place, os.W_OK | os.X_OK):
+        raise ConfigurationError(f"--output {folder}: {place} cannot be written; choose another folder")
+    return folder
+
+
+def output_file(file: Path, overwrite: bool) -> Path:
+    """Return a file after a check that it can be written and does not replace another one unasked.
+
+    Raises
+    ------
+    ConfigurationError
+        It cannot, or it exists.
+    """
+    output_folder(file.parent)
+    if file.exists() and not overwrite:
+        raise ConfigurationError(f"{file} exists already; choose another --output, or replace it with --overwrite")
+    return file
+
+
 def unused_folder(folder: Path) -> Path:
-    """Return the first folder of demo, demo-2, demo-3 ... that does not exist."""
+    """Return the first folder of demo, demo-2, demo-3 ... that does not exist.
+
+    Raises
+    ------
+    ConfigurationError
+        It cannot be created.
+    """
     candidate, number = folder, 1
     while candidate.exists():
         number += 1
         candidate = folder.with_name(f"{folder.name}-{number}")
-    return candidate
+    return output_folder(candidate)

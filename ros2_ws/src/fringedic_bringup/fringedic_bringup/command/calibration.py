@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import Rig, app, console, rig_path_of, say, unused_folder
+from fringedic_bringup.command.app import Overwrite, Rig, app, console, output_file, rig_path_of, say, unused_folder
 from fringedic_bringup.display.progress import LiveProgress
 from fringedic_bringup.procedures.outcome import CalibrationReport
 
@@ -90,9 +90,13 @@ def target(
     output: Annotated[Path, typer.Option(help="File to write, .pdf or .svg.")] = Path("grid.pdf"),
     page: Annotated[str, typer.Option(help="A4 or A3.")] = "A4",
     turned_degree: Annotated[float, typer.Option(help="Angle of the grid on the page in degree.")] = 2.0,
+    overwrite: Overwrite = False,
 ) -> None:
     """Write the printable grid from which the distortion of the camera and the scale are measured."""
     from fringedic.camera.target import Target
 
-    Target(1e-3 * pitch_mm, page, math.radians(turned_degree)).save(output)
+    grid = Target(1e-3 * pitch_mm, page, math.radians(turned_degree))
+    file = output_file(output, overwrite)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    grid.save(file)
     say(f"grid: {output}; print it at 100 %, measure its ruler and keep it flat")

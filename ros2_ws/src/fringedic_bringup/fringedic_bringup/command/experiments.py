@@ -23,6 +23,7 @@ from fringedic_bringup.command.app import (
     calibration_file,
     console,
     for_each,
+    output_folder,
     parameter_values,
     rig_path_of,
     say,
@@ -54,7 +55,7 @@ def run(
     path = rig_path_of(rig)
     rig_file, steps = load_rig(path, programme, images)
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
-    folder = output or Path(rig_file.recording.folder) / f"{steps.experiment}-{stamp}"
+    folder = output_folder(output or Path(rig_file.recording.folder) / f"{steps.experiment}-{stamp}")
     with LiveProgress(console) as progress:
         report = run_experiment(rig_file, path, steps, folder, progress)
     _finish([report])
@@ -93,7 +94,7 @@ def replay(
     def work(bag: Path) -> None:
         folder = unused_folder(bag.with_name(f"{bag.name}_replayed"))
         if output is not None:
-            folder = output if len(bags) == 1 else output / title_of(bag)
+            folder = output_folder(output if len(bags) == 1 else output / title_of(bag))
         with LiveProgress(console) as progress:
             target = replay_bag(
                 bag,

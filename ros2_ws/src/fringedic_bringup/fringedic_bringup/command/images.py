@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from fringedic_bringup.command.app import app, console, say
+from fringedic_bringup.command.app import Overwrite, app, console, output_file, say
 from fringedic_bringup.display.progress import LiveProgress
 
 
@@ -20,10 +20,12 @@ def measure(
         Path | None, typer.Option(help="Region to measure: a mask image or polygons, as fringedic region writes them.")
     ] = None,
     output: Annotated[Path, typer.Option(help="Folder for dataset and pictures.")] = Path("measured"),
+    overwrite: Overwrite = False,
 ) -> None:
     """Measure the in-plane displacement between images and write it as NetCDF and PNG."""
-    from fringedic_bringup.procedures.images import measure_images
+    from fringedic_bringup.procedures.images import DATASET, measure_images
 
+    output_file(output / DATASET, overwrite)
     with LiveProgress(console) as progress:
         dataset, pictures = measure_images(images, output, progress, window=window, spacing=spacing, mask=mask)
     say(f"dataset: {dataset}", f"pictures: {len(pictures)} in {output}")

@@ -28,6 +28,10 @@ def main() -> None:
     except FringedicError as error:
         typer.echo(error, err=True)
         sys.exit(1)
+    except OSError as error:  # of a path that cannot be used, or a full disk
+        place = f"{error.filename}: " if error.filename else ""
+        typer.echo(f"{place}{error.strerror or error}; choose another path or make room", err=True)
+        sys.exit(1)
     except KeyboardInterrupt:
         typer.echo("interrupted; the nodes have ended and the recording is closed", err=True)
         sys.exit(130)

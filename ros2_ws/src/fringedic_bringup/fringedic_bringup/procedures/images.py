@@ -14,6 +14,8 @@ from fringedic.frames.files import read_grey
 from fringedic_bringup.procedures.outcome import Progress
 from fringedic_bringup.procedures.region import mask_of
 
+DATASET = "displacement.nc"
+
 
 def measure_images(
     images: list[Path], folder: Path, progress: Progress, *, window: int, spacing: int, mask: Path | None = None
@@ -66,9 +68,10 @@ def measure_images(
         figure = maps_figure(maps, IN_PLANE, title=f"{path.name} against {images[0].name}")
         pictures.append(folder / f"{path.stem}.png")
         figure.savefig(pictures[-1])
-    target = folder / "displacement.nc"
+    target = folder / DATASET
     names = xr.DataArray([path.name for path in images[1:]], dims="step", name="image")
-    xr.concat(fields, dim=names).to_netcdf(target, engine="h5netcdf")
+    # by way of memory: HDF5 ends the process when it cannot write to the disk
+    target.write_bytes(xr.concat(fields, dim=names).to_netcdf(engine="h5netcdf"))
     return target, pictures
 
 

@@ -1,0 +1,188 @@
+"""Bad input at the door of the commands: one sentence on the error stream and exit code 1, and nothing was started."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import subprocess
+import sys
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.ndimage import gaussian_filter
+
+from fringedic.errors import ImageError
+from fringedic.frames.files import read_grey
+from fringedic_bringup.command.main import main
+
+SOURCES = Path(__file__).parents[2]
+RIGS = SOURCES / "fringedic_bringup" / "config"
+RECORDED = SOURCES / "fringedic" / "test" / "recordings" / "version_0_1"
+Refusal = Callable[..., str]
+
+
+@pytest.fixture
+def refusal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Refusal:
+    """Return the function that runs the command and returns the sentence with which it ends."""
+
+    def run(*words: str | Path) -> str:
+        monkeypatch.setattr(sys, "argv", ["fringedic", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        assert ended.value.code == 1
+        [sentence] = capsys.readouterr().err.strip().splitlines()
+        assert len(sentence) <= 500 + max(len(str(word)) for word in words)
+        return sentence
+
+    return run
+
+
+def run_command(monkeypatch: pytest.MonkeyPatch, *words: str | Path) -> int:
+    monkeypatch.setattr(sys, "argv", ["fringedic", *map(str, words)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert isinstance(ended.value.code, int)
+    return ended.value.code
+
+
+@pytest.fixture(scope="module")
+def images(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Return three images of a speckle that moves by a pixel each."""
+    folder = tmp_path_factory.mktemp("images")
+    speckle = gaussian_filter(np.random.default_rng(5).normal(size=(110, 120)), 1.5)
+    grey = np.clip(128 + 40 * speckle / speckle.std(), 0, 255).astype(np.uint8)
+    files = [folder / f"image_{number}.tif" for number in range(3)]
+    for number, file in enumerate(files):
+        cv2.imwrite(str(file), grey[5:101, 10 - number : 106 - number])
+    return files
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", RIGS / "tiny.yaml"),
+        ("calibrate", RIGS / "tiny.yaml"),
+        ("check", RIGS / "tiny.yaml"),
+        ("timing", RIGS / "tiny.yaml"),
+        ("response", RIGS / "tiny.yaml"),
+        ("noise", RIGS / "tiny.yaml"),
+        ("noise", "--images", "a.png", "--images", "b.png", "--images", "c.png"),
+        ("measure", "a.png", "b.png"),
+        ("target", "--pitch-mm", "0.5"),
+        ("replay", RECORDED / "bag"),
+        ("demo",),
+    ],
+)
+@pytest.mark.parametrize("place", ["a file", "read-only"])
+def test_output_that_cannot_be_written(
+    words: tuple[str | Path, ...], place: str, refusal: Refusal, tmp_path: Path
+) -> None:
+    """The kernel's folder /proc is read-only for everybody."""
+    (tmp_path / "file").write_text("")
+    folder = tmp_path / "file" if place == "a file" else Path("/proc/sys/kernel")
+    output = folder / ("grid.pdf" if words[0] == "target" else "new")
+    sentence = refusal(*words, "--output", output)
+    assert str(folder) in sentence
+    assert "choose another" in sentence
+
+
+@pytest.mark.parametrize("command", ["run", "calibrate", "info", "process", "report", "export", "region", "measure"])
+def test_path_of_300_characters(command: str, refusal: Refusal) -> None:
+    long = Path("x" * 300)
+    sentence = refusal(command, long, *([long] if command == "measure" else []))
+    assert "x" * 300 in sentence
+    assert "name too long" in sentence.lower()
+
+
+def test_existing_results_are_not_replaced_unasked(
+    images: list[Path], refusal: Refusal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    measured = ("measure", *images, "--spacing", "8", "--output", tmp_path / "measured")
+    assert run_command(monkeypatch, *measured) == 0
+    before = (tmp_path / "measured" / "displacement.nc").read_bytes()
+    assert "displacement.nc exists already" in refusal(*measured)
+    assert run_command(monkeypatch, *measured, "--window", "24", "--overwrite") == 0
+    assert (tmp_path / "measured" / "displacement.nc").read_bytes() != before
+    target = ("target", "--pitch-mm", "0.5", "--output", tmp_path / "new" / "grid.pdf")
+    assert run_command(monkeypatch, *target) == 0
+    assert "grid.pdf exists already" in refusal(*target)
+    assert run_command(monkeypatch, *target, "--overwrite") == 0
+
+
+@pytest.mark.parametrize("command", ["export", "report"])
+def test_results_of_another_kind(
+    command: str, images: list[Path], refusal: Refusal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    assert run_command(monkeypatch, "measure", *images, "--spacing", "8", "--output", tmp_path / "measured") == 0
+    sentence = refusal(command, tmp_path / "measured" / "displacement.nc", "--output", tmp_path / "out")
+    assert "is no experiment, because it has no " in sentence
+    xr.Dataset({"a": ("b", [1.0])}).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
+    assert "is no experiment" in refusal(command, tmp_path / "other.nc", "--output", tmp_path / "out")
+    (tmp_path / "text.nc").write_text("text")
+    assert "cannot be read as NetCDF" in refusal(command, tmp_path / "text.nc", "--output", tmp_path / "out")
+
+
+def test_full_disk(images: list[Path], tmp_path: Path) -> None:
+    """A file may become 100 kB large only, as on a disk that is full; HDF5 would end the process with code 139."""
+    program = (
+        "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000)); "
+        "from fringedic_bringup.command.main import main; main()"
+    )
+    words = ["measure", *map(str, images), "--output", str(tmp_path / "measured")]
+    done = subprocess.run(
+        [sys.executable, "-c", program, *words], capture_output=True, text=True, check=False, timeout=120
+    )
+    assert done.returncode == 1
+    [sentence] = done.stderr.strip().splitlines()
+    assert "File too large" in sentence
+
+
+def test_full_disk_while_a_recording_is_processed(
+    refusal: Refusal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=100_000))
+    sentence = refusal("process", RECORDED / "bag", "--step", "1", "--output", tmp_path / "new.nc")
+    assert "the disk is full, step" in sentence
+    assert list(tmp_path.iterdir()) == []
+
+
+def png_header(width: int, height: int) -> bytes:
+    """Return a PNG file that promises an image of 16 bits and contains almost none of it."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", width, height, 16, 0, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(b"\0" * 100)) + chunk(b"IEND", b"")
+    )
+
+
+@pytest.mark.parametrize("size", [(30_000, 30_000), (2**31 - 1, 2**31 - 1), (0, 0), (2**31 - 1, 1)])
+def test_image_with_a_huge_header(size: tuple[int, int], tmp_path: Path) -> None:
+    file = tmp_path / "huge.png"
+    file.write_bytes(png_header(*size))
+    with pytest.raises(ImageError, match=r"huge\.png") as refused:
+        read_grey(file)
+    assert len(str(refused.value)) <= 500 + len(str(file))
+
+
+def test_image_of_several_pages(images: list[Path], refusal: Refusal, tmp_path: Path) -> None:
+    pages = [cv2.imread(str(file), cv2.IMREAD_UNCHANGED) for file in images]
+    cv2.imwritemulti(str(tmp_path / "stack.tif"), pages)
+    sentence = refusal("measure", images[0], tmp_path / "stack.tif", "--output", tmp_path / "measured")
+    assert "stack.tif has 3 pages" in sentence
+
+
+@pytest.mark.parametrize(
+    "setting", ["dic.window=2026-02-30", "dic.window=[", "dic.window={a: 1, a: 2}", "dic.window=x"]
+)
+def test_settings_that_are_no_values(setting: str, refusal: Refusal, tmp_path: Path) -> None:
+    sentence = refusal("process", RECORDED / "bag", "--set", setting, "--output", tmp_path / "new.nc")
+    assert "dic.window" in sentence
