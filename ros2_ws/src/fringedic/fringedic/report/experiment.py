@@ -143,25 +143,34 @@ def _content(
     data = ReportData(dataset, exposures, _advice(dataset, recording, static))
     points = _entered_gauges(data) if gauges is None else gauges
     strains, failed = _extensometers(dataset, points)
+    truth, unread = _truth(dataset, files.folder / TRUTH)
     return {
         "title": str(dataset.attrs.get("experiment", "experiment")),
         "date": _date(dataset),
         "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "software": f"{software()}, commit {git_commit()}",
         "simulated": data.simulated,
-        "warnings": warnings(data, static, floors) + failed,
+        "warnings": warnings(data, static, floors) + failed + unread,
         "static_steps": static,
         "floors": [noise_floor_row(floor) for floor in floors],
         "noise": data.metadata.noise,
         "noise_columns": NOISE_COLUMNS,
         "steps": step_rows(dataset),
-        "truth": truth_rows(dataset, files.folder / TRUTH),
+        "truth": truth,
         "parameters": json.dumps(data.attribute("parameters"), indent=1),
         "calibration": json.dumps(data.calibration, indent=1),
         **_conditions(data),
         **_pictures(data),
         **_gauge_content(data, strains),
     }
+
+
+def _truth(dataset: xr.Dataset, file: Path) -> tuple[list[list[str]], list[str]]:
+    """Return the rows of the comparison with the ground truth, and why there are none although there is a truth."""
+    try:
+        return truth_rows(dataset, file), []
+    except DatasetError as error:
+        return [], [f"No comparison with the ground truth: {error}."]
 
 
 def _conditions(data: ReportData) -> dict[str, Any]:

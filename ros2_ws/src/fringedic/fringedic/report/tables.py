@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import DatasetError
 from fringedic.metadata import NOISE_QUANTITIES
 from fringedic.results.noise_floor import NoiseFloor
 from fringedic.results.truth import compare_with_truth
@@ -66,13 +65,16 @@ def _step_number(step: xr.Dataset, name: str) -> str:
 
 
 def truth_rows(dataset: xr.Dataset, file: Path) -> list[list[str]]:
-    """Return a row per step with the errors against the ground truth of a virtual rig; none without a truth."""
+    """Return a row per step with the errors against the ground truth of a virtual rig; none without a truth.
+
+    Raises
+    ------
+    DatasetError
+        The truth lacks steps or pixels of the dataset, or is damaged.
+    """
     if not file.exists():
         return []
-    try:
-        errors = compare_with_truth(dataset, file)
-    except DatasetError:
-        return []
+    errors = compare_with_truth(dataset, file)
     names = [f"error_{name}" for name in "uvwz"]
     return [
         [str(int(step)), *(number(float(errors[name].sel(step=step))) for name in names)]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,19 @@ import xarray as xr
 from fringedic.errors import DatasetError
 
 MICRO = 1e-6
+_LONGEST_CAUSE = 200  # characters; HDF5 appends the state of its reader
+
+
+@contextmanager
+def _damage_named(file: object) -> Iterator[None]:
+    """Raise DatasetError for what a file raises that is truncated or of another kind."""
+    try:
+        yield
+    except DatasetError:
+        raise
+    except (OSError, ValueError, KeyError, RuntimeError) as error:
+        cause = " ".join(str(error).split())[:_LONGEST_CAUSE]
+        raise DatasetError(f"{file}: is no ground truth or is damaged ({cause}); repeat the run to write it") from error
 
 
 def open_truth(path: str | os.PathLike[str]) -> xr.Dataset:
@@ -19,13 +34,11 @@ def open_truth(path: str | os.PathLike[str]) -> xr.Dataset:
     Raises
     ------
     DatasetError
-        There is no such truth.
+        There is no such truth, or it is damaged.
     """
     file = Path(path) / "truth.nc" if Path(path).is_dir() else Path(path)
-    try:
+    with _damage_named(file):
         return xr.open_dataset(file, engine="h5netcdf")
-    except (OSError, ValueError) as error:
-        raise DatasetError(f"{file}: is no ground truth: {error}") from error
 
 
 def truth_errors(dataset: xr.Dataset, truth: xr.Dataset, step: int) -> xr.Dataset:
@@ -49,8 +62,13 @@ def truth_errors(dataset: xr.Dataset, truth: xr.Dataset, step: int) -> xr.Datase
     Raises
     ------
     DatasetError
-        The truth lacks the step or the pixels.
+        The truth lacks the step or the pixels, or is damaged.
     """
+    with _damage_named(truth.encoding.get("source", "the truth")):
+        return _truth_errors(dataset, truth, step)
+
+
+def _truth_errors(dataset: xr.Dataset, truth: xr.Dataset, step: int) -> xr.Dataset:
     if not 0 <= step < truth.sizes["step"]:
         raise DatasetError(f"the truth has {truth.sizes['step']} steps, step {step} is not among them")
     try:
@@ -91,7 +109,7 @@ def compare_with_truth(dataset: xr.Dataset, truth_path: str | os.PathLike[str]) 
     Raises
     ------
     DatasetError
-        The truth lacks steps or pixels of the dataset.
+        The truth lacks steps or pixels of the dataset, or is damaged.
     """
     table: dict[str, list[float]] = {name: [] for name in (*(f"error_{each}" for each in "uvwz"), "measured_fraction")}
     with open_truth(truth_path) as truth:

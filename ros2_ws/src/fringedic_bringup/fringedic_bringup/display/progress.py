@@ -88,6 +88,8 @@ def report_table(report: RunReport) -> Table:
     title = f"{report.experiment}: {report.folder}"
     if any(step.errors for step in report.steps):
         title += "; errors are RMS against the ground truth"
+    if report.no_errors:
+        title += f"; no errors against the ground truth: {escape(report.no_errors)}"
     table = Table(title=title, min_width=70, title_justify="left")
     with_truth = any(step.errors for step in report.steps)
     with_exact = any("z_exact" in step.errors for step in report.steps)

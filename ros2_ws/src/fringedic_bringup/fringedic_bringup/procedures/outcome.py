@@ -68,6 +68,8 @@ class RunReport:
     ----------
     unmeasured
         Why there is no dataset of what was recorded; empty when there is one.
+    no_errors
+        Why the steps have no errors although there is a ground truth; empty when they have.
     """
 
     experiment: str
@@ -75,6 +77,7 @@ class RunReport:
     steps: list[StepReport]
     pictures: list[Path]
     unmeasured: str = ""
+    no_errors: str = ""
 
     @property
     def failed(self) -> bool:

@@ -24,6 +24,7 @@ from fringedic.recording.repair import join
 from fringedic.recording.writer import Split
 from fringedic.report import write_report
 from fringedic.report.calibration_sentences import in_force_words
+from fringedic.report.experiment import TRUTH
 from fringedic.report.forecast import forecast_sentence
 from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
 from fringedic_bringup.launch.graph import rig_graph
@@ -186,27 +187,36 @@ def write_results(
             process_bag(bag, output=target, experiment=experiment)
     except DatasetError as error:
         return RunReport(experiment, folder, steps, [], unmeasured=str(error))
-    truth_file = folder / "truth.nc"
-    errors: xr.Dataset | None = None
-    pictures: list[Path] = []
-    heights: dict[int, dict[str, float]] = {}
     with open_experiment(target) as dataset:
-        untold = dataset
-        if truth_file.exists():
-            with open_truth(truth_file) as truth:
-                # failed steps have no truth, nor have those after a restart of the virtual camera
-                is_told = dataset.step.values < truth.sizes["step"]
-                told, untold = dataset.isel(step=is_told), dataset.isel(step=~is_told)
-                errors = compare_with_truth(told, truth_file)
-                pictures += save_pictures(told, folder, truth=truth)
-                heights = {} if exact is None else _heights(told, truth, exact)
-        if untold.sizes["step"]:
-            pictures += save_pictures(untold, folder)
+        pictures, errors, no_errors = _compare(dataset, folder, exact)
     write_report(bag if measure_again is None else target, folder / "report.html", overwrite=True)
     for report in steps:
-        if errors is not None and report.step in errors.step.values:
-            report.errors = _errors_of(errors, report.step) | heights.get(report.step, {})
-    return RunReport(experiment, folder, steps, pictures)
+        report.errors = errors.get(report.step, {})
+    return RunReport(experiment, folder, steps, pictures, no_errors=no_errors)
+
+
+def _compare(
+    dataset: xr.Dataset, folder: Path, exact: Reconstruct | None
+) -> tuple[list[Path], dict[int, dict[str, float]], str]:
+    """Draw the steps; return pictures, errors of each step, and why there are none although there is a truth."""
+    if not (folder / TRUTH).exists():
+        return save_pictures(dataset, folder), {}, ""
+    try:
+        with open_truth(folder) as truth:
+            # failed steps have no truth, nor have those after a restart of the virtual camera
+            is_told = dataset.step.values < truth.sizes.get("step", 0)
+            told, untold = dataset.isel(step=is_told), dataset.isel(step=~is_told)
+            errors = compare_with_truth(told, folder)
+            pictures = save_pictures(told, folder, truth=truth)
+            heights = {} if exact is None else _heights(told, truth, exact)
+    except DatasetError as error:
+        return save_pictures(dataset, folder), {}, str(error)
+    pictures += save_pictures(untold, folder) if untold.sizes["step"] else []
+    return (
+        pictures,
+        {step: _errors_of(errors, step) | heights.get(step, {}) for step in errors.step.values.tolist()},
+        "",
+    )
 
 
 def frame_losses(bag: Path) -> dict[int, tuple[int, int]]:

@@ -1,0 +1,46 @@
+"""A damaged ground truth costs a run its comparison, not its table, its pictures and its report."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+from rich.console import Console
+
+from fringedic_bringup.display.progress import report_table
+from fringedic_bringup.procedures.outcome import RunReport, StepReport
+from fringedic_bringup.procedures.run import write_results
+
+RECORDED = Path(__file__).parents[2] / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
+STEPS = 3
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> RunReport:
+    """Write the results of a recording beside which the ground truth is truncated."""
+    folder = tmp_path_factory.mktemp("run")
+    shutil.copytree(RECORDED, folder / "bag")
+    xr.Dataset({"u": (("step", "row"), np.zeros((STEPS, 5000)))}).to_netcdf(folder / "truth.nc", engine="h5netcdf")
+    data = (folder / "truth.nc").read_bytes()
+    (folder / "truth.nc").write_bytes(data[: len(data) * 6 // 10])
+    return write_results("tiny", folder, [StepReport(step, position=1e-4 * step) for step in range(STEPS)])
+
+
+def test_results_are_written(written: RunReport) -> None:
+    assert not written.failed
+    assert (written.folder / "results.nc").exists()
+    assert [path.name for path in written.pictures] == [f"step_00{step}.png" for step in range(STEPS)]
+
+
+def test_reason_is_in_the_table_and_in_the_report(written: RunReport) -> None:
+    assert "truth.nc: is no ground truth or is damaged" in written.no_errors
+    assert not any(step.errors for step in written.steps)
+    table = report_table(written)
+    assert "no errors against the ground truth" in str(table.title)
+    assert table.row_count == STEPS
+    assert Console(width=200).render_lines(table)
+    page = (written.folder / "report.html").read_text()
+    assert "No comparison with the ground truth" in page
