@@ -6,11 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.highlevel import AnyReader
 from running_system import CONFIG, WORKING, Killer
 
 import fringedic
 from fringedic.configuration.programme import Programme
 from fringedic.recording.reader import BagReader
+from fringedic.recording.verification import verify
 from fringedic_bringup.procedures.run import load_rig, run_experiment
 
 PROGRAMME = {
@@ -25,7 +27,8 @@ def test_the_test_goes_on_whichever_node_is_killed(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     rig, _ = load_rig(CONFIG / "tiny.yaml", None, None)
     progress = Killer(folder, dict(enumerate(VICTIMS, start=2)))
-    report = run_experiment(rig, CONFIG / "tiny.yaml", Programme.model_validate(PROGRAMME), folder, progress)
+    programme = Programme.model_validate(PROGRAMME)
+    report = run_experiment(rig, CONFIG / "tiny.yaml", programme, folder, progress)
     assert [step.error for step in report.steps] == [""] * 4, progress.lines
     positions = np.array([step.position for step in report.steps])
     assert positions == pytest.approx(np.linspace(0, 0.6e-3, 4), abs=1e-8)
@@ -36,6 +39,12 @@ def test_the_test_goes_on_whichever_node_is_killed(tmp_path: Path) -> None:
     assert numbers == sorted(set(numbers)), "numbers are not used twice"
     assert numbers[-1] > 4, "interrupted steps have a number"
     assert not BagReader(folder / "bag").lost
+    with AnyReader([folder / "bag"]) as other:
+        assert len({each.topic for each in other.connections}) == len(other.connections), "one channel per topic"
+        assert sum(1 for _ in other.messages()) == sum(BagReader(folder / "bag").counts.values())
+    verification = verify(folder / "bag")
+    assert not verification.damage
+    assert not {(programme.experiment, number) for number in numbers} & verification.unfinished_steps.keys()
     assert (folder / "bag-1").exists()
     assert (folder / "bag-2").exists()
     assert all(step.missing == step.dropped == 0 for step in report.steps)
