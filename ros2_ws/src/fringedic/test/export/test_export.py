@@ -11,6 +11,7 @@ import pyvista
 import scipy.io
 import tifffile
 import xarray as xr
+from aligned_rig import aligned_rig
 from PIL import Image
 
 from fringedic.errors import ExportError
@@ -20,28 +21,18 @@ from fringedic.results import open_experiment
 from fringedic.results.quantities import MAPS, STEP_NUMBERS
 from fringedic.results.rows import Row
 from fringedic.results.writer import DatasetWriter
-from fringedic.rig.model import RigModel
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.recorded_parameters import StepSettings
 
 ROWS, COLUMNS, SPACING = 4, 5, 3
 PIXEL = 50e-6  # [m]
 START = 1_700_000_000_000_000_000  # [ns]
-RIG = RigModel(
-    camera_width=COLUMNS * SPACING,
-    camera_height=ROWS * SPACING,
-    camera_distance=0.4,
-    pixel_size=PIXEL,
-    pixel_aspect=1.0,
-    principal_column=7.0,
-    principal_row=5.5,
-    projector_width=100,
-    projector_height=75,
+RIG = aligned_rig(
+    (COLUMNS * SPACING, ROWS * SPACING),
+    PIXEL,
+    (100, 75),
+    400.0,
     projector_position=(-0.2, 0.0, 0.4),
-    projector_rotation=(0.0, 0.0, 0.0),
-    projector_focal_length=400.0,
-    projector_principal_column=49.5,
-    projector_principal_row=37.0,
     identifier="bench",
 )
 HOLE = (1, 3)  # row, column that is not measured

@@ -7,6 +7,7 @@ import re
 
 import numpy as np
 import pytest
+from aligned_rig import aligned_rig
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
@@ -23,7 +24,6 @@ from fringedic.results import open_experiment
 from fringedic.results.noise_floor import noise_floors, static_steps
 from fringedic.results.rows import Row
 from fringedic.results.writer import DatasetWriter
-from fringedic.rig.model import RigModel
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.recorded_parameters import StepSettings
 
@@ -31,23 +31,8 @@ ROWS, COLUMNS, SPACING, PIXEL = 40, 60, 2, 100e-6
 START = 1_700_000_000_000_000_000
 NOISE = {"u": 0.4e-6, "v": 0.3e-6, "w": 8e-6}  # of one step; the reference has as much
 STRAIN_NOISE, BIAS = 20e-6, 2e-6  # of e_11; of w [m]
-RIG = RigModel(
-    camera_width=120,
-    camera_height=80,
-    camera_distance=0.4,
-    pixel_size=PIXEL,
-    pixel_aspect=1.0,
-    principal_column=59.5,
-    principal_row=39.5,
-    projector_width=100,
-    projector_height=75,
-    projector_position=(-0.3, 0.0, 0.4),
-    projector_rotation=(0.0, 0.0, 0.0),
-    projector_focal_length=400.0,
-    projector_principal_column=49.5,
-    projector_principal_row=37.0,
-    identifier="bench 3",
-    source="planes",
+RIG = aligned_rig(
+    (120, 80), PIXEL, (100, 75), 400.0, projector_position=(-0.3, 0.0, 0.4), identifier="bench 3", source="planes"
 )
 METADATA = (
     "specimen: {name: sheet 4, section_mm2: 10.0, operator: Ada & Bob}\nhardware: {lens: 'Maker 35 mm', aperture: f/8}"

@@ -5,31 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
+from aligned_rig import aligned_rig
 from pydantic import ValidationError
 
 from fringedic.report.drift import drift_sentence
-from fringedic.rig.model import RigModel
 from fringedic.steps.drift_marker import drift_of_steps, measure_drift
 from fringedic.steps.parameters import CouplingParameters
 from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.steps.step_results import DicResult, PhaseResult, displacement_field
 
 REGION = [100, 20, 40, 60]
-RIG = RigModel(
-    camera_width=160,
-    camera_height=120,
-    camera_distance=0.4,
-    pixel_size=4e-4,
-    pixel_aspect=1.0,
-    principal_column=79.5,
-    principal_row=59.5,
-    projector_width=800,
-    projector_height=600,
-    projector_position=(0.18, 0.0, 0.38),
-    projector_focal_length=3400.0,
-    projector_principal_column=399.5,
-    projector_principal_row=299.5,
-)
+RIG = aligned_rig((160, 120), 4e-4, (800, 600), 3400.0)
 SIGMA_PHASE = 0.02
 
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from aligned_rig import aligned_rig
 from pydantic import ValidationError
 from scipy.ndimage import gaussian_filter
 
@@ -14,7 +15,6 @@ from fringedic.frames.collector import Stack
 from fringedic.frames.records import FrameRecord
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.patterns.sequences import fringe_sequence, gray_code_sequence, one_image_sequence
-from fringedic.rig.model import RigModel
 from fringedic.steps.displacement_tracker import DisplacementTracker
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.phase import phase_step, white_texture
@@ -24,21 +24,7 @@ from fringedic.virtual_rig import VirtualRig
 
 MODELS = (PhaseParameters, DicParameters, CouplingParameters)
 PITCHES = (80.0, 20.0)
-RIG = RigModel(
-    camera_width=72,
-    camera_height=60,
-    camera_distance=0.4,
-    pixel_size=2e-4,
-    pixel_aspect=1.0,
-    principal_column=35.5,
-    principal_row=29.5,
-    projector_width=80,
-    projector_height=60,
-    projector_position=(0.15, 0.0, 0.38),
-    projector_focal_length=900.0,
-    projector_principal_column=39.5,
-    projector_principal_row=29.5,
-)
+RIG = aligned_rig((72, 60), 2e-4, (80, 60), 900.0, projector_position=(0.15, 0.0, 0.38))
 
 
 @pytest.mark.parametrize("model", MODELS)
