@@ -14,7 +14,7 @@ import xarray as xr
 from fringedic.calibration.findings import CalibrationWarning
 from fringedic.calibration.fit import Solution, information_criterion
 from fringedic.calibration.fit_results import Candidate, Parameter, PlaneResult
-from fringedic.calibration.geometry import SCALES, Camera, check_size, place_plane, predict, rig_model
+from fringedic.calibration.geometry import SCALES, Camera, check_size, place_planes, predict, rig_model
 from fringedic.calibration.models import ModelFitter, scatter_of
 from fringedic.calibration.outliers import unusual_ripple
 from fringedic.calibration.planes import CalibrationPlanes
@@ -225,10 +225,10 @@ def _height_sigma(fitter: ModelFitter, selection: Selection, model: RigModel) ->
     """Return the largest standard deviation of z due to the calibration, at the corners of the fitted planes [m]."""
     camera, values = fitter.camera, selection.solution.values
     largest = 0.0
-    for index in selection.used:
+    placed = place_planes(camera, values, *fitter.placement.of(selection.used, values))
+    for index, normal, offset in zip(selection.used, *placed, strict=True):
         plane = fitter.planes.blocks[index]
         column, row = np.meshgrid(plane.column[[0, -1]], plane.row[[0, -1]])
-        normal, offset = place_plane(camera, values, *fitter.placement.of(index, values))
         rays = np.stack([*camera.ideal(column, row), np.ones(column.shape)], axis=-1) @ model.ray_matrix.T
         along = (offset - normal[2] * model.camera_distance) / (rays @ normal)
         z = model.camera_distance + along * rays[..., 2]

@@ -199,23 +199,25 @@ def pin_hole_deviation(camera: Camera, pin_hole: PinHole, values: Mapping[str, f
     return pin_hole.deviation(values["camera_distance"] / scale, values["camera_tilt_x"], values["camera_tilt_y"])
 
 
-def place_plane(camera: Camera, values: Mapping[str, float], angle: float, height: float) -> tuple[np.ndarray, float]:
-    """Return (normal, offset) of the plane normal . X = offset at an angle [rad] and a height [m]."""
+def place_planes(
+    camera: Camera, values: Mapping[str, float], angles: np.ndarray, heights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (normals, offsets) of the planes normal . X = offset at angles [rad] and heights [m], (n, 3) and (n,)."""
     across, up = values.get("axis_across", 0.0), values.get("axis_height", 0.0)
     skew, slope = values.get("axis_skew", 0.0), values.get("axis_slope", 0.0)
     if camera.vertical:
-        direction, point, turn = (skew, 1.0, slope), (across, 0.0, up), -angle
+        direction, point, turn = (skew, 1.0, slope), (across, 0.0, up), -angles
     else:
-        direction, point, turn = (1.0, skew, slope), (0.0, across, up), angle
+        direction, point, turn = (1.0, skew, slope), (0.0, across, up), angles
     length = math.hypot(*direction)
     kx, ky, kz = (each / length for each in direction)
-    c, s = math.cos(turn), math.sin(turn)
+    c, s = np.cos(turn), np.sin(turn)
     # Rodrigues' rotation of the direction (0, 0, 1) about k
     share = (1 - c) * kz
-    turned = (s * ky + share * kx, share * ky - s * kx, c + share * kz)
+    normals = np.stack([s * ky + share * kx, share * ky - s * kx, c + share * kz], axis=1)
     # the point of the axis keeps its distance from the plane, which is its height at angle 0
-    offset = sum(a * b for a, b in zip(turned, point, strict=True)) - up + height * turned[2]
-    return np.array(turned), offset
+    offsets: np.ndarray = normals @ point - up + heights * normals[:, 2]
+    return normals, offsets
 
 
 def predict(
@@ -245,12 +247,11 @@ def predict(
     axes, rays = rig.projector_axes.T, rig.ray_matrix
     towards = axes @ rays
     camera_pin_hole = axes @ (np.array([0.0, 0.0, rig.camera_distance]) - rig.projector_position)
-    directions = []
-    for plane, pixel in zip(planes, pixels, strict=True):
-        normal, offset = place_plane(camera, values, *placement.of(plane, values))
-        # a plane maps pixels of the camera to directions of the projector by a homography
-        distance = offset - normal[2] * rig.camera_distance
-        directions.append((distance * towards + np.outer(camera_pin_hole, normal @ rays)) @ pixel)
+    normals, offsets = place_planes(camera, values, *placement.of(planes, values))
+    distances = offsets - normals[:, 2] * rig.camera_distance
+    # a plane maps pixels of the camera to directions of the projector by a homography
+    homographies = distances[:, None, None] * towards + camera_pin_hole[:, None] * (normals @ rays)[:, None, :]
+    directions = [each @ pixel for each, pixel in zip(homographies, pixels, strict=True)]
     return rig.phase_towards(np.concatenate(directions, axis=1), camera.pitch, camera.orientation)
 
 

@@ -60,11 +60,12 @@ class Placement:
         height = f", height {1e3 * self.heights[index]:+g} mm" if np.any(self.heights) else ""
         return f"image {index + 1} (angle {math.degrees(self.angles[index]):+.4g} degree{height})"
 
-    def of(self, index: int, values: Mapping[str, float]) -> tuple[float, float]:
-        """Return angle [rad] and height [m] of a plane, including its errors among the parameters."""
+    def of(self, planes: Sequence[int], values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Return angles [rad] and heights [m] of some planes, including their errors among the parameters."""
+        some = list(planes)
         return (
-            float(self.angles[index]) + values.get(angle_error(index), 0.0),
-            float(self.heights[index]) + values.get(height_error(index), 0.0),
+            self.angles[some] + [values.get(angle_error(index), 0.0) for index in some],
+            self.heights[some] + [values.get(height_error(index), 0.0) for index in some],
         )
 
     def apart(self, first: int, second: int) -> bool:

@@ -33,6 +33,7 @@ NOISE = 0.0021 * 2 * math.pi  # [rad]
 ANGLES = np.radians([-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0, 7.5])
 HELD_OUT = (7,)
 SIZE = (160, 120)
+FEW_PIXELS = (60, 45)  # for many calibrations: twice the noise of a block, half as many blocks
 MISALIGNED = {
     "camera": {"tilt_x_degree": 0.2, "tilt_y_degree": -0.2},
     "projector": {"yaw_degree": 0.2, "pitch_degree": -0.1, "roll_degree": 0.7},
@@ -45,11 +46,17 @@ RIGS = {"ideal": {}, "misaligned": MISALIGNED, "distorted": DISTORTED, "decentre
 
 
 class Bench:
-    """The issue's rig at an eighth of the pixels, as the twin sees it."""
+    """The rig of the examples, as the twin sees it on an image of `size`."""
 
-    def __init__(self, changes: dict[str, dict[str, float]], orientation: Orientation = Orientation.VERTICAL) -> None:
+    def __init__(
+        self,
+        changes: dict[str, dict[str, float]],
+        orientation: Orientation = Orientation.VERTICAL,
+        size: tuple[int, int] = SIZE,
+    ) -> None:
+        self.pixel_size = 64e-3 / size[0]
         sections = {
-            "camera": {"columns": SIZE[0], "rows": SIZE[1], "pixel_size_um": 400.0},
+            "camera": {"columns": size[0], "rows": size[1], "pixel_size_um": 1e6 * self.pixel_size},
             "projector": {},
             "specimen": {"kind": "reference_plane"},
             "stage": {},
@@ -63,7 +70,7 @@ class Bench:
             sections["stage"] = {}
         self.orientation = orientation
         self.twin = VirtualRig(VirtualRigConfiguration.from_dict(sections))
-        self.shape = (SIZE[1], SIZE[0])
+        self.shape = (size[1], size[0])
 
     def phase(self, specimen: dict[str, object]) -> np.ndarray:
         """Exact phase of what stands in front of the camera [rad]."""
@@ -90,13 +97,14 @@ class Bench:
     def view(self) -> PlaneHomography:
         """How the camera sees the plane at angle 0, from where four pixels meet it."""
         truth = self.twin.with_specimen({"kind": "reference_plane"}).truth(0.0)
+        last_row, last_column = self.shape[0] - 1, self.shape[1] - 1
         rows = []
-        for r, s in ((0, 0), (0, SIZE[0] - 1), (SIZE[1] - 1, 0), (SIZE[1] - 1, SIZE[0] - 1)):
+        for r, s in ((0, 0), (0, last_column), (last_row, 0), (last_row, last_column)):
             x, y = float(truth.x[r, s]), float(truth.y[r, s])
             rows.append([s, r, 1, 0, 0, 0, -x * s, -x * r, -x])
             rows.append([0, 0, 0, s, r, 1, -y * s, -y * r, -y])
         homography = np.linalg.svd(np.array(rows))[2][-1].reshape(3, 3)
-        principal = ((SIZE[0] - 1) / 2, (SIZE[1] - 1) / 2)
+        principal = (last_column / 2, last_row / 2)
         homography /= homography[2] @ (*principal, 1.0)
         shift = np.eye(3)
         shift[:2, 2] = -(homography @ (*principal, 1.0))[:2]
@@ -116,7 +124,7 @@ class Bench:
             "orientation": self.orientation,
             "plane": self.view(),
         }
-        return calibrate_rig(phases, angles, 400e-6, **{**known, **options})
+        return calibrate_rig(phases, angles, self.pixel_size, **{**known, **options})
 
     def sphere_error(self, calibration: RigCalibration) -> float:
         """Largest error of z on a sphere of radius 120 mm whose top is at 12 mm [m]."""
@@ -271,7 +279,7 @@ def test_random_rigs_converge_and_know_their_errors() -> None:
                 "axis_yaw_degree": 0.3 * sign[7],
             },
         }
-        bench = Bench(changes)
+        bench = Bench(changes, size=FEW_PIXELS)
         calibration = bench.calibrate(noisy(bench.planes(ANGLES[:7]), trial), ANGLES[:7])
         assert calibration.go, verdict_sentence(calibration)
         model, optics = calibration.model, bench.twin.optics()
@@ -453,7 +461,7 @@ def test_the_bad_image_is_named(misaligned: tuple[Bench, list[np.ndarray]], chan
 @pytest.mark.slow
 def test_sigmas_hold_over_repeated_calibrations() -> None:
     """Whole calibrations with other noise: errors of x, y, z on a sphere in units of the sigmas that they tell."""
-    bench = Bench(DISTORTED)
+    bench = Bench(DISTORTED, size=FEW_PIXELS)
     phases, sphere = bench.planes(ANGLES[:7]), bench.phase(SPHERE)
     truth = bench.twin.with_specimen(SPHERE).truth(0.0)
     view = bench.view()
@@ -468,8 +476,8 @@ def test_sigmas_hold_over_repeated_calibrations() -> None:
         seen = calibration.reconstruct(sphere + noise, np.full_like(sphere, NOISE))
         squares["with noise"].append(float((((seen.z - truth.z) / seen.sigma_z) ** 2).mean()))
         # from the left to the right of the sphere: most of the error is common
-        places = [(column, 60.0, float(truth.z[60, column])) for column in (20, 140)]
-        measured = float(exact.z[60, 140] - exact.z[60, 20]) - (places[1][2] - places[0][2])
+        places = [(column, 22.0, float(truth.z[22, column])) for column in (8, 52)]
+        measured = float(exact.z[22, 52] - exact.z[22, 8]) - (places[1][2] - places[0][2])
         squares["step"].append(measured**2 / float(displacement_variance(calibration.model, *places)[2]))
     scores = {name: math.sqrt(sum(each) / len(each)) for name, each in squares.items()}
     # 12 calibrations of 12 parameters: three standard deviations of each figure
