@@ -164,7 +164,8 @@ def check_chunks(indexed: McapFile, data: Bytes) -> McapFile:
     broken = 0
     for place in indexed.chunks:
         try:
-            file.add_chunk(place.offset, place.length, chunk_records(data[place.offset : place.offset + place.length]))
+            records = _records_at(place, data[place.offset : place.offset + place.length])
+            file.add_chunk(place.offset, place.length, records)
         except DAMAGE:
             broken += 1
     if broken:
@@ -196,7 +197,25 @@ def chunk_records(data: bytes) -> list[McapRecord]:
         size = zstandard.get_frame_parameters(chunk.data).content_size
         if size not in (chunk.uncompressed_size, zstandard.CONTENTSIZE_UNKNOWN):
             raise McapError(f"{size} bytes instead of {chunk.uncompressed_size}")
-    return breakup_chunk(chunk, validate_crc=True)
+    records = breakup_chunk(chunk, validate_crc=True)
+    if not chunk.uncompressed_crc:  # written without a checksum, or the checksum is erased
+        times = [record.log_time for record in records if isinstance(record, Message)]
+        stated = (chunk.message_start_time, chunk.message_end_time)
+        if not records or (min(times, default=0), max(times, default=0)) != stated:
+            raise McapError("no checksum, and its messages are not those of its header")
+    return records
+
+
+def _records_at(place: ChunkPlace, data: bytes) -> list[McapRecord]:
+    """Return the records of a chunk, which have to be those that the index describes."""
+    records = chunk_records(data)
+    messages = [record for record in records if isinstance(record, Message)]
+    times = [message.log_time for message in messages]
+    if (min(times, default=0), max(times, default=0)) != (place.start_time, place.end_time):
+        raise McapError("its messages are not those of the index")
+    if place.channels and place.channels != {message.channel_id for message in messages}:
+        raise McapError("its messages are not those of the index")
+    return records
 
 
 def read_messages(file: McapFile, place: ChunkPlace) -> list[Message]:
@@ -210,7 +229,7 @@ def read_messages(file: McapFile, place: ChunkPlace) -> list[Message]:
     try:
         with open(file.path, "rb") as stream:
             stream.seek(place.offset)
-            records = chunk_records(stream.read(place.length))
+            records = _records_at(place, stream.read(place.length))
     except (*DAMAGE, OSError) as error:
         raise RecordingError(
             f"{file.path}: damaged at byte {place.offset} ({error}); use 'fringedic recover' to save the rest"

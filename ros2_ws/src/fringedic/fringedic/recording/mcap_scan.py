@@ -26,12 +26,6 @@ _READERS: dict[int, Callable[[ReadDataStream], records.McapRecord]] = {
     Opcode.ATTACHMENT: records.Attachment.read,
     Opcode.METADATA: records.Metadata.read,
     Opcode.DATA_END: records.DataEnd.read,
-    Opcode.STATISTICS: records.Statistics.read,
-    Opcode.CHUNK_INDEX: records.ChunkIndex.read,
-    Opcode.ATTACHMENT_INDEX: records.AttachmentIndex.read,
-    Opcode.METADATA_INDEX: records.MetadataIndex.read,
-    Opcode.SUMMARY_OFFSET: records.SummaryOffset.read,
-    Opcode.FOOTER: records.Footer.read,
 }
 
 
@@ -89,11 +83,10 @@ class _Scan:
         """Read all chunks; return the end of the last record of an unfinished file, None for a finished one."""
         position = min(len(MAGIC), len(self._data))
         closed = self._data[-len(MAGIC) :] == MAGIC
-        last = (Opcode.DATA_END, Opcode.FOOTER) if closed else (Opcode.FOOTER,)
         while position < len(self._data):
             end = self._other_record(position)
-            if end is not None and self._data[position] in last:
-                return None
+            if end is not None and self._data[position] == Opcode.DATA_END:
+                return None if closed else end
             end = end or self._chunk(position)
             if end is None:
                 end = self._next_chunk(position + 1)
@@ -125,11 +118,13 @@ class _Scan:
             record = _READERS[opcode](stream)
         except DAMAGE:
             return None
-        if isinstance(record, records.Schema):
-            self.file.schemas[record.id] = record
+        if stream.count != length:
+            return None
+        if isinstance(record, records.Schema):  # without a checksum, unlike those in chunks
+            self.file.schemas.setdefault(record.id, record)
         elif isinstance(record, records.Channel):
-            self.file.channels[record.id] = record
-        return int(end) if stream.count == length else None
+            self.file.channels.setdefault(record.id, record)
+        return int(end)
 
     def _chunk(self, position: int) -> int | None:
         """Add the chunk at a position and return its end, also if opcode or length of its record are damaged."""

@@ -12,7 +12,7 @@ from fringedic.errors import RecordingError
 from fringedic.recording import BagReader, BagWriter, Topic, recover
 
 IMAGE, FORCE, STEP = "/rig/camera/image_raw", "/rig/load_frame/state", "/rig/experiment/step"
-FLIPS = 300  # the long form is benchmarks/bit_flips.py
+FLIPS = 300  # the long form is benchmarks/damaged_recordings.py
 
 
 def write_bag(path, compression="none"):
@@ -115,6 +115,29 @@ def test_damaged_chunk_is_named_when_it_is_reached(recording):
     assert len(str(caught.value)) <= 500
 
 
+def test_erased_header_of_a_chunk_is_not_an_empty_chunk(recording):
+    """Zeros are the header of a chunk without content and without checksum."""
+    begin = recording.chunks[2]
+    recording.put(begin, bytes(49))
+    with pytest.raises(RecordingError, match="its messages are not those of its header"):
+        list(BagReader(recording.bag).raw())
+    assert BagReader(recording.bag, check=True).missing[FORCE] == 15
+
+
+def test_erased_checksum_costs_nothing(recording):
+    recording.put(recording.chunks[2] + 33, bytes(4))
+    assert recording.read() == (False, True)
+
+
+def test_erased_end_does_not_rename_topics(recording):
+    """The definitions in the index have no checksum of their own."""
+    begin = recording.data.index(IMAGE.encode(), recording.index)
+    recording.put(begin, bytes(len(recording.data) - begin))
+    reader = BagReader(recording.bag)
+    assert "bag_0.mcap: not closed" in reader.lost
+    assert recording.read() == (True, True)
+
+
 def test_recover_lists_the_messages_that_it_could_not_write(recording):
     recording.put(recording.chunks[2] + 80, b"\xff\xff")
     done = recover(recording.bag)
@@ -168,6 +191,22 @@ def test_every_flipped_bit_is_reported_or_harmless(recording, check):
         outcomes.append(recording.read(check=check))
     assert (False, False) not in outcomes
     assert {(True, False), (True, True), (False, True)} == set(outcomes)
+
+
+@pytest.mark.parametrize("check", [False, True])
+def test_larger_damage_gives_no_wrong_message(recording, check):
+    rng = random.Random(3)
+    whole = bytes(recording.data)
+    for number in range(FLIPS):
+        size = rng.choice((1, 8, 100, 3000))
+        begin, other = (rng.randrange(len(whole) - size) for _ in range(2))
+        new = (bytes(size), rng.randbytes(size), rng.randbytes(2 * size), b"", whole[other : other + size])[number % 5]
+        recording.data[:] = whole[:begin] + new + whole[begin + size :]
+        recording.file.write_bytes(recording.data)
+        reported, complete = recording.read(check=check)
+        assert reported or complete
+        if check and recording.data[:8] == whole[:8]:
+            assert set(BagReader(recording.bag, check=True).raw()) <= set(recording.messages)
 
 
 def test_flipped_bit_in_a_file_without_index_costs_one_chunk(recording):
