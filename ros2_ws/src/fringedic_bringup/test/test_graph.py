@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 from fringedic.configuration.rig_file import load_rig_file
@@ -29,6 +30,22 @@ def test_real_devices_get_the_parameters_of_the_rig_file(tmp_path: Path) -> None
     assert (camera["exposure_time_s"], camera["gain_db"], camera["trigger"]) == (0.0167, 3.0, "software")
     assert nodes["projector"] == {"width_px": 1920, "height_px": 1080, "screen": "display", "display": 1}
     assert nodes["load_frame"] == {"source": "machine", "rate_hz": 500.0, "machine_file": str(tmp_path / "frame.yaml")}
+
+
+def test_recorder_gets_the_limits_of_its_files(tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    for section, split in (
+        ("", (0.0, 0.0)),
+        ("recording: {split_gb: 4}\n", (4.0, 0.0)),
+        ("recording: {split_minutes: 2.5}\n", (0.0, 150.0)),
+    ):
+        path.write_text(REAL_RIG + section)
+        rig = load_rig_file(path)
+        graph = rig_graph(rig, path, tmp_path / "out", experiment="tension")
+        recorder = next(node.parameters for node in graph.nodes if node.name == "recorder")
+        assert (recorder["split_gb"], recorder["split_s"]) == split
+        limits = rig.recording.split
+        assert (limits.size, limits.duration) == (1e9 * split[0] or math.inf, split[1] or math.inf)
 
 
 def test_other_cameras_get_the_parameters_of_the_rig_file(tmp_path: Path) -> None:

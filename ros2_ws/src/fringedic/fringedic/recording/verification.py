@@ -125,7 +125,7 @@ class _Gaps:
 
 def _is_latched(topic: Topic) -> bool:
     profiles = yaml.safe_load(topic.qos) or []
-    return any(profile["durability"] in ("transient_local", 1) for profile in profiles)
+    return any(profile.get("durability") in ("transient_local", 1) for profile in profiles)
 
 
 class _Frames:
