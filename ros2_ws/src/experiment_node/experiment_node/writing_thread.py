@@ -8,7 +8,6 @@ import threading
 from contextlib import suppress
 from typing import Literal, NamedTuple
 
-from fringedic.errors import FringedicError
 from fringedic.recording.topics import Qos
 from fringedic.recording.writer import BagWriter
 
@@ -113,7 +112,7 @@ class WritingThread:
                 try:
                     with self._writer_lock:
                         self._handle(item)
-                except (FringedicError, OSError) as error:
+                except Exception as error:  # a thread that ended unnoticed would lose all later messages silently
                     self.error = self.error or error
             if isinstance(item, list):
                 with self._written:

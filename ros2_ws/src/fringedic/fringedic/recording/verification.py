@@ -10,7 +10,7 @@ from pathlib import Path
 
 import yaml
 
-from fringedic.frames.records import frame_record, stamp_of
+from fringedic.frames.records import stamp_of
 from fringedic.recording.frames import EXPOSURE, IMAGE
 from fringedic.recording.manifest import ManifestCheck, check_manifest
 from fringedic.recording.reader import BagReader
@@ -152,11 +152,11 @@ class _Frames:
         if topic == IMAGE:
             self._images.add(stamp_of(message))
         elif topic == EXPOSURE:
-            record = frame_record(message)
-            self._records.add(record.stamp)
-            self._indices[record.experiment, record.step].add(record.index)
-            self._sizes[record.experiment, record.step] = record.count
-            self.dropped = max(self.dropped, record.dropped)
+            step = message.experiment, message.step
+            self._records.add(stamp_of(message))
+            self._indices[step].add(message.index)
+            self._sizes[step] = message.count
+            self.dropped = max(self.dropped, message.dropped)
         elif message.stage == _END:
             self._finished.add((message.experiment, message.step))
 
