@@ -31,7 +31,7 @@ Bytes = bytes | mmap.mmap
 
 
 class ChunkPlace(NamedTuple):
-    """One chunk: log times of its first and last message [ns], its bytes in the file, numbers of its channels."""
+    """One chunk: log times of its first and last message [ns], its bytes in the file, and channels of its messages."""
 
     start_time: int
     end_time: int
@@ -82,7 +82,7 @@ class McapFile:
         known = Counter({channel: count for channel, count in counts.items() if channel in self.channels})
         self.counts += known
         if known:
-            self.chunks.append(ChunkPlace(min(times), max(times), offset, length, frozenset(known)))
+            self.chunks.append(ChunkPlace(min(times), max(times), offset, length, frozenset(counts)))
         return counts.total() - known.total()
 
 
@@ -131,7 +131,7 @@ def read_index(path: Path, data: Bytes) -> McapFile | None:
         return None
     if checksum and zlib.crc32(data[start : end - 4]) != checksum:
         raise McapError("the index does not fit its checksum")
-    file, statistics = McapFile(path), None
+    file, statistics, indices = McapFile(path), None, []
     for record in StreamReader(BytesIO(data[start:]), skip_magic=True).records:
         if isinstance(record, Statistics):
             statistics = record
@@ -140,21 +140,23 @@ def read_index(path: Path, data: Bytes) -> McapFile | None:
         elif isinstance(record, Channel):
             file.channels[record.id] = record
         elif isinstance(record, ChunkIndex):
-            file.chunks.append(_place(record))
-    if statistics is None or (statistics.message_count and not file.chunks):
+            indices.append(record)
+    if statistics is None or (statistics.message_count and not indices):
         return None
+    file.chunks = [_place(each, file) for each in indices]
     file.indexed = Counter({channel: count for channel, count in statistics.channel_message_counts.items() if count})
     file.counts = Counter(file.indexed)
-    return file if file.counts.keys() <= file.channels.keys() else None
+    definitions = {channel.schema_id for channel in file.channels.values() if channel.schema_id}
+    return file if file.counts.keys() <= file.channels.keys() and definitions <= file.schemas.keys() else None
 
 
-def _place(index: ChunkIndex) -> ChunkPlace:
+def _place(index: ChunkIndex, file: McapFile) -> ChunkPlace:
     return ChunkPlace(
         index.message_start_time,
         index.message_end_time,
         index.chunk_start_offset,
         index.chunk_length,
-        frozenset(index.message_index_offsets),
+        frozenset(index.message_index_offsets or file.channels),
     )
 
 
@@ -213,7 +215,7 @@ def _records_at(place: ChunkPlace, data: bytes) -> list[McapRecord]:
     times = [message.log_time for message in messages]
     if (min(times, default=0), max(times, default=0)) != (place.start_time, place.end_time):
         raise McapError("its messages are not those of the index")
-    if place.channels and not place.channels.issuperset(message.channel_id for message in messages):
+    if not place.channels.issuperset(message.channel_id for message in messages):
         raise McapError("its messages are not those of the index")
     return records
 

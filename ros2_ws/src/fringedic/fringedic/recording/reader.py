@@ -148,7 +148,7 @@ class BagReader:
             (chunk, number, file)
             for number, file in enumerate(self._files)
             for chunk in file.chunks
-            if any(file.channels[channel].topic in wanted for channel in chunk.channels)
+            if any(file.channels[known].topic in wanted for known in chunk.channels & file.channels.keys())
         ]
         places.sort(key=lambda place: (place[0].start_time, place[1], place[0].offset))
         waiting: list[tuple[int, int, int, int, RawMessage]] = []

@@ -138,6 +138,27 @@ def test_erased_end_does_not_rename_topics(recording):
     assert recording.read() == (True, True)
 
 
+def test_topic_whose_definition_is_lost_costs_no_other_topic(tmp_path):
+    """The definition of a topic is in the chunk before its first message."""
+    with BagWriter(tmp_path / "bag", compression="none", flush_interval_s=1e9) as writer:
+        for name in (FORCE, IMAGE):
+            writer.add_recorded_topic(Topic(name, "bench_msgs/msg/Data", "uint8[] data", "ros2msg", "hash", "[]"))
+            for number in range(10):
+                for known in (FORCE, name):
+                    writer.write(known, b"data", number, number)
+                if number % 4 == 0:
+                    writer.flush()
+    recording = Recording(tmp_path / "bag")
+    recording.without_index()
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    begin = recording.data.index(IMAGE.encode())
+    recording.put(begin, b"?")
+    reader = BagReader(tmp_path / "bag")
+    assert "messages left out because the definition of their topic is lost" in reader.lost
+    assert {message.topic for message in reader.raw()} == {FORCE}
+    assert len(list(reader.raw())) == sum(reader.counts.values()) > 20
+
+
 def test_recover_lists_the_messages_that_it_could_not_write(recording):
     recording.put(recording.chunks[2] + 80, b"\xff\xff")
     done = recover(recording.bag)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
+from mcap.writer import IndexType, Writer
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -508,6 +509,37 @@ def test_an_unknown_depth_is_not_recorded_as_zero(typestore, tmp_path):
         image, force_ = sorted(reader.connections, key=lambda each: each.topic)
     assert [(each.history.name, each.depth) for each in image.ext.offered_qos_profiles] == [("UNKNOWN", 10)]
     assert [(each.history.name, each.depth) for each in force_.ext.offered_qos_profiles] == [("KEEP_LAST", 1000)]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"index_types": IndexType.CHUNK},
+        {"index_types": IndexType.NONE},
+        {"enable_crcs": False},
+        {"repeat_channels": False},
+        {"repeat_schemas": False},
+        {"use_statistics": False},
+    ],
+    ids=lambda options: next(iter(options)),
+)
+def test_files_of_other_writers_are_read(tmp_path, options):
+    """Most of the index and all checksums are optional in MCAP."""
+    with (tmp_path / "other.mcap").open("wb") as stream:
+        writer = Writer(stream, chunk_size=200, **options)
+        writer.start("ros2")
+        schema = writer.register_schema("bench_msgs/msg/Force", "ros2msg", b"uint8 newton")
+        channels = [writer.register_channel(name, "cdr", schema) for name in ("/a", "/b")]
+        for number in range(40):
+            writer.add_message(channels[number % 2], number, bytes([0, 1, 0, 0, number]), number)
+        writer.finish()
+    for check in (False, True):
+        reader = BagReader(tmp_path / "other.mcap", check=check)
+        assert reader.lost == ""
+        assert [message.newton for _, message, _ in reader.messages(["/b"])] == [*range(1, 40, 2)]
+        assert len(list(reader.stored())) == 40
+    recovered = recover(tmp_path / "other.mcap")
+    assert (recovered.messages, recovered.lost) == (40, "")
 
 
 def test_sequence_of_another_middleware_does_not_end_the_recording(typestore, tmp_path):
