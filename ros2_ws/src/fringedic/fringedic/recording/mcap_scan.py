@@ -17,7 +17,7 @@ from fringedic.recording.mcap_file import DAMAGE, MAGIC, RECORD_HEADER, Bytes, M
 
 # Opcode and length of the record; two times and the size; the checksum; name of the compression; length of the data.
 _CHUNK_HEADER = re.compile(rb"(?s)(.)(.{8}).{24}(.{4})(?:\0{4}|\x04\0{3}zstd|\x03\0{3}lz4)(.{8})")
-_CHUNK_START = re.compile(rb"(?s)(?=\x06.{5}\0{3}.{28}(?:\0{4}|\x04\0{3}zstd|\x03\0{3}lz4).{5}\0{3})")
+_CHUNK_START = re.compile(rb"(?s)\x06(?=.{5}\0{3}.{28}(?:\0{4}|\x04\0{3}zstd|\x03\0{3}lz4).{5}\0{3})")
 _READERS: dict[int, Callable[[ReadDataStream], records.McapRecord]] = {
     Opcode.HEADER: records.Header.read,
     Opcode.SCHEMA: records.Schema.read,
