@@ -153,7 +153,7 @@ class _Scan:
         return _ChunkHeader(end, fits, any(header[3])) if end <= len(self._data) else None
 
     def _next_chunk(self, position: int) -> int | None:
-        """Return the position of the next chunk that is whole."""
+        """Return the position of the next chunk whose lengths agree."""
         for candidate in _CHUNK_START.finditer(self._data, position):
             header = self._chunk_header(candidate.start())
             if header is not None and header.fits:

@@ -75,9 +75,8 @@ class BagReader:
                 self.topics[channel.topic] = _topic(channel, file.schemas.get(channel.schema_id))
                 self.counts[channel.topic] = self.counts.get(channel.topic, 0) + file.counts[number]
                 indexed[channel.topic] += file.indexed[number]
-        expected = indexed | Counter(found.counts)
-        self.missing = {name: count - self.counts.get(name, 0) for name, count in sorted(expected.items())}
-        self.missing = {name: count for name, count in self.missing.items() if count > 0}
+        missing = (indexed | Counter(found.counts)) - Counter(self.counts)
+        self.missing = dict(sorted(missing.items()))
         self.lost = "; ".join(_damage(self._files, found, self.missing))
         self._typestore = get_typestore(Stores.EMPTY)
         self._registered: set[str] = set()
