@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 import xarray as xr
 
+from fringedic.arguments import array, check_arguments, number, one_of, optional, several, whole
 from fringedic.calibration.assessment import Origin, Selection, assess
 from fringedic.calibration.fit import Prior, StageUncertainty
 from fringedic.calibration.geometry import Camera
@@ -31,6 +32,25 @@ _MANY = 0.01  # share of the blocks
 _SAME_SCALE = 0.01  # relative difference of two pixel sizes that are meant to be the same
 
 
+@check_arguments(
+    CalibrationError,
+    phases=several(array(2)),
+    angles=optional(several(number())),
+    pixel_size=number(),
+    pitch=number(),
+    projector_size=several(whole(1), length=2),
+    sigma=optional(several(array(2))),
+    heights=optional(several(number())),
+    held_out=several(whole()),
+    pixel_aspect=number(),
+    principal_point=optional(several(number(), length=2)),
+    sigma_angle=number(0),
+    sigma_height=number(0),
+    sigma_pixel_size=number(0),
+    camera_distance=optional(number()),
+    sigma_camera_distance=number(1e-12),
+    model=optional(one_of("six_parameter", "general", "paper")),
+)
 def calibrate_rig(  # noqa: PLR0913 - the public function: every keyword is one thing that a user may know
     phases: Sequence[np.ndarray | xr.DataArray],
     angles: Sequence[float] | None,

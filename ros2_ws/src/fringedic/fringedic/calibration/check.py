@@ -15,6 +15,7 @@ from enum import StrEnum
 import numpy as np
 import xarray as xr
 
+from fringedic.arguments import array, check_arguments, number, of_type, optional, several
 from fringedic.calibration.findings import CheckProblem, CheckWarning
 from fringedic.calibration.fit_results import GOOD
 from fringedic.calibration.planes import PlaneBlocks, reduce_plane, response_ripple
@@ -121,6 +122,17 @@ class RigCheck:
             yield Finding(CheckWarning.SCALE_NOT_CHECKED)
 
 
+@check_arguments(
+    CalibrationError,
+    rig=of_type(RigModel),
+    phase=array(2),
+    sigma=optional(array(2)),
+    pitch=number(1e-3, 1e5),
+    marks=optional(several(several(number(), length=2), length=2)),
+    distance=optional(number()),
+    lifted=optional(array(2)),
+    earlier=optional(array(2)),
+)
 def check_rig(  # noqa: PLR0913 - the public function: every keyword is one thing that a user may have measured
     rig: RigModel,
     phase: np.ndarray | xr.DataArray,

@@ -19,6 +19,7 @@ import yaml
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
+from fringedic.arguments import array, check_value, whole
 from fringedic.errors import GridError, ImageError
 from fringedic.yaml_text import load_yaml
 
@@ -95,6 +96,8 @@ class DistortionMap:
     rows: np.ndarray
 
     def __post_init__(self) -> None:
+        for name, check in (("width", whole()), ("height", whole()), ("columns", array(2)), ("rows", array(2))):
+            check_value(GridError, name, getattr(self, name), check)
         if min(self.width, self.height) < 2:
             raise GridError(f"an image of {self.width} x {self.height} px has no distortion")
         for name in ("columns", "rows"):

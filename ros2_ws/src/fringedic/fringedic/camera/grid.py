@@ -14,6 +14,7 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
+from fringedic.arguments import check_arguments, number, optional, whole
 from fringedic.camera.carriers import check_aliasing, find_carriers
 from fringedic.camera.distortion import DistortionMap
 from fringedic.camera.findings import Finding, GridFinding
@@ -92,6 +93,10 @@ class GridMeasurement:
     warnings: tuple[Finding, ...]
 
 
+HIGHEST_ORDER = 30  # of a polynomial: more than the periods of a grid allow
+
+
+@check_arguments(GridError, pitch=number(), order=optional(whole(high=HIGHEST_ORDER)), pixel_size=optional(number()))
 def measure_distortion(
     grid_image: ArrayLike,
     *,
@@ -281,7 +286,7 @@ def checked_grid(grid_image: ArrayLike, mask: ArrayLike | None) -> tuple[np.ndar
         No pixel may be used, or too many are saturated.
     """
     given = np.asarray(grid_image)
-    if given.ndim != 2 or min(given.shape) < SMALLEST_IMAGE:
+    if given.ndim != 2 or min(given.shape) < SMALLEST_IMAGE or given.dtype.kind not in "biuf":
         raise ImageError(f"an image (row, column) of at least {SMALLEST_IMAGE} px is needed, not {given.shape}")
     image = given.astype(float)
     usable = np.isfinite(image)

@@ -9,6 +9,8 @@ from typing import Annotated, Any
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from fringedic.arguments import check_arguments
+from fringedic.arguments import path as file_path
 from fringedic.configuration.calibration_section import CalibrationSection, calibration_metadata
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.sections import (
@@ -182,6 +184,7 @@ class RigFile(Section):
         return section.width, section.height
 
 
+@check_arguments(ConfigurationError, path=file_path)
 def load_rig_file(path: str | os.PathLike[str]) -> RigFile:
     """Read and check a rig file.
 
@@ -216,6 +219,7 @@ def load_rig_file(path: str | os.PathLike[str]) -> RigFile:
     return rig
 
 
+@check_arguments(ConfigurationError, path=file_path)
 def load_programme(path: str | os.PathLike[str]) -> Programme:
     """Read and check a programme of load steps.
 

@@ -61,7 +61,8 @@ def require_image(image: ArrayLike, name: str) -> np.ndarray:
             f"at least {SMALLEST_WINDOW} each way are needed"
         )
     if array.dtype not in (np.uint8, np.uint16, np.float32):
-        array = array.astype(np.float32)
+        with np.errstate(over="ignore"):  # a number beyond all grey levels becomes infinite, which is not measured
+            array = array.astype(np.float32)
     return np.ascontiguousarray(array)
 
 

@@ -21,6 +21,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import splu
 
+from fringedic.arguments import check_arguments, dataset, number, several
 from fringedic.correlation.transfer import error_correlation
 from fringedic.errors import CorrelationError
 
@@ -274,6 +275,11 @@ def _linear(values: np.ndarray, points: list[np.ndarray]) -> np.ndarray:
     return np.asarray(map_coordinates(values.astype(float), points, order=1, mode="nearest"))
 
 
+@check_arguments(
+    CorrelationError,
+    increments=several(dataset("displacement_x", "displacement_y", "sigma_x", "sigma_y")),
+    element=number(),
+)
 def accumulate(increments: Sequence[xr.Dataset], *, method: str = "spline", element: float = 20.0) -> xr.Dataset:
     """Compose increments of a displacement in the initial configuration.
 

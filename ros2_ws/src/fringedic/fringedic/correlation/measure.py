@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from fringedic.arguments import array, check_arguments, either, optional, several, whole
 from fringedic.correlation import dense, image_kernels, pyramid, resampling_kernels, zoi
 from fringedic.correlation.agreement import assess, count_textured_cells
 from fringedic.correlation.images import (
@@ -60,6 +61,7 @@ class Reference:
     [1.0, 2.0]
     """
 
+    @check_arguments(CorrelationError, window=whole(), spacing=whole())
     def __init__(self, image: ArrayLike, *, window: int = 32, spacing: int = 1, mask: ArrayLike | None = None) -> None:
         array = require_image(image, "reference")
         self.shape: tuple[int, int] = (array.shape[0], array.shape[1])
@@ -85,6 +87,12 @@ class Reference:
         return out
 
 
+@check_arguments(
+    CorrelationError,
+    window=whole(),
+    spacing=whole(),
+    initial=optional(either(xr.Dataset, several(array(2), length=2))),
+)
 def measure_displacement(
     reference: ArrayLike | Reference,
     deformed: ArrayLike,

@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import xarray as xr
 
+from fringedic.arguments import check_arguments, optional, path, several, text, whole
+from fringedic.arguments import dataset as dataset_of
 from fringedic.errors import DatasetError, ExportError, FringedicError
 from fringedic.export import r3xa, surfaces, tables
 from fringedic.figures.animation import save_animation
@@ -79,6 +81,12 @@ class Exported:
     problems: list[str] = field(default_factory=list)
 
 
+_EXPERIMENT = dataset_of("displacement_x", "displacement_y", over=("step", "row", "column"))
+
+
+@check_arguments(
+    ExportError, dataset=_EXPERIMENT, folder=path, formats=several(text), steps=optional(several(whole(), least=1))
+)
 def export_dataset(
     dataset: xr.Dataset,
     folder: Path,
@@ -118,7 +126,7 @@ def export_dataset(
     [Exported(format='vtk', path=PosixPath('plate-7/plate_vtk'), problems=[]),
      Exported(format='csv', path=PosixPath('plate-7/plate_csv'), problems=[])]
     """
-    formats = list(formats)
+    folder, formats = Path(folder), list(formats)
     unknown = [name for name in formats if name not in _FORMATS]
     if unknown:
         raise ExportError(f"there is no format {', '.join(unknown)}; known are {', '.join(FORMATS)}")

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
+from fringedic.arguments import check_arguments, path
+from fringedic.arguments import dataset as dataset_of
 from fringedic.errors import DatasetError, optional_import
 from fringedic.figures.panels import ERRORS, IN_PLANE, SHAPE_AND_DISPLACEMENT, Panel
 from fringedic.figures.previews import NOT_MEASURED
@@ -29,6 +31,11 @@ Extent = tuple[float, float, float, float]
 """Left, right, bottom and top of a map in the unit of its axes."""
 
 
+@check_arguments(
+    DatasetError,
+    dataset=dataset_of("displacement_x", "displacement_y", "w", over=("step", "row", "column")),
+    folder=path,
+)
 def save_pictures(
     dataset: xr.Dataset, folder: str | os.PathLike[str], *, truth: xr.Dataset | None = None
 ) -> list[Path]:
@@ -50,6 +57,8 @@ def save_pictures(
 
     Raises
     ------
+    DatasetError
+        The dataset lacks a map, or the folder cannot be made.
     FringedicError
         The package ``matplotlib`` is not installed.
 
@@ -60,7 +69,10 @@ def save_pictures(
     [PosixPath('pictures/step_000.png'), PosixPath('pictures/step_001.png')]
     """
     target = Path(folder)
-    target.mkdir(parents=True, exist_ok=True)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DatasetError(f"{folder}: cannot be made: {error.strerror}") from error
     files, origin = [], origin_text(dataset)
     for step in dataset.step.values:
         number = int(step)
@@ -203,9 +215,9 @@ def _edges(positions: np.ndarray) -> tuple[float, float]:
 
 def _title(measured: xr.Dataset, step: int) -> str:
     words = [f"{measured.attrs.get('experiment', 'experiment')}, step {step}"]
-    if np.isfinite(measured["position"]):
+    if "position" in measured and np.isfinite(measured["position"]):
         words.append(f"crosshead {float(measured['position']) * 1e3:.3f} mm")
-    if np.isfinite(measured["force"]):
+    if "force" in measured and np.isfinite(measured["force"]):
         words.append(f"{float(measured['force']):.4g} N")
     return ", ".join(words)
 

@@ -13,6 +13,7 @@ import yaml
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from fringedic.arguments import check_value, number, several
 from fringedic.errors import ImageError
 from fringedic.yaml_text import load_yaml
 
@@ -55,6 +56,7 @@ class Polygon:
     hole: bool = False
 
     def __post_init__(self) -> None:
+        check_value(ImageError, "points", self.points, several(several(number(), length=2)))
         if len(self.points) < 3:
             raise ImageError(f"a polygon has {len(self.points)} corners: it needs at least three")
 
@@ -100,7 +102,10 @@ class Region:
     @classmethod
     def rectangle(cls, first: Point, last: Point) -> Region:
         """Return the rectangle between two opposite corners (column, row) [px], both included."""
-        (left, top), (right, bottom) = first, last
+        (left, top), (right, bottom) = (
+            check_value(ImageError, name, corner, several(number(), length=2))
+            for name, corner in (("first", first), ("last", last))
+        )
         return cls.polygon([(left, top), (right, top), (right, bottom), (left, bottom)])
 
     @classmethod

@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 import yaml
 
+from fringedic.arguments import check_value, number, several
 from fringedic.errors import PatternError
 from fringedic.yaml_text import load_yaml
 
@@ -46,7 +47,8 @@ class ResponseCurve:
 
     def __post_init__(self) -> None:
         """Check the values."""
-        values = np.array(self.brightness, float)
+        values = np.array(check_value(PatternError, "brightness", self.brightness, several(number())))
+        check_value(PatternError, "sigma", self.sigma, number())
         if values.shape != (FULL_SCALE + 1,) or not np.isfinite(values).all():
             raise PatternError(f"a response curve has {FULL_SCALE + 1} finite values, not {values.shape}")
         if (np.diff(values) < 0).any() or values[0] != 0 or values[-1] != 1:

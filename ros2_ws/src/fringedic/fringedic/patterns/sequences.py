@@ -10,11 +10,13 @@ from typing import Literal
 
 import numpy as np
 
+from fringedic.arguments import check_arguments, either, number, several, text, whole
 from fringedic.errors import PatternError
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.patterns.render import check_pattern, render_pattern
 from fringedic.patterns.response import ResponseCurve
 
+MOST_FRAMES = 10_000  # of one pitch or period; a larger number is a typing error
 FringeOrder = Literal["pitches", "gray_code", "one_image"]
 
 
@@ -60,6 +62,15 @@ class PatternSequence:
         return render_pattern(pattern, self.width, self.height, response=self.response)
 
 
+@check_arguments(
+    PatternError,
+    width=whole(),
+    height=whole(),
+    pitches=several(number()),
+    shifts=either(list, either(tuple, whole(high=MOST_FRAMES))),
+    orientation=text,
+    periods=whole(high=MOST_FRAMES),
+)
 def fringe_sequence(
     width: int,
     height: int,
@@ -129,6 +140,15 @@ def fringe_sequence(
     return _checked(PatternSequence(width, height, patterns, response))
 
 
+@check_arguments(
+    PatternError,
+    width=whole(),
+    height=whole(),
+    pitch=number(),
+    shifts=whole(high=MOST_FRAMES),
+    orientation=text,
+    periods=whole(high=MOST_FRAMES),
+)
 def gray_code_sequence(
     width: int,
     height: int,
@@ -182,6 +202,7 @@ def gray_code_sequence(
     return PatternSequence(width, height, (*code, *steps), response)
 
 
+@check_arguments(PatternError, width=whole(), height=whole(), pitch=number(), orientation=text)
 def one_image_sequence(
     width: int,
     height: int,

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
+from fringedic.arguments import check_arguments, either, grey_levels, number, of_type, optional, several, whole
 from fringedic.errors import ErrorCode, ImageError, PhaseError
 from fringedic.frames.noise import ROUNDING_NOISE, CameraNoise, saturation_level
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
@@ -19,6 +20,13 @@ from fringedic.phase.layout import Layout, check_frames, layout_of, pixels, shif
 from fringedic.phase.noise import estimate_noise
 
 
+@check_arguments(
+    PhaseError,
+    frames=grey_levels(3),
+    shifts=whole(),
+    noise=optional(either(CameraNoise, number())),
+    saturation=optional(number()),
+)
 def demodulate(
     frames: np.ndarray,
     shifts: int,
@@ -76,6 +84,14 @@ def demodulate(
     return _measure(frames, patterns, noise, saturation, 0.0)
 
 
+@check_arguments(
+    PhaseError,
+    frames=grey_levels(3),
+    patterns=several(of_type(ProjectedPattern)),
+    noise=optional(either(CameraNoise, either(np.ndarray, number()))),
+    saturation=optional(number()),
+    minimum_modulation=number(),
+)
 def absolute_phase(
     frames: np.ndarray,
     patterns: Sequence[ProjectedPattern],

@@ -9,10 +9,12 @@ import numpy as np
 import xarray as xr
 from skimage.restoration import unwrap_phase
 
+from fringedic.arguments import array, check_arguments, number, several
 from fringedic.errors import ImageError
 from fringedic.phase.layout import check_finer, pixels
 
 
+@check_arguments(ImageError, wrapped=several(array(2)), pitches=several(number(1e-9)))
 def unwrap_hierarchical(wrapped: Sequence[np.ndarray | xr.DataArray], pitches: Sequence[float]) -> xr.DataArray:
     """Unwrap phases coarse to fine: each gives the fringe order of the next finer one (temporal unwrapping).
 
@@ -60,6 +62,7 @@ def unwrap_hierarchical(wrapped: Sequence[np.ndarray | xr.DataArray], pitches: S
     return _named(phase, relative=False)
 
 
+@check_arguments(ImageError, wrapped=array(2))
 def unwrap_spatial(wrapped: np.ndarray | xr.DataArray) -> xr.DataArray:
     """Unwrap one phase over the image, from pixel to pixel; the result is true up to the same number of whole fringes.
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from fringedic.arguments import check_arguments, optional, path, several, whole
 from fringedic.errors import DatasetError, FringedicError
 from fringedic.figures.animation import animation
 from fringedic.figures.charts import curve_charts, extensometer_charts, surface_chart
@@ -57,6 +58,7 @@ class _Source:
         return (self.recording or self.given).parent
 
 
+@check_arguments(DatasetError, source=path, output=optional(path), static_steps=optional(several(whole())))
 def write_report(
     source: str | os.PathLike[str],
     output: str | os.PathLike[str] | None = None,

@@ -7,6 +7,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from fringedic.arguments import check_arguments, optional
+from fringedic.arguments import path as file_path
+from fringedic.errors import DatasetError
 from fringedic.recording.frames import RecordedMessage, events
 from fringedic.recording.reader import BagReader
 from fringedic.results.derived import Collected
@@ -22,6 +25,7 @@ from fringedic.steps.recorded_parameters import StepSettings
 from fringedic.steps.recorded_rig import recorded_setup
 
 
+@check_arguments(DatasetError, path=file_path, output=optional(file_path))
 def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     path: str | os.PathLike[str],
     *,

@@ -8,10 +8,20 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
+from fringedic.arguments import array, check_arguments, number, optional
+from fringedic.arguments import dataset as dataset_of
 from fringedic.errors import DatasetError
 from fringedic.results.step_maps import StepValues, values_by_step
 
 
+@check_arguments(
+    DatasetError,
+    dataset=dataset_of(over=("step",)),
+    strain=array(1),
+    section=optional(number()),
+    tare=number(),
+    sign=number(),
+)
 def force_curve(
     dataset: xr.Dataset,
     strain: ArrayLike,

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import xarray as xr
 
+from fringedic.arguments import check_arguments
+from fringedic.arguments import path as file_path
 from fringedic.errors import DatasetError, ErrorCode, RecordingError, optional_import
 from fringedic.metadata import translate_metadata
 from fringedic.results.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE
@@ -17,6 +19,7 @@ _OF_EVERY_EXPERIMENT = ("step", "time", "error")  # variables
 _OF_A_RUN = ("results.nc", "results.zarr")
 
 
+@check_arguments(DatasetError, path=file_path)
 def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
     """Open a recorded experiment as one labelled dataset; it may be larger than memory.
 
@@ -45,7 +48,7 @@ def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
     FringedicError
         The dataset is a Zarr folder and the package ``zarr`` is not installed.
     """
-    path = Path(path)
+    path = Path(path) if Path(path).name else Path(path).absolute()
     file = path if path.suffix in SUFFIXES else find_dataset(path)
     if file is None:
         # not at the top: it loads all measuring rooms

@@ -13,14 +13,24 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import map_coordinates
 
+from fringedic.arguments import check_arguments, number, of_type, optional, several, text, whole
+from fringedic.arguments import dataset as dataset_of
 from fringedic.errors import DatasetError
 from fringedic.frames.region import Point, Region
 from fringedic.results.step_maps import StepValues, maps_by_step, require_maps, values_by_step
 
 _POSITION, _DISPLACEMENT, _SIGMAS = ("x", "y", "z"), ("u", "v", "w"), ("sigma_u", "sigma_v", "sigma_w")
+MOST_POINTS = 1_000_000  # of a profile
 _STATISTICS = ("mean", "standard_deviation", "minimum", "median", "maximum")
 
 
+@check_arguments(
+    DatasetError,
+    dataset=dataset_of("x", "y", "z", "u", "v", "w"),
+    first=several(number(), length=2),
+    second=several(number(), length=2),
+    subset=number(),
+)
 def extensometer(dataset: xr.Dataset, first: Point, second: Point, *, subset: float = 1.0) -> xr.Dataset:
     """Follow the distance in space between two points of the surface, as an extensometer does.
 
@@ -117,6 +127,8 @@ def _mean(maps: np.ndarray) -> np.ndarray:
 def _gauge_reading(first: np.ndarray, second: np.ndarray) -> tuple[float, float, float, float, float]:
     """Return length, elongation, strain and the sigmas of the last two; NaN without sigmas of (u, v, w)."""
     before = second[:3] - first[:3]
+    if not before.any():  # the same place twice
+        return (np.nan,) * 5
     after = before + second[3:6] - first[3:6]
     length, start = float(np.linalg.norm(after)), float(np.linalg.norm(before))
     sigma = np.nan
@@ -126,6 +138,14 @@ def _gauge_reading(first: np.ndarray, second: np.ndarray) -> tuple[float, float,
     return length, length - start, (length - start) / start, sigma, sigma / start
 
 
+@check_arguments(
+    DatasetError,
+    dataset=dataset_of(),
+    names=several(text, least=1),
+    start=several(number(), length=2),
+    end=several(number(), length=2),
+    points=optional(whole(2, MOST_POINTS)),
+)
 def profile(
     dataset: xr.Dataset, names: Sequence[str], start: Point, end: Point, *, points: int | None = None
 ) -> xr.Dataset:
@@ -198,6 +218,7 @@ def profile(
     )
 
 
+@check_arguments(DatasetError, dataset=dataset_of(), names=several(text, least=1), region=of_type(Region))
 def region_statistics(dataset: xr.Dataset, names: Sequence[str], region: Region) -> xr.Dataset:
     """Return mean, standard deviation, minimum, median and maximum of maps in a region.
 

@@ -6,6 +6,8 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
+from fringedic.arguments import check_arguments, of_type, optional
+from fringedic.arguments import dataset as dataset_of
 from fringedic.errors import DatasetError
 from fringedic.frames.region import Region
 from fringedic.results.probes import points_in
@@ -14,6 +16,7 @@ from fringedic.results.step_maps import maps_by_step
 _POSITION, _DISPLACEMENT = ("x", "y", "z"), ("u", "v", "w")
 
 
+@check_arguments(DatasetError, dataset=dataset_of("x", "y", "z", "u", "v", "w"), region=optional(of_type(Region)))
 def remove_rigid_motion(dataset: xr.Dataset, region: Region | None = None) -> xr.Dataset:
     """Remove the best-fitting rigid motion from the displacement of each step.
 

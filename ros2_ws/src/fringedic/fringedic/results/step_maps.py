@@ -20,15 +20,18 @@ class StepValues(NamedTuple):
 
 
 def require_maps(dataset: xr.Dataset, names: Iterable[str]) -> None:
-    """Raise DatasetError when a dataset lacks one of these maps."""
-    missing = [name for name in names if name not in dataset]
+    """Raise DatasetError when a dataset lacks one of these maps of numbers."""
+    missing = [name for name in names if name not in dataset or not {"row", "column"} <= set(dataset[name].dims)]
     if missing:
         raise DatasetError(f"the dataset has no map {', '.join(missing)}")
+    other = [name for name in names if dataset[name].dtype.kind not in "iuf"]
+    if other:
+        raise DatasetError(f"{', '.join(other)}: contains no numbers")
 
 
 def maps_by_step(dataset: xr.Dataset, names: Sequence[str]) -> Iterator[np.ndarray]:
     """Iterate over the maps of each step, shape (map, row, column); a dataset without steps is one step."""
-    chosen = dataset[list(names)]
+    chosen = dataset[list(names)].transpose(..., "row", "column")
     if "step" not in dataset.dims:
         yield np.stack([chosen[name].values for name in names])
         return

@@ -86,7 +86,9 @@ def dataset_path(
     DatasetError
         It exists and is not to be overwritten, or its suffix is that of no format.
     """
-    source = Path(path)
+    source = Path(path) if Path(path).name else Path(path).absolute()
+    if not source.name:
+        raise DatasetError(f"{path}: is no recording and no dataset")
     beside = source.with_suffix(".nc") if source.is_file() else source.with_name(f"{source.name}.nc")
     target = beside if output is None else Path(output)
     check_suffix(target)

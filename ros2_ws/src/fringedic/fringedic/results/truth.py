@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from fringedic.arguments import check_arguments, path
+from fringedic.arguments import dataset as dataset_of
 from fringedic.errors import DatasetError
 
 MICRO = 1e-6
@@ -87,6 +89,7 @@ def _truth_errors(dataset: xr.Dataset, truth: xr.Dataset, step: int) -> xr.Datas
     return xr.Dataset(maps | {"visible": (("row", "column"), visible, {"units": "1"})}, coordinates)
 
 
+@check_arguments(DatasetError, dataset=dataset_of(), truth_path=path)
 def compare_with_truth(dataset: xr.Dataset, truth_path: str | os.PathLike[str]) -> xr.Dataset:
     """Compare each step with the ground truth of the virtual rig.
 

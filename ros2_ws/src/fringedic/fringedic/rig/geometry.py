@@ -11,11 +11,13 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from fringedic.arguments import Check, check_value, several, text
 from fringedic.camera.distortion import DistortionMap
 from fringedic.errors import CalibrationError
 from fringedic.patterns.pattern import Orientation
@@ -80,6 +82,8 @@ class RigGeometry:
     covariance: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
+        for name, check in _CHECKS.items():
+            check_value(CalibrationError, name, getattr(self, name), check)
         for name in _TUPLES:
             object.__setattr__(self, name, tuple(getattr(self, name)))
         object.__setattr__(self, "model", current_model_name(self.model))
@@ -272,6 +276,13 @@ def _rotation_z(angle: float) -> np.ndarray:
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
+def _any_number(value: Any) -> Any:
+    """Check for a number; `RigGeometry` checks whether it is finite together with its other conditions."""
+    if not isinstance(value, Real):
+        raise ValueError("a number")
+    return value
+
+
 _NOT_NUMBERS = ("identifier", "model", "source", "parameter_names", "camera_distortion")
 _NUMBERS = tuple(each.name for each in dataclasses.fields(RigGeometry) if each.name not in _NOT_NUMBERS)
 _TUPLES = ("projector_position", "projector_rotation", "parameter_names", "covariance")
@@ -285,3 +296,11 @@ _POSITIVE = (
     "projector_height",
     "projector_focal_length",
 )
+_TRIPLE = several(_any_number, length=3)
+_CHECKS: dict[str, Check] = dict.fromkeys(_NUMBERS, _any_number) | {
+    "projector_position": _TRIPLE,
+    "projector_rotation": _TRIPLE,
+    **dict.fromkeys(("identifier", "model", "source"), text),
+    "parameter_names": several(text),
+    "covariance": several(_any_number),
+}

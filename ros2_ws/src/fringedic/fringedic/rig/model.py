@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import CalibrationError, GridError
+from fringedic.arguments import array, check_arguments, number, optional
+from fringedic.errors import CalibrationError, GridError, ImageError
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.files import read_rig, write_rig
 from fringedic.rig.geometry import RigGeometry
@@ -96,6 +97,9 @@ class RigModel(RigGeometry):
     (True, True)
     """
 
+    @check_arguments(
+        ImageError, phase=array(2, infinite=True), pitch=number(), sigma_phase=optional(array(2, infinite=True))
+    )
     def reconstruct(
         self,
         phase: np.ndarray | xr.DataArray,

@@ -15,6 +15,7 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import correlate1d
 
+from fringedic.arguments import check_arguments, number, optional, whole
 from fringedic.correlation import Reference, measure_displacement
 from fringedic.correlation.transfer import shortest_period
 from fringedic.errors import CorrelationError, ErrorCode, RigSetupError
@@ -31,6 +32,9 @@ ROW, COLUMN = 1, 2  # axes of stacked fields
 Image = NDArray[np.float64]
 
 
+LARGEST_STRAIN_WINDOW = 1001  # [points], as in CouplingParameters
+
+
 @dataclass(frozen=True)
 class _Floors:
     """Noise floors of the displacement [px] as (x, y) and of the strain at one setting."""
@@ -42,6 +46,14 @@ class _Floors:
     strain: tuple[float, float, float]
 
 
+@check_arguments(
+    RigSetupError,
+    wanted_noise=optional(number()),
+    wanted_period=optional(number()),
+    strain_window=whole(high=LARGEST_STRAIN_WINDOW),
+    pixel_size=optional(number()),
+    full_scale=optional(number()),
+)
 def advise_settings(  # noqa: PLR0913 (options of a public function, all by keyword)
     reference: ArrayLike,
     static_1: ArrayLike,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression
 
+from fringedic.arguments import array, check_arguments, number, of_type, optional, several
 from fringedic.errors import ImageError, PatternError
 from fringedic.frames.noise import saturation_level
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
@@ -61,6 +62,12 @@ def response_patterns(number: int = _RAMP) -> tuple[ProjectedPattern, ...]:
     return tuple(ProjectedPattern(PatternKind.GREY, shift=int(level), shifts=FULL_SCALE) for level in levels)
 
 
+@check_arguments(
+    PatternError,
+    frames=array(3),
+    patterns=several(of_type(ProjectedPattern)),
+    saturation=optional(number()),
+)
 def measure_response(
     frames: np.ndarray, patterns: Sequence[ProjectedPattern], *, saturation: float | None = None
 ) -> ResponseCurve:

@@ -57,6 +57,8 @@ class StaticImages:
         measured = np.isfinite(stored[0]) & np.isfinite(stored[1]) & np.isfinite(stored[2])
         if allowed is not None:
             measured &= allowed
+        if not measured.any():
+            raise ImageError("no pixel is measured in all three images: all are NaN, infinite or outside the mask")
         return cls(stored, allowed, measured)
 
     @property

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+from fringedic.arguments import check_arguments, dataset, either, number, of_type, optional
 from fringedic.errors import ImageError, SurfaceError
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.model import RigModel
 from fringedic.rig.reconstruction import pixel_positions
 from fringedic.surface.calibration_uncertainty import calibration_covariance
 from fringedic.surface.coupling_kernels import InPlane, couple_points, cubic
-from fringedic.surface.prepared import PreparedShape, require_one_calibration, sample_gaussian
+from fringedic.surface.prepared import WIDEST_FILTER, PreparedShape, require_one_calibration, sample_gaussian
 
 _GAIN_STEPS = 64  # of a pixel, at which the noise of interpolated values is tabulated
 
@@ -33,6 +34,14 @@ FIELDS = {
 }
 
 
+@check_arguments(
+    SurfaceError,
+    reference_shape=either(PreparedShape, dataset("x", "y", "z")),
+    deformed_shape=either(PreparedShape, dataset("x", "y", "z")),
+    displacement=dataset("displacement_x", "displacement_y", "sigma_x", "sigma_y"),
+    calibration=optional(of_type(RigModel)),
+    z_filter=number(high=WIDEST_FILTER),
+)
 def couple(
     reference_shape: xr.Dataset | PreparedShape,
     deformed_shape: xr.Dataset | PreparedShape,

@@ -8,8 +8,10 @@ import numpy as np
 import xarray as xr
 from numba import njit, prange
 
+from fringedic.arguments import check_arguments, dataset, whole
+from fringedic.errors import SurfaceError
 from fringedic.surface.noise_correlation import height_correlation, height_gains
-from fringedic.surface.planes import Planes, fit_planes
+from fringedic.surface.planes import WIDEST_WINDOW, Planes, fit_planes
 
 _LOCAL = {
     "u_t": ("m", "displacement along the surface, in the plane of x and z"),
@@ -30,6 +32,7 @@ _SIGMAS = {
 _COVARIANCE = ("sigma_u", "sigma_v", "sigma_w", "cov_uv", "cov_uw", "cov_vw")
 
 
+@check_arguments(SurfaceError, displacement_3d=dataset("x", "y", "z", "u", "v", "w"), window=whole(high=WIDEST_WINDOW))
 def to_local_frame(displacement_3d: xr.Dataset, *, window: int = 21) -> xr.Dataset:
     """Project the displacement on the reference surface: two components along it and one normal to it.
 

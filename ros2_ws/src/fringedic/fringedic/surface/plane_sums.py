@@ -88,6 +88,11 @@ def solve(sums: np.ndarray, enough: float, row: int, column: int, planes: PlaneA
     xy = sums[4] / number - x * y
     yy = sums[5] / number - y * y
     determinant = xx * yy - xy * xy
+    if determinant == 0.0:  # all points on one line
+        slopes[:, :, row, column] = np.nan
+        white[:, row, column] = np.nan
+        means[:, row, column] = np.nan
+        return
     for k in range(len(slopes)):
         f = sums[6 + 3 * k] / number
         xf = sums[7 + 3 * k] / number - x * f

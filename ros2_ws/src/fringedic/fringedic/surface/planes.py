@@ -14,6 +14,7 @@ from fringedic.rig.reconstruction import pixel_positions
 from fringedic.surface.masked_fit import fit_masked
 from fringedic.surface.plane_sums import MINIMUM_COVERAGE, PlaneArrays, Samples, add_point, count_quantities, solve
 
+WIDEST_WINDOW = 10_001  # [px]; wider than every image
 _BLOCK = 64  # rows that share running sums; fixed, so that results do not depend on the number of threads
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numba import njit, prange
 
+from fringedic.arguments import check_arguments, dataset, number, of_type, optional
 from fringedic.errors import CalibrationError, ImageError, SurfaceError
 from fringedic.rig.model import RigModel
 from fringedic.rig.reconstruction import pixel_positions
@@ -18,6 +19,8 @@ from fringedic.surface.coupling_kernels import SurfaceArrays
 # no pixel of an image is lost by chance; test_nothing_leaks_over_a_step_of_the_surface.
 JUMP = 6.0
 _REACH = 3.0  # half-width of the Gaussian filter in standard deviations: 0.3 % of its weight is cut off
+
+WIDEST_FILTER = 1000.0  # [px], standard deviation
 
 
 class PreparedShape:
@@ -72,6 +75,12 @@ class PreparedShape:
     0.15
     """
 
+    @check_arguments(
+        SurfaceError,
+        shape=dataset("x", "y", "z", "noise_z"),
+        z_filter=number(high=WIDEST_FILTER),
+        calibration=optional(of_type(RigModel)),
+    )
     def __init__(self, shape: xr.Dataset, *, z_filter: float = 0.0, calibration: RigModel | None = None) -> None:
         kernel = sample_gaussian(z_filter)
         self.z_filter = z_filter

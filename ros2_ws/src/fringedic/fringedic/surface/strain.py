@@ -9,9 +9,11 @@ import numpy as np
 import xarray as xr
 from numba import njit, prange
 
+from fringedic.arguments import check_arguments, dataset, several, text, whole
+from fringedic.errors import SurfaceError
 from fringedic.surface.discontinuities import find_discontinuities
 from fringedic.surface.noise_correlation import displacement_gains, height_gains
-from fringedic.surface.planes import Planes, fit_planes
+from fringedic.surface.planes import WIDEST_WINDOW, Planes, fit_planes
 from fringedic.surface.strain_measures import MEASURES, SurfaceStrain, require_measures
 
 _ERRORS = ("noise_z", "noise_z_deformed", "displacement_sigma_x", "displacement_sigma_y")
@@ -30,6 +32,12 @@ _SIGMAS = {
 }
 
 
+@check_arguments(
+    SurfaceError,
+    displacement_3d=dataset("x", "y", "z", "u", "v", "w"),
+    window=whole(high=WIDEST_WINDOW),
+    measures=several(text),
+)
 def surface_strain(displacement_3d: xr.Dataset, *, window: int, measures: Iterable[str] = ()) -> xr.Dataset:
     """Return the Green-Lagrange strain of the surface in its tangent plane.
 

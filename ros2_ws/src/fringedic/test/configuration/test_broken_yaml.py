@@ -75,7 +75,7 @@ def test_every_file_that_a_person_may_edit_is_read_strictly(tmp_path, load, cont
 @pytest.mark.parametrize("load", [load_rig_file, load_programme, RigModel.from_yaml, DistortionMap.load, Region.load])
 @pytest.mark.parametrize("name", ["absent.yaml", "", f"{'x' * 300}.yaml"])
 def test_files_that_cannot_be_read(tmp_path, load, name):
-    with pytest.raises(FringedicError, match=r"cannot be read|no such"):
+    with pytest.raises(FringedicError, match=r"cannot be read|path of this file system"):
         load(tmp_path / name)
 
 

@@ -81,7 +81,7 @@ def test_setup_patterns() -> None:
         ([10, 40], 4, "vertical", "finer"),
         ([40, 40], 4, "vertical", "finer"),
         ([2], 4, "vertical", "above 2"),
-        ([float("nan")], 4, "vertical", "above 2"),
+        ([float("nan")], 4, "vertical", "a number"),
         ([40, 10], [4], "vertical", "one for each"),
         ([10], 4, "diagonal", "diagonal"),
     ],

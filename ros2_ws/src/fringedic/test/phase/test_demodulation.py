@@ -241,7 +241,7 @@ def test_bad_input_is_refused() -> None:
         demodulate(frames, 4)
     with pytest.raises(PhaseError, match="at least 3"):
         demodulate(frames[:2], 2)
-    with pytest.raises(PhaseError, match="0 frames"):
+    with pytest.raises(PhaseError, match="not empty"):
         demodulate(frames[:0], 4)
     patterns = list(fringe_sequence(64, 48, [64, 8], 4).patterns)
     with pytest.raises(ImageError, match="8 patterns"):
