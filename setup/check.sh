@@ -6,13 +6,21 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 export ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST OPENBLAS_NUM_THREADS=1
+unset PYTHONDONTWRITEBYTECODE # pytest keeps the tests that it has rewritten
 ruff check .
 ruff format --check .
-mypy
 lint-imports --no-logo
+# Types are checked beside the tests of the library; the report comes after theirs.
+types=$(mktemp)
+trap 'rm -f "$types"' EXIT
+mypy >"$types" 2>&1 &
 # Two processes, each file in one of them: most tests of nodes wait more than they compute.
 pytest=(python -m pytest -n 2 --dist loadfile)
-"${pytest[@]}" --doctest-modules --cov --cov-report=term:skip-covered ros2_ws/src/fringedic
+library=passed
+"${pytest[@]}" --doctest-modules --cov --cov-report=term:skip-covered ros2_ws/src/fringedic || library=failed
+wait $! || library=failed
+cat "$types"
+[ $library = passed ]
 if [ "${1:-}" = library ]; then
     exit
 fi
