@@ -41,7 +41,7 @@ class Verification:
     frames, lost_frames
         Frames with image and exposure record, and frames that lack one of them or both.
     unfinished_steps
-        Experiment and number of each step that did not succeed -> (frames recorded, frames of the step).
+        Experiment and number of each step without a successful end -> (frames recorded, frames of the step).
     dropped
         Frames that the camera dropped before it published them.
     """
@@ -184,7 +184,7 @@ class _Frames:
         return max(without_image + max(without_record, absent), *others, 0)
 
     def unfinished_steps(self) -> dict[Step, tuple[int, int]]:
-        """Return (frames recorded, frames of the step) of each step that did not succeed."""
+        """Return (frames recorded, frames of the step) of each step without a successful end."""
         return {
             step: (len(self._indices[step]), size) for step, size in self._sizes.items() if step not in self._finished
         }

@@ -34,7 +34,8 @@ def verification_sentences(verification: Verification) -> Iterator[str]:
     gaps = ", ".join(f"{grouped(count)} of {name}" for name, count in sorted(verification.gaps.items()))
     yield f"publishers' counts: {f'missing are {gaps}' if gaps else 'no message is missing'}"
     for (experiment, step), (recorded, frames) in verification.unfinished_steps.items():
-        yield f"step {step} of {experiment or 'no experiment'}: no successful end recorded, {recorded} of {frames} frames"
+        name = f"step {step} of {experiment or 'no experiment'}"
+        yield f"{name}: no successful end recorded, {recorded} of {frames} frames"
     if verification.dropped:
         yield f"camera: dropped {grouped(verification.dropped)} frames before it published them"
     exposed = verification.frames + verification.lost_frames

@@ -104,7 +104,7 @@ def test_interrupted_step_is_listed_and_loses_nothing(tmp_path):
     found = verify(copy(tmp_path / "bag", without=without))
     assert (found.frames, found.lost_frames) == (FRAMES - 7, 0)
     assert [*found.unfinished_steps.values()] == [(5, 12)]
-    assert "step 2 of tiny: did not succeed, 5 of 12 frames" in list(verification_sentences(found))
+    assert "step 2 of tiny: no successful end recorded, 5 of 12 frames" in list(verification_sentences(found))
 
 
 def test_changed_file_is_named_although_its_messages_are_intact(tmp_path):
