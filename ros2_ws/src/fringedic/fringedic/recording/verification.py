@@ -154,8 +154,9 @@ class _Frames:
         elif topic == EXPOSURE:
             step = message.experiment, message.step
             self._records.add(stamp_of(message))
-            self._indices[step].add(message.index)
-            self._sizes[step] = message.count
+            if message.count:  # 0 in a free run, whose frames belong to no step
+                self._indices[step].add(message.index)
+                self._sizes[step] = message.count
             self.dropped = max(self.dropped, message.dropped)
         elif message.stage == _END:
             self._finished.add((message.experiment, message.step))

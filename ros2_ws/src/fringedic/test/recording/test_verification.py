@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fringedic.frames.records import stamp_of
 from fringedic.recording import BagReader, BagWriter, Split, verify
@@ -105,6 +106,26 @@ def test_interrupted_step_is_listed_and_loses_nothing(tmp_path):
     assert (found.frames, found.lost_frames) == (FRAMES - 7, 0)
     assert [*found.unfinished_steps.values()] == [(5, 12)]
     assert "step 2 of tiny: no successful end recorded, 5 of 12 frames" in list(verification_sentences(found))
+
+
+def test_frames_of_a_free_run_belong_to_no_step(tmp_path):
+    """Their records state no experiment and no number of frames."""
+    reader = BagReader(RECORDED)
+    topic = reader.topics[EXPOSURE]
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(topic.definition, topic.type_name))
+    with BagWriter(tmp_path / "bag") as writer:
+        for each in (EXPOSURE, IMAGE):
+            writer.add_recorded_topic(reader.topics[each])
+        for message in reader.stored():
+            if message.topic == EXPOSURE:
+                record = reader.decode(EXPOSURE, message.data)
+                record.experiment, record.step, record.count = "", 0, 0
+                message = message._replace(data=bytes(store.serialize_cdr(record, topic.type_name)))
+            if message.topic in (EXPOSURE, IMAGE):
+                writer.write(*message)
+    found = verify(tmp_path / "bag")
+    assert (found.frames, found.lost_frames, found.unfinished_steps) == (FRAMES, 0, {})
 
 
 def test_changed_file_is_named_although_its_messages_are_intact(tmp_path):
