@@ -78,6 +78,8 @@ def excerpt(value: Any) -> str:
         return f"a dataset of {', '.join(map(str, value.data_vars))[:80] or 'nothing'} over {dict(value.sizes)}"
     if hasattr(value, "shape") and hasattr(value, "dtype"):
         return f"an array of shape {tuple(value.shape)} and type {value.dtype}"
+    if isinstance(value, os.PathLike):
+        return repr(os.fspath(value))
     return " ".join(reprlib.repr(value).split())
 
 
