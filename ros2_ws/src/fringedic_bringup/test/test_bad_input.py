@@ -74,6 +74,7 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
         ("noise", "--images", "a.png", "--images", "b.png", "--images", "c.png"),
         ("measure", "a.png", "b.png"),
         ("target", "--pitch-mm", "0.5"),
+        ("region", "a.png"),
         ("replay", RECORDED / "bag"),
         ("demo",),
     ],
@@ -85,7 +86,7 @@ def test_output_that_cannot_be_written(
     """The kernel's folder /proc is read-only for everybody."""
     (tmp_path / "file").write_text("")
     folder = tmp_path / "file" if place == "a file" else Path("/proc/sys/kernel")
-    output = folder / ("grid.pdf" if words[0] == "target" else "new")
+    output = folder / ({"target": "grid.pdf", "region": "region.png"}.get(str(words[0]), "new"))
     sentence = refusal(*words, "--output", output)
     assert str(folder) in sentence
     assert "choose another" in sentence

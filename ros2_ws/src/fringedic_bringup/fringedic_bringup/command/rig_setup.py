@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import Rig, app, console, rig_path_of, say, unused_folder
+from fringedic_bringup.command.app import Rig, app, console, output_folder, rig_path_of, say, unused_folder
 from fringedic_bringup.display.progress import LiveProgress
 from fringedic_bringup.procedures.setup_patterns import LivePattern, ShownPattern
 
@@ -170,6 +170,7 @@ def region(
     from fringedic_bringup.display.region_window import draw_region
     from fringedic_bringup.procedures.region import RIG_SUFFIXES, image_of
 
+    output_folder(output.parent)
     is_rig = source.suffix in ("", *RIG_SUFFIXES)  # installed rig files are named without suffix
     drawn = draw_region(image_of(rig_path_of(source) if is_rig else source))
     if drawn is None:
