@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 from dataclasses import asdict
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -65,22 +66,25 @@ class ExperimentParameters(BaseModel):
     facts: str = ""
 
 
+@cache
+def interfaces():
+    """The types of all messages, and the topics of a rig."""
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for type_name in sorted({each for each in (RAW | DERIVED).values() if each.startswith("fringedic_msgs")}):
+        definition = (MESSAGES / f"{type_name.rsplit('/', 1)[1]}.msg").read_text()
+        store.register(get_types_from_msg(definition, type_name))
+    topics = []
+    for topic, type_name in (RAW | DERIVED).items():
+        definition, _ = store.generate_msgdef(type_name, ros_version=2)
+        topics.append(Topic(f"/rig/{topic}", type_name, definition, "ros2msg", store.hash_rihs01(type_name), ""))
+    return store, topics
+
+
 class Bench:
     """A recording in the making: the virtual rig, the messages, and the chain as the nodes run it."""
 
     def __init__(self, path):
-        self.store = get_typestore(Stores.ROS2_JAZZY)
-        for name in (
-            "Exposure",
-            "StepStatus",
-            "Reference",
-            "RigCalibration",
-            "NodeParameters",
-            "LoadState",
-            "NodeStatus",
-        ):
-            full = f"fringedic_msgs/msg/{name}"
-            self.store.register(get_types_from_msg((MESSAGES / f"{name}.msg").read_text(), full))
+        self.store, topics = interfaces()
         rig_file = RigFile(
             camera={"source": "virtual"},
             projector={},
@@ -92,10 +96,8 @@ class Bench:
         self.calibration = calibration_of(rig_file.virtual_configuration())
         self.patterns = rig_file.patterns()
         self.writer = BagWriter(path)
-        for topic, type_name in (RAW | DERIVED).items():
-            definition, _ = self.store.generate_msgdef(type_name, ros_version=2)
-            hash_ = self.store.hash_rihs01(type_name)
-            self.writer.add_recorded_topic(Topic(f"/rig/{topic}", type_name, definition, "ros2msg", hash_, ""))
+        for topic in topics:
+            self.writer.add_recorded_topic(topic)
         self.now = START
         self.frame = 0
         self.logged = {}
