@@ -13,7 +13,7 @@ from sensor_msgs.msg import Image
 from fringedic.figures.previews import phase_preview
 from fringedic.frames.collector import FrameCollector
 from fringedic.frames.records import FrameRecord
-from fringedic.patterns.sequences import one_image_sequence
+from fringedic.patterns.sequences import fringe_sequence, one_image_sequence
 from fringedic.steps.parameters import PhaseParameters
 from fringedic.steps.phase import phase_step
 from fringedic.steps.step_results import PhaseResult
@@ -213,6 +213,25 @@ def test_faulty_stacks_are_named(bench: PhaseBench, name: str, fault: object, co
     assert status.error_code == code
     assert words in status.error_message
     assert "step 0" in status.error_message
+
+
+def test_coarsest_fringes_that_repeat_in_view_fail_the_step(bench: PhaseBench, name: str) -> None:
+    """The plate shows about 60 of the projector's 100 columns: fringes of 40 px repeat."""
+    rows, columns = bench.rig.projector_shape
+    for step, (coarsest, code) in enumerate(((40.0, NodeStatus.FRAME_MISMATCH), (80.0, NodeStatus.NONE))):
+        sequence = fringe_sequence(columns, rows, [coarsest, 8.0], 4)
+        bench.send(
+            [
+                (
+                    FrameRecord(name, step, index, len(sequence), pattern, (90 + step) * 10**9 + index, 0.005),
+                    bench.rig.expose(sequence.frame(index), 0.0, frame=index),
+                )
+                for index, pattern in enumerate(sequence.patterns)
+            ]
+        )
+        status = bench.status_of(name, step)
+        assert status.error_code == code, status.error_message
+        assert ("the coarsest fringes of 40 px repeat" in status.error_message) == (code != NodeStatus.NONE)
 
 
 def test_one_image_is_measured_and_said_to_be_relative(bench: PhaseBench, name: str) -> None:
