@@ -105,6 +105,18 @@ def test_machine_that_answers_nonsense(rig: Rig, machine: ModbusServer) -> None:
     rig.works()
 
 
+def test_load_frame_that_is_stopped(rig: Rig) -> None:
+    """Its last sample said HOLD, and nobody knows what the machine does since."""
+    pid = rig.running.pid("load_frame")
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        rig.fails("the latest sample of the load frame is")
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    wait_until(rig.holds, "samples of the machine")
+    rig.works()
+
+
 def test_machine_that_reports_a_fault(rig: Rig, machine: ModbusServer) -> None:
     rig.fails("the load frame reported a fault", at_frame=2, then=lambda: machine.switch(3, True))
     machine.switch(3, False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+import zlib
 
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
@@ -81,6 +82,7 @@ class FramePublisher:
         exposure.header = image.header
         exposure.exposure_time = frame.exposure_time
         exposure.dropped = self.dropped + driver.dropped
+        exposure.image_crc = zlib.crc32(image.data)
         self._images.publish(image)
         self._infos.publish(self._info_of(image))
         self._exposures.publish(exposure)

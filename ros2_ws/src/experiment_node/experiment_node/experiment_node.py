@@ -200,6 +200,7 @@ def _fill_in(result: MeasureStep.Result, step: RunningStep) -> None:
     force = summarise_load(stamps, [sample.force for sample in samples])
     position = summarise_load(stamps, [sample.position for sample in samples])
     result.load_samples = force.samples
+    result.recorded_frames, result.recorded_crc = step.recorded_frames, step.recorded_crc
     result.force_mean, result.force_range = force.mean, force.spread
     result.position_mean, result.position_range = position.mean, position.spread
 

@@ -57,7 +57,12 @@ class ExperimentParameters(BaseModel):
     )
     record_only: bool = Field(False, description="A step ends without results: frames are recorded and measured later.")
     recording_required: bool = Field(False, description="Refuse a step unless a recorder is recording.")
-    hold_required: bool = Field(True, description="Refuse a step while a load frame is present and does not hold.")
+    load_frame: bool = Field(
+        False, description="The rig has a load frame; otherwise it has one from its first sample in an experiment on."
+    )
+    hold_required: bool = Field(
+        True, description="Refuse a step unless samples of the load frame show a hold before, during and after it."
+    )
     load_drift_n: float = Field(
         0.0, ge=0, le=1e6, description="Largest change of the force during the exposures of a step [N]; 0: no limit."
     )

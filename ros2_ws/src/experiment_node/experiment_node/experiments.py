@@ -20,6 +20,8 @@ class Experiment:
         Step that the others are measured against; None before the first.
     next_is_reference
         The next step becomes the reference.
+    has_load_frame
+        A load frame was seen; from then on every step needs its samples.
     ready
         All nodes that need its messages were connected before the first frame of a step.
     """
@@ -29,6 +31,7 @@ class Experiment:
     measured: set[int] = field(default_factory=set)
     reference: int | None = None
     next_is_reference: bool = True
+    has_load_frame: bool = False
     ready: bool = False
 
     def take_number(self) -> int:

@@ -89,7 +89,7 @@ class FrameTaker:
         timeout = parameters.camera_timeout_s + (parameters.start_timeout_s if first else 0.0)
         response = await step.goal.call(self._capture, request, timeout, Result.CAMERA_TIMEOUT, f"frame {index}")
         if response.error_code != CaptureFrame.Request.NONE:
-            self._load.check_latest(parameters)  # a virtual camera needs the load frame
+            self._load.check_latest(step, parameters)  # a virtual camera needs the load frame
             code = CAPTURE_ERRORS.get(response.error_code, Result.CAMERA_FAILED)
             raise StepFailure(code, f"frame {index}: {response.error_message}")
         stamp = to_nanoseconds(response.stamp)

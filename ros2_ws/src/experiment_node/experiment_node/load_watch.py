@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from itertools import pairwise
 
 from rclpy.node import Node
 
@@ -20,11 +21,15 @@ from fringedic_ros.waiting import Condition
 
 Result = MeasureStep.Result
 HELD = (LoadState.HOLD, LoadState.IDLE)
-LOAD_TIMEOUT = 0.5  # [s] for a sample of the present, or of the last exposure, to arrive
+SAMPLE_TIMEOUT = 2.0  # [s] for a sample of the present, or of after the last exposure, to arrive
+LONGEST_GAP = 1.0  # [s] between two samples that prove a hold: more than twice the period of the lowest rate, 2 Hz
 
 
 class LoadWatch:
     """Collects the samples of `load_frame/state` and checks them before, during and after the exposures of a step.
+
+    Only samples that were acquired in the meantime prove a hold. A load frame that was seen once in an experiment is
+    expected from then on: a process that was stopped or killed publishes nothing, whatever the machine does.
 
     Parameters
     ----------
@@ -52,37 +57,52 @@ class LoadWatch:
             self.step.load.append(message)
             self._changed.notify()
 
-    @property
-    def _present(self) -> bool:
-        return bool(self._node.count_publishers("load_frame/state"))
+    def _is_expected(self, step: RunningStep, parameters: ExperimentParameters) -> bool:
+        """Return whether the rig has a load frame; one that published once in an experiment belongs to it."""
+        if parameters.load_frame or self._node.count_publishers("load_frame/state"):
+            step.experiment.has_load_frame = True
+        return step.experiment.has_load_frame
 
     async def await_hold(self, step: RunningStep, parameters: ExperimentParameters) -> None:
-        """Check before the first frame that a load frame that is present holds.
+        """Check before the first frame that an expected load frame holds, by a sample that is acquired from now on.
 
         Raises
         ------
         StepFailure
             LOAD_NOT_HELD.
         """
-        if not parameters.hold_required or not self._present:
+        if not self._is_expected(step, parameters) or not parameters.hold_required:
             return
-        # the latest sample may be older than the hold: prefer one that was acquired from now on
-        begin = self._node.get_clock().now().nanoseconds
-        with suppress(WaitTimeoutError):
-            await self._changed.wait(
-                lambda: self._latest is not None and to_nanoseconds(self._latest.header.stamp) >= begin, LOAD_TIMEOUT
-            )
-        await step.goal.wait(
-            lambda: self._latest is not None,
-            parameters.start_timeout_s,
-            lambda: (
-                Result.LOAD_NOT_HELD,
-                "the load frame publishes no sample on load_frame/state; check its connection and its log",
-            ),
-        )
-        self.check_latest(parameters)
+        timeout = SAMPLE_TIMEOUT if self._latest is not None else parameters.start_timeout_s
+        await self._await_sample(step, self._node.get_clock().now().nanoseconds, timeout)
+        self.check_latest(step, parameters)
+        if not step.load and self._latest is not None:
+            step.load.append(self._latest)  # of a clock slightly ahead: it came before the step
 
-    def check_latest(self, parameters: ExperimentParameters) -> None:
+    async def _await_sample(self, step: RunningStep, after: int, timeout: float) -> None:
+        """Wait for a sample that was acquired after a time [ns].
+
+        Raises
+        ------
+        StepFailure
+            LOAD_NOT_HELD.
+        """
+
+        def is_there() -> bool:
+            return self._latest is not None and to_nanoseconds(self._latest.header.stamp) >= after
+
+        await step.goal.wait(is_there, timeout, lambda: (Result.LOAD_NOT_HELD, self._silence()))
+
+    def _silence(self) -> str:
+        if self._latest is None:
+            return "the load frame publishes no sample on load_frame/state; check its connection and its log"
+        age = 1e-9 * (self._node.get_clock().now().nanoseconds - to_nanoseconds(self._latest.header.stamp))
+        return (
+            f"the latest sample of the load frame is {age:.1f} s old, so nobody knows whether it holds; check that "
+            "load_frame runs and, when it runs on another computer, that the clocks agree"
+        )
+
+    def check_latest(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         """Check that the latest sample shows a hold, when one is required.
 
         Raises
@@ -90,7 +110,7 @@ class LoadWatch:
         StepFailure
             LOAD_NOT_HELD.
         """
-        if parameters.hold_required:
+        if parameters.hold_required and step.experiment.has_load_frame:
             _check_held([self._latest])
 
     async def check_exposures(self, step: RunningStep, parameters: ExperimentParameters) -> None:
@@ -99,28 +119,26 @@ class LoadWatch:
         Raises
         ------
         StepFailure
-            CAMERA_FAILED without exposure records; LOAD_NOT_HELD; LOAD_DRIFT.
+            CAMERA_FAILED without exposure records; LOAD_NOT_HELD also without samples that show a hold before, during
+            and after the exposures; LOAD_DRIFT.
         """
         await step.goal.wait(
             lambda: {0, len(step.patterns) - 1} <= step.exposures.keys(),
             parameters.camera_timeout_s,
             lambda: (Result.CAMERA_FAILED, "the camera published no exposure record of the first or last frame"),
         )
-        if self._latest is None or not self._present:
+        if not self._is_expected(step, parameters):
             return
-        await self._await_last_sample(step)
-        samples = step.load_during_exposures()
+        start, end = step.exposures[0][0], step.exposures[len(step.patterns) - 1][1]
         if parameters.hold_required:
-            _check_held(samples)
-        _check_drift(samples, parameters)
-
-    async def _await_last_sample(self, step: RunningStep) -> None:
-        """Wait for the sample after the last exposure; without one, the checks report what is missing."""
-        end = step.exposures[len(step.patterns) - 1][1]
-        with suppress(WaitTimeoutError):
-            await self._changed.wait(
-                lambda: bool(step.load) and to_nanoseconds(step.load[-1].header.stamp) >= end, LOAD_TIMEOUT
-            )
+            await self._await_sample(step, end, SAMPLE_TIMEOUT)
+            _check_held_throughout(step.load_around_exposures(), start)
+        else:
+            with suppress(WaitTimeoutError):  # without it, the drift is that of the samples that are there
+                await self._changed.wait(
+                    lambda: bool(step.load) and to_nanoseconds(step.load[-1].header.stamp) >= end, SAMPLE_TIMEOUT
+                )
+        _check_drift(step.load_during_exposures(), parameters)
 
 
 def _check_held(samples: Iterable[LoadState | None]) -> None:
@@ -136,6 +154,21 @@ def _check_held(samples: Iterable[LoadState | None]) -> None:
                 "it has to hold from before the first exposure until after the last one"
             )
         raise StepFailure(Result.LOAD_NOT_HELD, message)
+
+
+def _check_held_throughout(samples: Sequence[LoadState], start: int) -> None:
+    """Check that samples from before `start` [ns] on show a hold without a gap that could hide a motion."""
+    _check_held(samples)
+    stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
+    if not stamps or stamps[0] > start:
+        raise StepFailure(Result.LOAD_NOT_HELD, "no sample of the load frame is older than the first exposure")
+    gap = 1e-9 * max((after - before for before, after in pairwise(stamps)), default=0)
+    if gap > LONGEST_GAP:
+        raise StepFailure(
+            Result.LOAD_NOT_HELD,
+            f"the load frame sent no sample for {gap:.1f} s during the exposures, {LONGEST_GAP:g} s are allowed; check "
+            "its connection, or increase its rate",
+        )
 
 
 def _check_drift(samples: Sequence[LoadState], parameters: ExperimentParameters) -> None:

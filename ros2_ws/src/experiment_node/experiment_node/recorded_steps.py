@@ -9,13 +9,13 @@ from rclpy.serialization import deserialize_message, serialize_message
 
 from experiment_node.messages import header_stamp
 from experiment_node.topics import CALIBRATION, EXPOSURE, IMAGE, STEP
-from fringedic.frames.records import stamp_of
+from fringedic.frames.records import frame_record, stamp_of
 from fringedic.recording.definitions import type_hash
 from fringedic.recording.reader import BagReader
 from fringedic.recording.topics import RawMessage
 from fringedic.rig.model import RigModel
-from fringedic_msgs.msg import Exposure, StepStatus
-from fringedic_ros.records import calibration_message
+from fringedic_msgs.msg import Exposure, RigCalibration, StepStatus
+from fringedic_ros.records import calibration_message, exposure_message
 from fringedic_ros.stamps import to_nanoseconds
 
 # Topics whose messages concern one step only.
@@ -67,7 +67,7 @@ class RecordedStep:
 
 
 def recorded_messages(bag: BagReader, names: Mapping[str, str]) -> Iterator[RawMessage]:
-    """Yield messages under relative names; a calibration of an older definition is converted to the present one.
+    """Yield messages under relative names; calibrations and records of older definitions become present ones.
 
     Parameters
     ----------
@@ -78,10 +78,17 @@ def recorded_messages(bag: BagReader, names: Mapping[str, str]) -> Iterator[RawM
     """
     for message in bag.published(names):
         name, data = names[message.topic], message.data
-        if name == CALIBRATION and bag.topics[message.topic].hash != type_hash("fringedic_msgs/msg/RigCalibration"):
+        topic = bag.topics[message.topic]
+        if name in (CALIBRATION, EXPOSURE) and topic.hash != type_hash(topic.type_name):
             recorded = bag.decode(message.topic, data)
-            model, frame = RigModel.from_message(recorded), recorded.header.frame_id
-            data = serialize_message(calibration_message(model, stamp_ns=stamp_of(recorded), frame_id=frame))
+            frame = recorded.header.frame_id
+            present: RigCalibration | Exposure
+            if name == CALIBRATION:
+                model = RigModel.from_message(recorded)
+                present = calibration_message(model, stamp_ns=stamp_of(recorded), frame_id=frame)
+            else:
+                present = exposure_message(frame_record(recorded), frame_id=frame)
+            data = serialize_message(present)
         yield message._replace(topic=name, data=data)
 
 

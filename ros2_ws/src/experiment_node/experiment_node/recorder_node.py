@@ -19,13 +19,14 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from experiment_node.exposure_tally import ExposureTally
-from experiment_node.messages import header_stamp, message_type
+from experiment_node.messages import header_stamp, image_crc, message_type
+from experiment_node.step_tally import StepTally, crc_of
 from experiment_node.topics import DERIVED_TOPICS, EXPOSURE, IMAGE, RAW_TOPICS, SAMPLE_TOPICS, STEP
 from experiment_node.writing_thread import ReceivedMessage, WritingThread
 from fringedic.errors import ErrorCode, FringedicError, RecordingError
 from fringedic.recording.topics import Qos
 from fringedic.recording.writer import BagWriter, Split
-from fringedic_msgs.msg import RecorderStatus, StepStatus
+from fringedic_msgs.msg import Exposure, RecorderStatus, StepStatus
 from fringedic_ros.main import run
 from fringedic_ros.parameters import declare
 from fringedic_ros.qos import LATCHED, SAMPLES
@@ -84,9 +85,12 @@ class RecorderNode(Node):
         self._subscriptions_by_topic: dict[str, Subscription] = {}
         self._refused: set[str] = set()
         self._tally = ExposureTally()
+        self._step = StepTally()
         self._status = RecorderStatus(state=RecorderStatus.IDLE)
         self._status_publisher = self.create_publisher(RecorderStatus, "recorder/status", LATCHED)
         self._writing: WritingThread | None = None
+        self._exposed = False  # all frames of the step
+        self._confirmed = "", 0, 0, 0  # fields of the status, set by the writing thread
 
         parameters = self.parameters.value
         self._topics = RAW_TOPICS + (DERIVED_TOPICS if parameters.derived else ())
@@ -223,16 +227,34 @@ class RecorderNode(Node):
         """Count an image or exposure, or act on the stage of a step."""
         if name == IMAGE:
             self._status.images += 1
-            self._tally.add_image(header_stamp(data))
+            stamp = header_stamp(data)
+            self._tally.add_image(stamp)
+            self._step.add_image(stamp, image_crc(data))
+            self._confirm()
         elif name == EXPOSURE:
             self._tally.add_exposure(header_stamp(data))
+            self._step.add_record(deserialize_message(data, Exposure))
+            self._confirm()
         elif self._writing:
-            stage = deserialize_message(data, StepStatus).stage
-            if stage in (StepStatus.END, StepStatus.ERROR):
+            message = deserialize_message(data, StepStatus)
+            self._step.begin(message.experiment, message.step)
+            self._exposed = message.stage == StepStatus.PROCESS
+            self._confirm()
+            if message.stage in (StepStatus.END, StepStatus.ERROR):
                 self._tally.end_step()
                 self._writing.sync()
-            elif stage == StepStatus.PROCESS:
-                self._publish_status()  # the experiment node waits for it
+
+    def _confirm(self) -> None:
+        """Publish how many frames of a step are written once all were exposed; the experiment node waits for it."""
+        if self._exposed and self._writing:
+            step, crcs = self._step, self._step.confirmed()
+            experiment, number = step.experiment, step.step
+            self._writing.then(lambda: self._publish_confirmed(experiment, number, crcs))
+
+    def _publish_confirmed(self, experiment: str, step: int, crcs: list[int]) -> None:
+        """Publish, in the thread that has written them."""
+        self._confirmed = experiment, step, len(crcs), crc_of(crcs)
+        self._publish_status()
 
     # status
 
@@ -252,6 +274,8 @@ class RecorderNode(Node):
     def _publish_status(self) -> None:
         self._status.header.stamp = self.get_clock().now().to_msg()
         self._status.missing_images = self._tally.missing
+        status = self._status
+        status.experiment, status.step, status.step_frames, status.step_crc = self._confirmed
         if self._writing:
             self._status.messages = self._writing.messages
             self._status.bytes = self._writing.bytes

@@ -9,12 +9,13 @@ from rclpy.node import Node
 from experiment_node.active_goal import StepFailure
 from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.running_step import RunningStep
+from experiment_node.step_tally import crc_of
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import RecorderStatus
 from fringedic_ros.qos import LATCHED
 
 Result = MeasureStep.Result
-RECORDER_TIMEOUT = 5.0  # [s] for the answer to the stage PROCESS; the recorder publishes its status every second anyway
+CONFIRM_TIMEOUT = 15.0  # [s] from the last frame; a recorder that was started again is not heard for some seconds
 
 
 class RecorderWatch:
@@ -61,8 +62,8 @@ class RecorderWatch:
             )
             self.check(parameters)
 
-    async def await_answer(self, step: RunningStep, parameters: ExperimentParameters) -> None:
-        """Wait until the required recorder answers the stage PROCESS, which it does after the last frame.
+    async def await_confirmation(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+        """Wait until the required recorder confirms every frame of the step, with the CRCs that the camera sent.
 
         Raises
         ------
@@ -71,14 +72,26 @@ class RecorderWatch:
         """
         if parameters.recording_required:
             await step.goal.wait(
-                lambda: step.recorder_answered or self.state != RecorderStatus.RECORDING,
-                RECORDER_TIMEOUT,
-                lambda: (
-                    Result.RECORDER_FAILED,
-                    "the recorder does not answer; the messages that it has written remain readable",
-                ),
+                lambda: self._has_confirmed(step) or self.state != RecorderStatus.RECORDING,
+                CONFIRM_TIMEOUT,
+                lambda: (Result.RECORDER_FAILED, self._unconfirmed(step)),
             )
             self.check(parameters)
+            step.recorded_frames, step.recorded_crc = len(step.patterns), crc_of(step.image_crcs())
+
+    def _has_confirmed(self, step: RunningStep) -> bool:
+        latest = self._latest
+        if latest is None or not step.is_named(latest.experiment, latest.step) or len(step.crcs) < len(step.patterns):
+            return False
+        return latest.step_frames == len(step.patterns) and latest.step_crc == crc_of(step.image_crcs())
+
+    def _unconfirmed(self, step: RunningStep) -> str:
+        latest, frames = self._latest, len(step.patterns)
+        if latest is None or not step.is_named(latest.experiment, latest.step):
+            return "the recorder does not answer; the messages that it has written remain readable"
+        if latest.step_frames < frames:
+            return f"the recorder has {latest.step_frames} of the {frames} frames; measure the step again"
+        return "the recorder has frames with another checksum than the camera sent; measure the step again"
 
     def check(self, parameters: ExperimentParameters) -> None:
         """Check that the required recorder records.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -36,10 +37,12 @@ class RunningStep:
         Time [s] of the start, of the last frame and of the last result on the monotonic clock.
     stamps
         Stamps of the frames taken so far [ns].
-    recorder_answered
-        The recorder has published its status after the last frame.
+    recorded_frames, recorded_crc
+        Frames that the recorder has confirmed, and the CRC-32 of the CRCs of their images; 0 before.
     exposures
         Start and end of the exposure of each frame [ns].
+    crcs
+        CRC-32 of the image of each frame, as the camera sent it.
     statuses
         Status of each processing node that has answered.
     load
@@ -57,8 +60,10 @@ class RunningStep:
     stamps: list[int] = field(default_factory=list)
     exposed: float = 0.0
     answered: float = 0.0
-    recorder_answered: bool = False
+    recorded_frames: int = 0
+    recorded_crc: int = 0
     exposures: dict[int, tuple[int, int]] = field(default_factory=dict)
+    crcs: dict[int, int] = field(default_factory=dict)
     statuses: dict[str, NodeStatus] = field(default_factory=dict)
     load: deque[LoadState] = field(default_factory=lambda: deque(maxlen=LOAD_SAMPLES))
 
@@ -89,6 +94,18 @@ class RunningStep:
     def processing_time(self) -> float:
         """Time from the last frame to the last result [s]."""
         return max(self.answered - self.exposed, 0.0) if self.statuses else 0.0
+
+    def image_crcs(self) -> list[int]:
+        """Return the CRCs of the images in the order of the frames."""
+        return [crc for _, crc in sorted(self.crcs.items())]
+
+    def load_around_exposures(self) -> list[LoadState]:
+        """Return the samples from the last one before the first exposure to the first one after the last exposure."""
+        start, end = self.exposures[0][0], self.exposures[len(self.patterns) - 1][1]
+        samples = list(self.load)
+        stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
+        first = max(bisect_right(stamps, start) - 1, 0)
+        return samples[first : bisect_left(stamps, end) + 1]
 
     def load_during_exposures(self) -> list[LoadState]:
         """Return the samples between the start of the first and the end of the last exposure, or the nearest ones."""

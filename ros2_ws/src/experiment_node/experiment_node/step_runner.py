@@ -146,7 +146,7 @@ class StepRunner:
             await self.frames.capture(step, index, pattern, shown, parameters)
             self._publish_stage(step, StepStatus.CAPTURE)
             step.report("capture")
-            self._load.check_latest(parameters)
+            self._load.check_latest(step, parameters)
             self._recorder.check(parameters)
             if step.failed_node:
                 return  # the step has failed: further frames are useless
@@ -169,7 +169,7 @@ class StepRunner:
         failed = step.failed_node
         if failed is not None:
             raise StepFailure(*failure_of(failed, step.statuses[failed]))
-        await self._recorder.await_answer(step, parameters)
+        await self._recorder.await_confirmation(step, parameters)
 
     def _publish_stage(self, step: RunningStep, stage: int, failure: StepFailure | None = None) -> None:
         message = StepStatus(
@@ -195,14 +195,12 @@ class StepRunner:
         if step is not None and step.is_named(message.experiment, message.step):
             middle, half = to_nanoseconds(message.header.stamp), round(message.exposure_time * 1e9 / 2)
             step.exposures[message.index] = (middle - half, middle + half)
+            step.crcs[message.index] = message.image_crc
             self._changed.notify()
 
     def _take_recorder_status(self, message: RecorderStatus) -> None:
         if message.state == RecorderStatus.STARTING:
             self.readiness.forget()
-        step = self._running
-        if step is not None and step.taken == len(step.patterns):
-            step.recorder_answered = True
         self._changed.notify()
 
     def _take_status_of(self, name: str) -> Callable[[NodeStatus], None]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import queue
 import threading
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Literal, NamedTuple
 
@@ -15,7 +16,7 @@ from fringedic.recording.writer import BagWriter
 BACKLOG_BYTES = 512_000_000
 NICENESS = 5  # measuring a step is more urgent than compressing its messages
 
-Order = Literal["sync", "end", "flush"]
+Order = Literal["sync", "end", "flush"] | Callable[[], None]
 
 
 class ReceivedMessage(NamedTuple):
@@ -96,6 +97,13 @@ class WritingThread:
         """Write everything that was queued so far to the disk, where it survives a power failure."""
         self._queue.put("sync")
 
+    def then(self, written: Callable[[], None]) -> None:
+        """Call a function in the thread that writes, when the operating system has everything that was queued so far.
+
+        From then on a killed recorder does not lose it. After an error the function is not called.
+        """
+        self._queue.put(written)
+
     def close(self) -> None:
         """Write what is queued, close the bag and end the thread."""
         self._queue.put("end")
@@ -135,10 +143,13 @@ class WritingThread:
             case "flush":
                 self._writer.flush()
                 self.bytes = self._writer.size  # fails when the file has been removed
-            case _:
+            case list():
                 for message in item:
                     self._writer.write(*message)
                 self.messages += len(item)
+            case written:
+                self._writer.flush()
+                written()
 
 
 def _size(messages: list[ReceivedMessage]) -> int:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import struct
+import time
+import zlib
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -62,7 +65,8 @@ class Rig(Peer):
 
     def __init__(self) -> None:
         super().__init__("rig")
-        self.clock_ns = 1_000_000_000_000
+        self.clock_ns = 0  # runs ahead of real time while frames are taken faster than their exposures last
+        self.capturing = False
         self.shown: list[ShowPattern.Request] = []
         self.captured: list[CaptureFrame.Request] = []
         self.show_error = self.capture_error = 0
@@ -72,6 +76,7 @@ class Rig(Peer):
         self.reaches_all = True
         self.load_mode: int | None = None
         self.force_per_frame = 1.0  # [N]
+        self.moves_at_frame = self.last_sampled_frame = -1
         self.jump_before: int | None = None  # the frame before which the clock jumps back
         self.holds = 0
         self.steps = self.listen(StepStatus, "experiment/step", EVENTS)
@@ -81,6 +86,7 @@ class Rig(Peer):
         self.image_readers = [self.create_subscription(Image, "camera/image_raw", lambda _: None, IMAGES)]
         self.exposures = self.create_publisher(Exposure, "camera/exposure", IMAGES)
         self.load: Any = None
+        self.create_timer(0.01, self._sample_load)
         self.recorder: Any = None
         self.statuses = {
             name: self.create_publisher(NodeStatus, f"{name}/status", EVENTS) for name in ("phase", "dic", "coupling")
@@ -101,9 +107,18 @@ class Rig(Peer):
         self.shown.append(request)
         response.error_code = self.show_error
         response.error_message = "no screen" if self.show_error else ""
-        self.clock_ns += 1_000_000
-        response.shown = to_msg(self.clock_ns)
+        response.shown = to_msg(self.time())
         return response
+
+    def time(self, passed_ns: int = 1_000_000) -> int:
+        """Return the time of the rig after some time."""
+        self.clock_ns = max(time.time_ns(), self.clock_ns + passed_ns)
+        return self.clock_ns
+
+    def _sample_load(self) -> None:
+        if self.load_mode is not None and not self.capturing:
+            self.time(passed_ns=1)
+            self.publish_load(self.load_mode)
 
     async def _capture(self, request: CaptureFrame.Request, response: CaptureFrame.Response) -> CaptureFrame.Response:
         self.captured.append(request)
@@ -112,9 +127,8 @@ class Rig(Peer):
         if self.capture_error:
             response.error_code, response.error_message = self.capture_error, "no frame"
             return response
-        if request.index == self.jump_before:
-            self.clock_ns -= 3_000_000_000
-        start = self.clock_ns
+        self.capturing = request.index < request.count - 1
+        start = self.time(passed_ns=1) - 3_000_000_000 * (request.index == self.jump_before)
         self.clock_ns += EXPOSURE_NS
         exposure = Exposure(
             experiment=request.experiment,
@@ -123,11 +137,16 @@ class Rig(Peer):
             count=request.count,
             kind=request.kind,
             exposure_time=EXPOSURE_NS * 1e-9,
+            image_crc=crc(request.index),
         )
-        exposure.header.stamp = response.stamp = to_msg(start + EXPOSURE_NS // 2)
+        exposure.header.stamp = response.stamp = self.last_stamp = to_msg(start + EXPOSURE_NS // 2)
         self.exposures.publish(exposure)
+        if request.index == self.moves_at_frame:
+            self.load_mode = LoadState.MOVING
         if self.load_mode is not None:
             self.publish_load(self.load_mode, force=100.0 + self.force_per_frame * request.index)
+        if request.index == self.last_sampled_frame:
+            self.load_mode = None
         if request.index == request.count - 1:
             self.publish_statuses(request.experiment, request.step, response.stamp)
         response.subscribers = 1
@@ -158,11 +177,12 @@ class Rig(Peer):
             self.load = self.create_publisher(LoadState, "load_frame/state", STATE)
             self.wait(self.load.get_subscription_count, "a reader of the load frame")
         sample = LoadState(mode=mode, force=force, position=1e-3)
-        sample.header.stamp = to_msg(self.clock_ns)
+        sample.header.stamp = to_msg(self.time(passed_ns=0))
         self.load.publish(sample)
 
     def say_load(self, mode: int) -> None:
-        """Publish a sample and return when the experiment node has taken it."""
+        """Publish samples from now on, and return when the experiment node has taken one."""
+        self.load_mode = mode
         self.publish_load(mode)
         self.taken(self.load)
 
@@ -171,11 +191,27 @@ class Rig(Peer):
         # subscriptions are served before services: after any answer the message has been taken
         self.call(self.set_reference, step=2**31)
 
-    def publish_recorder(self, state: int) -> None:
+    def publish_recorder(self, state: int, frames: int = 0) -> None:
         if self.recorder is None:
             self.recorder = self.create_publisher(RecorderStatus, "recorder/status", LATCHED)
             self.wait(self.recorder.get_subscription_count, "a reader of the recorder's status")
-        self.recorder.publish(_recorder_status(state))
+        self.recorder.publish(self.recorder_status(state, frames))
+
+    def recorder_status(self, state: int, frames: int) -> RecorderStatus:
+        """Return the status of a recorder that has the first frames of the latest step."""
+        if state == RecorderStatus.FAILED:
+            return RecorderStatus(state=state, error_code=RecorderStatus.DISK_FULL, error_message="disk full")
+        if not frames:
+            return RecorderStatus(state=state)
+        crcs = struct.pack(f"<{frames}I", *map(crc, range(frames)))
+        latest = self.captured[-1]
+        return RecorderStatus(
+            state=state,
+            experiment=latest.experiment,
+            step=latest.step,
+            step_frames=frames,
+            step_crc=zlib.crc32(crcs),
+        )
 
     def request(self, **goal: Any) -> Any:
         """Goal handle of an accepted goal."""
@@ -228,14 +264,15 @@ class Rig(Peer):
         """Do everything right from now on."""
         self.show_error = self.capture_error = 0
         self.hang = self.load_mode = self.jump_before = None
+        self.moves_at_frame = self.last_sampled_frame = -1
+        self.capturing = False
         self.force_per_frame = 1.0
         self.answers, self.silent = {}, set()
 
 
-def _recorder_status(state: int) -> RecorderStatus:
-    if state == RecorderStatus.FAILED:
-        return RecorderStatus(state=state, error_code=RecorderStatus.DISK_FULL, error_message="disk full")
-    return RecorderStatus(state=state)
+def crc(index: int) -> int:
+    """Return the checksum that the camera sends for a frame."""
+    return 0xDEAD0000 + index
 
 
 @pytest.fixture(scope="module")
@@ -265,7 +302,6 @@ def rig(running: Rig, request: pytest.FixtureRequest) -> Iterator[Rig]:
 
 
 def test_a_step_from_begin_to_end(rig: Rig, request: pytest.FixtureRequest) -> None:
-    rig.load_mode = LoadState.HOLD
     rig.say_load(LoadState.HOLD)
     rig.wait(lambda: rig.node_parameters, "the node's parameters")
     assert "pitches_px" in [parameter.name for parameter in rig.node_parameters[0].parameters]
@@ -274,7 +310,7 @@ def test_a_step_from_begin_to_end(rig: Rig, request: pytest.FixtureRequest) -> N
     goal = rig.request(mode=MeasureStep.Goal.FRINGES)
     rig.wait(lambda: rig.feedback and rig.feedback[-1].stage == "process", "the last feedback")
     rig.silent = {"phase", "dic"}
-    rig.publish_statuses(request.node.name, 0, to_msg(rig.clock_ns - EXPOSURE_NS // 2))
+    rig.publish_statuses(request.node.name, 0, rig.last_stamp)
     status, result = rig.result(goal)
     rig.behave()
     rig.load_mode = LoadState.HOLD
@@ -292,7 +328,7 @@ def test_a_step_from_begin_to_end(rig: Rig, request: pytest.FixtureRequest) -> N
     assert rig.steps[0].reference
     assert [message.step for message in rig.references] == [0]
     last = to_nanoseconds(result.stamp)
-    assert last == rig.clock_ns - EXPOSURE_NS // 2
+    assert last == to_nanoseconds(rig.last_stamp)
     assert [to_nanoseconds(message.header.stamp) for message in rig.steps[-2:]] == [last, last]
     assert (result.valid_fraction, result.rms_displacement) == (0.75, 3.0)
     assert (result.load_samples, result.force_mean, result.force_range) == (FRAMES, 103.0, 6.0)
@@ -400,7 +436,7 @@ def test_cancel_while_the_machine_settles(rig: Rig) -> None:
         ({"hang": True}, Result.CAMERA_TIMEOUT, "camera/capture did not answer in 4 s"),
         ({"answers": {"dic": NodeStatus.NO_CORRELATION}}, Result.DIC_FAILED, "dic: scripted"),
         ({"answers": {"phase": NodeStatus.PATTERN_NOT_SEEN}}, Result.PATTERN_NOT_SEEN, "phase: scripted"),
-        ({"jump_before": 4}, Result.CAMERA_FAILED, "frame 4 is stamped 2.989 s before frame 3: the clock jumped back"),
+        ({"jump_before": 4}, Result.CAMERA_FAILED, "s before frame 3: the clock jumped back"),
         ({"silent": {"dic", "coupling"}}, Result.PROCESSING_TIMEOUT, "no result from dic, coupling"),
     ],
 )
@@ -444,17 +480,38 @@ def test_the_machine_has_to_hold(rig: Rig) -> None:
     assert failed.error_code == Result.LOAD_NOT_HELD
     assert not rig.captured
     rig.say_load(LoadState.HOLD)
-    rig.load_mode = LoadState.MOVING  # starts to move during the exposures
+    rig.moves_at_frame = 3
     assert rig.step().error_code == Result.LOAD_NOT_HELD
-    rig.load_mode = LoadState.IDLE
+    rig.behave()
     rig.say_load(LoadState.IDLE)
+    assert rig.step().error_code == Result.NONE
+
+
+def test_only_fresh_samples_prove_a_hold(rig: Rig) -> None:
+    """A process that is stopped or killed leaves its last sample, whatever the machine does meanwhile."""
+    rig.say_load(LoadState.HOLD)
+    assert rig.step().error_code == Result.NONE
+    rig.load_mode = None
+    before = rig.step()
+    assert before.error_code == Result.LOAD_NOT_HELD
+    assert "nobody knows whether it holds" in before.error_message
+    rig.say_load(LoadState.HOLD)
+    rig.last_sampled_frame = 2
+    during = rig.step()
+    assert during.error_code == Result.LOAD_NOT_HELD
+    assert "nobody knows whether it holds" in during.error_message
+    rig.behave()
+    rig.destroy_publisher(rig.load)
+    rig.load = None
+    rig.wait(lambda: not rig.count_publishers("load_frame/state"), "the end of the load frame")
+    assert rig.step().error_code == Result.LOAD_NOT_HELD
+    rig.say_load(LoadState.HOLD)
     assert rig.step().error_code == Result.NONE
 
 
 def test_the_load_must_not_drift_over_the_exposures(rig: Rig) -> None:
     rig.change(load_drift_n=5.0)
     try:
-        rig.load_mode = LoadState.HOLD
         rig.say_load(LoadState.HOLD)
         drifted = rig.step()  # 1 N per frame
         assert drifted.error_code == Result.LOAD_DRIFT
@@ -462,23 +519,23 @@ def test_the_load_must_not_drift_over_the_exposures(rig: Rig) -> None:
         rig.wait(lambda: rig.holds == 1, "the request to hold")
         rig.force_per_frame = -0.5
         assert rig.step().error_code == Result.NONE
+        rig.change(hold_required=False)
         rig.load_mode = None
         silent = rig.step()
         assert silent.error_code == Result.LOAD_DRIFT
         assert "no sample of the force" in silent.error_message
     finally:
-        rig.change(load_drift_n=0.0)
+        rig.change(load_drift_n=0.0, hold_required=True)
 
 
 def test_a_hold_that_is_published_late_counts(rig: Rig) -> None:
     """The machine has just reached its hold; the latest sample still shows its motion."""
-    rig.load_mode = LoadState.HOLD
     rig.say_load(LoadState.MOVING)
+    rig.load_mode = None
     running = rig.request()
     rig.serve(0.1)
     assert not rig.captured
-    rig.clock_ns = rig.get_clock().now().nanoseconds
-    rig.publish_load(LoadState.HOLD)
+    rig.load_mode = LoadState.HOLD
     assert rig.result(running)[1].error_code == Result.NONE
 
 
@@ -492,8 +549,12 @@ def test_no_step_without_the_recorder(rig: Rig) -> None:
     assert not rig.captured
     rig.publish_recorder(RecorderStatus.RECORDING)
     rig.wait(lambda: StepStatus.PROCESS in [message.stage for message in rig.steps], "the end of the frames")
-    rig.publish_recorder(RecorderStatus.RECORDING)
-    assert rig.result(running)[1].error_code == Result.NONE
+    rig.publish_recorder(RecorderStatus.RECORDING, frames=FRAMES - 1)
+    rig.serve(0.3)
+    rig.publish_recorder(RecorderStatus.RECORDING, frames=FRAMES)
+    result = rig.result(running)[1]
+    assert (result.error_code, result.recorded_frames) == (Result.NONE, FRAMES)
+    assert result.recorded_crc == rig.recorder_status(RecorderStatus.RECORDING, FRAMES).step_crc
     silent = rig.step()  # as if killed: its last status was good, but it does not answer
     assert silent.error_code == Result.RECORDER_FAILED
     assert "does not answer" in silent.error_message

@@ -6,8 +6,10 @@ import json
 import os
 import shutil
 import signal
+import struct
 import subprocess
 import sys
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -55,8 +57,8 @@ class Rig(Peer):
     def image(self, stamp: int, pixels: np.ndarray) -> None:
         self.images.publish(image_message(pixels, stamp_ns=stamp, frame_id="camera_optical_frame"))
 
-    def exposure(self, stamp: int, index: int = 0, count: int = 4) -> None:
-        record = FrameRecord("test", 0, index, count, ProjectedPattern(PatternKind.WHITE), stamp, 0.01)
+    def exposure(self, stamp: int, index: int = 0, count: int = 4, crc: int = 0) -> None:
+        record = FrameRecord("test", 0, index, count, ProjectedPattern(PatternKind.WHITE), stamp, 0.01, image_crc=crc)
         self.exposures.publish(exposure_message(record, frame_id="camera_optical_frame"))
 
     def end_step(self) -> None:
@@ -130,6 +132,34 @@ def test_split_recording_loses_nothing_between_its_files(rig: Rig, tmp_path: Pat
     assert [each.sequence for each in bag.stored() if each.topic == "/camera/exposure"] == [*range(1, len(frames) + 1)]
     assert (tmp_path / "bag" / "manifest.sha256").exists()
     assert "depth: 0" not in (tmp_path / "bag" / "metadata.yaml").read_text()
+
+
+def test_frames_of_a_step_are_confirmed_by_their_checksums(rig: Rig, tmp_path: Path) -> None:
+    """The order between topics is not that of publishing, and a changed image is not the camera's."""
+    frames = [np.arange(35, dtype=np.uint8).reshape(5, 7) + value for value in range(4)]
+    crcs = [zlib.crc32(pixels.tobytes()) for pixels in frames]
+    with recorder(tmp_path):
+        rig.connect()
+        rig.image(1, frames[0])
+        rig.exposure(1, 0, crc=crcs[0])
+        rig.steps.publish(StepStatus(experiment="test", step=0, stage=StepStatus.BEGIN))
+        for index in (1, 2):
+            rig.image(index + 1, frames[index])
+            rig.exposure(index + 1, index, crc=crcs[index])
+        rig.steps.publish(StepStatus(experiment="test", step=0, stage=StepStatus.PROCESS))
+        rig.wait(lambda: rig.statuses[-1].step_frames == 3, "three frames")
+        rig.exposure(4, 3, crc=crcs[3])
+        rig.image(4, frames[3] + 1)
+        rig.wait(lambda: rig.statuses[-1].images == 4, "the fourth image")
+        rig.serve(0.5)
+        assert rig.statuses[-1].step_frames == 3
+        rig.image(4, frames[3])
+        rig.wait(lambda: rig.statuses[-1].step_frames == 4, "all frames")
+        status = rig.statuses[-1]
+        assert (status.experiment, status.step) == ("test", 0)
+        assert status.step_crc == zlib.crc32(struct.pack("<4I", *crcs))
+        bag = BagReader(tmp_path / "bag")
+        assert bag.counts["/camera/image_raw"] == 5, "the confirmed frames are in the file"
 
 
 def test_derived_topics_are_recorded_on_request(rig: Rig, tmp_path: Path) -> None:

@@ -178,15 +178,24 @@ class RigClient:
         return self._strain_of_step
 
     def move(
-        self, position: float, speed: float = 1e-3, *, until: Callable[[Reading], object] | None = None
+        self,
+        position: float,
+        speed: float = 1e-3,
+        *,
+        force_above: float | None = None,
+        force_below: float | None = None,
+        until: Callable[[Reading], object] | None = None,
     ) -> MoveCrosshead.Result:
         """Move the crosshead to a position [m] at a speed [m/s] and hold there.
 
         Parameters
         ----------
+        force_above, force_below
+            Forces [N] at which the load frame node, which sees every sample first, requests a hold. The machine
+            decelerates behind them.
         until
-            Called with every sample of the load frame; when it returns true the machine is requested to hold.
-            Deceleration and message latency cause a small overshoot.
+            Called with the samples of the load frame that reach this client; when it returns true the machine is
+            requested to hold. A busy computer delays samples and request without limit: for what only a client knows.
 
         Raises
         ------
@@ -196,6 +205,8 @@ class RigClient:
             `until` is given, and the load frame publishes no state.
         """
         goal = MoveCrosshead.Goal(position=position, speed=speed, controller=self._name)
+        goal.force_above = [] if force_above is None else [force_above]
+        goal.force_below = [] if force_below is None else [force_below]
         what = f"crosshead to {position * 1e3:.4f} mm"
         if until is None:
             return self._act(self._move, goal, what, lambda _: None)

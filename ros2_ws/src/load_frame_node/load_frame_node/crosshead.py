@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 
 from rclpy.node import Node
 
+from fringedic.errors import MachineError
 from fringedic_ros.waiting import Condition
 from load_frame_node.machines import LoadMode, Machine, Sample
 
@@ -23,6 +25,8 @@ class Crosshead:
         Notified after each sample.
     hold_requested
         A hold was requested after the start of the latest move.
+    reached
+        The sample that reached the limit of the latest move; None before.
     """
 
     def __init__(self, node: Node) -> None:
@@ -30,6 +34,8 @@ class Crosshead:
         self.sample = Sample(0, LoadMode.UNKNOWN, 0.0, 0.0)
         self.changed = Condition(node)
         self.hold_requested = False
+        self.reached: Sample | None = None
+        self._ends_move: Callable[[Sample], bool] = _never
         self._in_use = threading.Lock()
 
     def open(self, machine: Machine) -> None:
@@ -54,12 +60,24 @@ class Crosshead:
             return self._open_machine().sample()
 
     def take(self, sample: Sample) -> None:
-        """Make a sample the latest one."""
+        """Make a sample the latest one, and request a hold when it ends the move."""
         self.sample = sample
+        if self._ends_move(sample):
+            try:
+                self.hold()
+            except MachineError:
+                pass  # requested again at the next sample
+            else:
+                self.reached, self._ends_move = sample, _never
         self.changed.notify()
 
-    def move_to(self, position: float, speed: float) -> None:
+    def move_to(self, position: float, speed: float, ends_move: Callable[[Sample], bool]) -> None:
         """Request a move to `position` [m] at `speed` [m/s].
+
+        Parameters
+        ----------
+        ends_move
+            Called with every sample from now on, in the thread that takes them; a hold is requested once it is true.
 
         Raises
         ------
@@ -69,7 +87,13 @@ class Crosshead:
             The machine does not accept the request.
         """
         with self._in_use:
+            self.reached, self._ends_move = None, _never
             self._open_machine().move_to(position, speed)
+            self._ends_move = ends_move
+
+    def end_move(self) -> None:
+        """Forget what ends the move, which is over."""
+        self._ends_move = _never
 
     def hold(self) -> None:
         """Request a hold.
@@ -83,5 +107,10 @@ class Crosshead:
             self._open_machine().hold()
 
     def _open_machine(self) -> Machine:
-        assert self.machine is not None, "an active load frame has a machine"
+        if self.machine is None:
+            raise MachineError("the load frame is not configured; configure and activate it")
         return self.machine
+
+
+def _never(_: Sample) -> bool:
+    return False

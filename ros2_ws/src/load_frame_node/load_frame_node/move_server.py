@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Callable
 
 from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
@@ -11,7 +13,7 @@ from fringedic.errors import CrossheadRangeError, FringedicError, MachineError, 
 from fringedic_msgs.action import MoveCrosshead
 from fringedic_ros.lifecycle import HardwareNode
 from load_frame_node.crosshead import Crosshead
-from load_frame_node.machines import LoadMode
+from load_frame_node.machines import LoadMode, Sample
 from load_frame_node.parameters import LoadFrameParameters
 
 Result = MoveCrosshead.Result
@@ -56,7 +58,7 @@ class MoveServer:
             return self._end(goal, Result.BUSY, _busy_message(self._goal.request, request))
         distance = abs(request.position - crosshead.sample.position)
         try:
-            crosshead.move_to(request.position, request.speed)
+            crosshead.move_to(request.position, request.speed, _limits_of(request))
             requested = time.time_ns()
         except CrossheadRangeError as error:
             return self._end(goal, Result.INVALID_GOAL, str(error))
@@ -70,6 +72,7 @@ class MoveServer:
             return self._end(goal, Result.MACHINE_FAULT, str(error))
         finally:
             self._goal = None
+            crosshead.end_move()
 
     async def _follow(self, goal: ServerGoalHandle, requested_ns: int, timeout_s: float) -> MoveCrosshead.Result:
         """Publish feedback until the move has ended, and return its result."""
@@ -78,7 +81,7 @@ class MoveServer:
 
         def is_over() -> bool:
             nonlocal moved
-            if goal.is_cancel_requested or not self._node.active or crosshead.hold_requested:
+            if goal.is_cancel_requested or not self._node.active or crosshead.hold_requested or crosshead.reached:
                 return True
             sample = crosshead.sample
             if sample.stamp_ns < requested_ns:  # acquired before the request
@@ -110,8 +113,16 @@ class MoveServer:
             await self._wait_until_still()
             stopped = f"load_frame/hold stopped the move at {1e3 * crosshead.sample.position:.4f} mm"
             return self._end(goal, Result.CANCELLED, stopped)
+        if crosshead.reached is not None and crosshead.reached.mode not in _LOST_MODES:
+            await self._wait_until_still()
+            return self._end(goal, Result.NONE, "", crosshead.reached)
         if not self._node.active or crosshead.sample.mode in _LOST_MODES:
-            return self._end(goal, Result.MACHINE_FAULT, "the machine stopped, or no longer reports its state")
+            message = "the machine stopped, or no longer reports its state; a hold was requested"
+            try:
+                crosshead.hold()  # an unreadable answer does not stop a move
+            except MachineError as error:
+                message = f"the machine stopped, or no longer reports its state, and takes no request to hold: {error}"
+            return self._end(goal, Result.MACHINE_FAULT, message)
         return self._end(goal, Result.NONE, "")
 
     async def _stop(self) -> None:
@@ -129,7 +140,9 @@ class MoveServer:
 
         await self._crosshead.changed.wait(is_still, _STOP_TIMEOUT_S, "the end of the motion")
 
-    def _end(self, goal: ServerGoalHandle, code: int, message: str) -> MoveCrosshead.Result:
+    def _end(
+        self, goal: ServerGoalHandle, code: int, message: str, reached: Sample | None = None
+    ) -> MoveCrosshead.Result:
         if code == Result.NONE:
             goal.succeed()
         elif goal.is_cancel_requested:
@@ -140,8 +153,26 @@ class MoveServer:
             goal.abort()
         sample = self._crosshead.sample
         return MoveCrosshead.Result(
-            error_code=code, error_message=message, position=sample.position, force=sample.force
+            error_code=code,
+            error_message=message,
+            position=sample.position,
+            force=sample.force,
+            force_reached=reached is not None,
+            reached_force=math.nan if reached is None else reached.force,
         )
+
+
+def _limits_of(request: MoveCrosshead.Goal) -> Callable[[Sample], bool]:
+    """Return whether a sample reaches a limit of the force; an unknown force does."""
+    above, below = list(request.force_above), list(request.force_below)
+
+    def are_reached(sample: Sample) -> bool:
+        if not above and not below:
+            return False
+        force = sample.force
+        return math.isnan(force) or any(force >= limit for limit in above) or any(force <= limit for limit in below)
+
+    return are_reached
 
 
 def _busy_message(active: MoveCrosshead.Goal, refused: MoveCrosshead.Goal) -> str:

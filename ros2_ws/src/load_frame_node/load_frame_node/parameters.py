@@ -22,7 +22,7 @@ class LoadFrameParameters(HardwareParameters):
         description="simulated: machine of the virtual rig; machine: the machine described by machine_file; "
         "controller: machine whose state a ros2_control controller publishes.",
     )
-    rate_hz: float = Field(100.0, gt=0, le=1000, description="Samples of force and position per second [Hz].")
+    rate_hz: float = Field(100.0, ge=2, le=1000, description="Samples of force and position per second [Hz].")
     virtual_rig: VirtualRigText = "{preset: plate}"
     machine_file: str = Field("", description="Source `machine`: YAML file with its protocol, registers and units.")
     position_tolerance_mm: float = Field(

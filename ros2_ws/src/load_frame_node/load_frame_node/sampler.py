@@ -27,7 +27,7 @@ class Sampler:
     on_sample
         Called in the thread of the sampler with each sample; UNKNOWN and NaN when the machine does not answer.
     on_error
-        Called in the thread of the sampler with the reason why the machine gives no sample.
+        Called in the thread of the sampler with the reason why the machine gives no sample; sampling goes on.
     diagnostics
         Counts samples and lost samples.
     """
@@ -68,10 +68,16 @@ class Sampler:
     def _take_sample(self) -> None:
         try:
             sample = self._crosshead.read()
-        except MachineError as error:
-            self._on_error(error)
+        except Exception as error:  # whatever a machine answers, a thread that ended would leave its last state valid
+            self._on_error(error if isinstance(error, MachineError) else _unforeseen(error))
             # everybody who relies on a hold must see that the state is unknown
             sample = Sample(time.time_ns(), LoadMode.UNKNOWN, math.nan, math.nan)
         else:
             self._diagnostics.success()
         self._on_sample(sample)
+
+
+def _unforeseen(error: Exception) -> MachineError:
+    unforeseen = MachineError(f"the answer of the machine cannot be used: {type(error).__name__}: {error}")
+    unforeseen.__cause__ = error
+    return unforeseen

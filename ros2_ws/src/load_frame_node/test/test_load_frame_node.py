@@ -39,9 +39,9 @@ class Operator(Peer):
         self._move = ActionClient(self, MoveCrosshead, "move_crosshead")
         self._hold = self.create_client(Trigger, "load_frame/hold")
 
-    def start(self, position: float, speed: float, controller: str = "") -> ClientGoalHandle:
+    def start(self, position: float, speed: float, controller: str = "", **limits: list[float]) -> ClientGoalHandle:
         self.wait(self._move.server_is_ready, "the action server")
-        goal = MoveCrosshead.Goal(position=position, speed=speed, controller=controller)
+        goal = MoveCrosshead.Goal(position=position, speed=speed, controller=controller, **limits)
         future = self._move.send_goal_async(goal, lambda message: self.feedback.append(message.feedback))
         self.wait(future.done, "the answer to the goal", 10)
         return future.result()
@@ -105,6 +105,21 @@ def test_three_topics_say_the_same(operator: Operator) -> None:
         assert wrench.wrench.force.z == state.force == joint.effort[0]
         assert joint.position[0] == state.position
         assert (joint.name, wrench.header.frame_id) == (["crosshead"], "load_frame")
+
+
+def test_move_until_a_force(operator: Operator) -> None:
+    """The node stops the machine by itself: 0.4 N per sample at 0.02 mm/s, 2000 N/mm and 100 Hz."""
+    operator.move(0.1 * MM, 5.0 * MM)
+    goal = operator.start(1.0 * MM, 0.02 * MM, force_above=[300.0])
+    ended = operator.end(goal)
+    assert (ended.status, ended.result.error_code) == (GoalStatus.STATUS_SUCCEEDED, Result.NONE)
+    assert ended.result.force_reached
+    assert 300.0 <= ended.result.reached_force < 305.0
+    assert operator.now().mode == LoadState.HOLD
+    assert operator.now().force < 310.0
+    unloaded = operator.end(operator.start(0.0, 0.1 * MM, force_above=[900.0], force_below=[100.0]))
+    assert 90.0 < unloaded.result.reached_force <= 100.0
+    assert not operator.move(0.05 * MM, 1.0 * MM).result.force_reached, "limits belong to one move"
 
 
 def test_second_goal_is_busy_and_the_first_goes_on(operator: Operator) -> None:

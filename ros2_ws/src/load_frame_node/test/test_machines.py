@@ -15,6 +15,7 @@ import pytest
 import pyvisa
 import rclpy
 import yaml
+from fuzzed_replies import fuzz
 from geometry_msgs.msg import WrenchStamped
 from pymodbus.client import ModbusTcpClient
 from rclpy.action import ActionClient
@@ -179,6 +180,22 @@ def test_scpi_machine_that_babbles_or_is_silent(command: str, words: str, tmp_pa
     with machine("scpi", tmp_path, timeout_s=0.3, hold=[command]) as (connected, _, _):
         connected.hold()
         with pytest.raises(MachineError, match=words):
+            connected.sample()
+
+
+@pytest.mark.parametrize("protocol", ["modbus", "scpi"])
+def test_only_a_hold_that_the_machine_reports_is_believed(protocol: str) -> None:
+    modes = fuzz(protocol, 1000)
+    assert set(modes) == {"refused", "HOLD", "MOVING", "UNKNOWN"}, modes
+    assert min(modes.values()) > 5, modes
+
+
+def test_a_machine_that_repeats_an_old_sample_is_not_believed(tmp_path: Path) -> None:
+    """Its clock is register 6; the constant register 8 is the clock of a controller that hangs."""
+    with machine("modbus", tmp_path, time={"register": 8}) as (connected, _, _):
+        connected.sample()
+        time.sleep(1.1)
+        with pytest.raises(MachineError, match="clock has stood at 0 s for more than 1 s"):
             connected.sample()
 
 

@@ -91,6 +91,18 @@ class Until(Section):
         """Whether a condition needs an extensometer."""
         return self.strain_above_percent is not None or self.strain_below_percent is not None
 
+    def of_strain(self) -> Until | None:
+        """Return the conditions of the strain alone; None without any.
+
+        Examples
+        --------
+        >>> Until(force_above_n=500, strain_above_percent=2).of_strain()
+        Until(force_above_n=None, force_below_n=None, strain_above_percent=2.0, strain_below_percent=None,
+              valid_fraction_below=None)
+        """
+        names = self.model_fields_set & {"strain_above_percent", "strain_below_percent"}
+        return Until(**{name: getattr(self, name) for name in names}) if self.needs_strain else None
+
     def met(self, reading: Reading) -> MetCondition | None:
         """Return the first condition that a reading meets, None when it meets none."""
         strain = PERCENT * reading.strain

@@ -233,7 +233,7 @@ class LoadFrameSection(Section):
     wrench_topic: str = Field("/wrench", description="Wrench of the source 'controller'.")
     force_axis: Literal["x", "y", "z"] = Field("z", description="Axis of the force of the source 'controller'.")
     force_sign: Literal[-1, 1] = Field(1, description="-1 when the controller's tension is negative.")
-    rate_hz: float = Field(100.0, gt=0, le=1000, description="Rate of the samples of force and position [Hz].")
+    rate_hz: float = Field(100.0, ge=2, le=1000, description="Rate of the samples of force and position [Hz].")
     hold_required: bool = Field(True, description="Whether a step fails when the machine does not hold.")
     load_drift_n: float = Field(
         0.0, ge=0, le=1e6, description="Largest change of the force during the exposures of a step [N]; 0: any."

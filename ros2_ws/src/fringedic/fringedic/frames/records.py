@@ -26,6 +26,8 @@ class FrameRecord:
         Length of the exposure [s].
     dropped
         Frames that the camera has lost since it was started.
+    image_crc
+        CRC-32 (zlib) of the image's data; None in recordings of version 0.1.
     """
 
     experiment: str
@@ -36,6 +38,7 @@ class FrameRecord:
     stamp: int
     exposure_time: float
     dropped: int = 0
+    image_crc: int | None = None
 
 
 class StampedMessage(Protocol):
@@ -90,4 +93,5 @@ def frame_record(exposure: ExposureMessage) -> FrameRecord:
         stamp=stamp_of(exposure),
         exposure_time=exposure.exposure_time,
         dropped=exposure.dropped,
+        image_crc=getattr(exposure, "image_crc", None),
     )

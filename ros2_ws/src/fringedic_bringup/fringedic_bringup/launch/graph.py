@@ -338,7 +338,7 @@ def _experiment(rig: RigFile, experiment: str) -> dict[str, Any]:
     }
     if rig.load_frame is not None:
         names = ("hold_required", "load_drift_n", "position_drift_um")
-        parameters |= {name: getattr(rig.load_frame, name) for name in names}
+        parameters |= {"load_frame": True} | {name: getattr(rig.load_frame, name) for name in names}
     if rig.virtual_rig is not None:
         parameters["camera_timeout_s"] = RENDERING_TIMEOUT_S
     size = rig.projector_size()

@@ -151,15 +151,23 @@ class _Driver:
             self._rig.move(position, step.speed)
             return ""
         self._tell(f"move towards {position * 1e3:.3f} mm")
-        conditions: list[MetCondition] = []
+        strain, conditions = until.of_strain(), list[MetCondition]()
 
         def met(reading: Reading) -> bool:
-            condition = until.met(reading)
+            condition = None if strain is None else strain.met(reading)
             if condition is not None:
                 conditions.append(condition)
             return bool(conditions)
 
-        ended = self._rig.move(position, step.speed, until=met)
+        ended = self._rig.move(
+            position,
+            step.speed,
+            force_above=until.force_above_n,
+            force_below=until.force_below_n,
+            until=None if strain is None else met,
+        )
+        if ended.force_reached and (condition := until.met(Reading(force=ended.reached_force))) is not None:
+            conditions.insert(0, condition)
         where = f"step {self._number}: move ended at {ended.position * 1e3:.4f} mm, {ended.force:.1f} N"
         why = condition_sentence(conditions[0]) if conditions else "no condition was met before its position"
         return f"{where}: {why}"

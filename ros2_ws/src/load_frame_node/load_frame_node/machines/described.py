@@ -13,6 +13,10 @@ from load_frame_node.machines.machine import Link, Motion, Sample
 DescriptionT = TypeVar("DescriptionT", bound=MachineSection)
 
 
+_LATEST_TIME_S = 9e9  # 285 years: later times exceed 64 bits of nanoseconds
+_STANDSTILL_S = 1.0  # a clock that has not advanced for this time means that the machine repeats an old sample
+
+
 class Reading(NamedTuple):
     """One reading: stamp [ns], force [N], position [m]; status and time [s] when the machine reports them."""
 
@@ -43,6 +47,7 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
         self.description = description
         self._link = Link(f"{description.name} at {place}", self.connect, self.disconnect)
         self._motion = Motion(1e-3 * description.motion.slowest_mm_per_s, description.motion.span_s)
+        self._device_ns, self._advanced_ns = -1, 0  # its time, and when that was new on the clock of this computer
         try:
             self.sample()
         except MachineError:
@@ -55,18 +60,32 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
         Raises
         ------
         MachineError
-            The machine does not answer, or a value of its answer is not a finite number.
+            The machine does not answer, a value of its answer is not a finite number, or its clock stands still.
         """
         read = self._link.ask("sample", self.read)
         for what, value in (("force", read.force), ("position", read.position), ("time", read.time or 0.0)):
             if not math.isfinite(value):
                 raise MachineError(f"{self.description.name}: sample: {what} is {value}, which is not a number")
+        device_ns = None if read.time is None else self._device_time(read.time, read.stamp_ns)
         if self.description.status is None or read.status is None:
             mode = self._motion.mode(read.stamp_ns, read.position)
         else:
             mode = self.description.status.mode(read.status)
-        device_ns = None if read.time is None else round(1e9 * read.time)
         return Sample(read.stamp_ns, mode, read.force, read.position, device_ns)
+
+    def _device_time(self, time_s: float, stamp_ns: int) -> int:
+        """Return the time of the machine [ns], which has to be possible and to advance."""
+        if abs(time_s) > _LATEST_TIME_S:
+            raise MachineError(f"{self.description.name}: sample: time is {time_s:g} s, which no clock shows")
+        device_ns = round(1e9 * time_s)
+        if device_ns != self._device_ns:
+            self._device_ns, self._advanced_ns = device_ns, stamp_ns
+        elif stamp_ns - self._advanced_ns > 1e9 * _STANDSTILL_S:
+            raise MachineError(
+                f"{self.description.name}: sample: its clock has stood at {time_s:g} s for more than "
+                f"{_STANDSTILL_S:g} s, so it repeats an old sample; check its controller"
+            )
+        return device_ns
 
     def move_to(self, position: float, speed: float) -> None:
         """Request a move to `position` [m] at `speed` [m/s].

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from typing import Any
 
@@ -51,7 +52,7 @@ class ModbusMachine(DescribedMachine[ModbusDescription]):
             stamp,
             description.force.si(force),
             description.position.si(position),
-            int(others[0]) if description.status is not None else None,
+            _status(others[0]) if description.status is not None else None,
             description.time.si(others[-1]) if description.time is not None else None,
         )
 
@@ -115,3 +116,9 @@ class ModbusMachine(DescribedMachine[ModbusDescription]):
         if answer.isError():
             raise MachineError(f"refused: {answer}")
         return answer
+
+
+def _status(number: float) -> int:
+    if not math.isfinite(number) or number != math.floor(number):
+        raise MachineError(f"the status is {number}, which is not a whole number")
+    return int(number)

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import re
 import time
 from typing import Any
 
 import pyvisa
+from pyvisa.constants import VI_TMO_IMMEDIATE
 
 from fringedic.errors import MachineGoneError
 from load_frame_node.machines.described import DescribedMachine, Reading
 from load_frame_node.machines.description import Query, ScpiDescription
+
+_WHOLE_NUMBER = re.compile(r"[+-]?[0-9]{1,9}")
+_NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")  # float() takes 1_0 and other digits, too
+_SHOWN = 40  # characters of an answer that a message repeats
 
 
 class ScpiMachine(DescribedMachine[ScpiDescription]):
@@ -44,7 +50,10 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
                 return  # the connection was lost before
 
     def read(self) -> Reading:
-        """Query force, position, status and time, in this order; the stamp is the middle of the queries."""
+        """Query force, position, status and time, in this order; the stamp is the middle of the queries.
+
+        Answers have no names: one line too many would shift all later ones, and a position could be read as a status.
+        """
         description = self.description
         before = time.time_ns()
         force = self._number("force", description.force)
@@ -52,7 +61,8 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
         status = None if description.status is None else self._answer(description.status.query)
         own_time = None if description.time is None else self._number("time", description.time)
         stamp = (before + time.time_ns()) // 2
-        is_number = status is not None and status.lstrip("+-").isdigit()
+        self._check_nothing_follows()
+        is_number = status is not None and _WHOLE_NUMBER.fullmatch(status)
         reported = int(status) if status is not None and is_number else status
         return Reading(stamp, force, position, reported, own_time)
 
@@ -67,13 +77,12 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
 
     def _number(self, what: str, query: Query) -> float:
         answer = self._answer(query.query)
-        try:
-            return query.si(float(answer))
-        except ValueError:
+        if not _NUMBER.fullmatch(answer):
             # possibly the late answer to an earlier query: a new connection starts without pending answers
             raise MachineGoneError(
-                f"{what}: '{query.query}' was answered with '{answer}', which is not a number"
-            ) from None
+                f"{what}: '{query.query}' was answered with '{answer[:_SHOWN]}', which is not a number"
+            )
+        return query.si(float(answer))
 
     def _answer(self, query: str) -> str:
         try:
@@ -81,6 +90,16 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
         except (pyvisa.Error, OSError, UnicodeDecodeError) as error:
             raise MachineGoneError(f"'{query}' has no answer: {error}") from error
         return answer.strip()
+
+    def _check_nothing_follows(self) -> None:
+        patience, self._resource.timeout = self._resource.timeout, VI_TMO_IMMEDIATE
+        try:
+            extra = self._resource.read_bytes(1)
+        except (pyvisa.Error, OSError):
+            return  # nothing more to read, as it should be; a lost connection fails at the next query
+        finally:
+            self._resource.timeout = patience
+        raise MachineGoneError(f"it sent more than it was asked for, from {extra!r} on")
 
     def _send(self, commands: list[str]) -> None:
         for command in commands:

@@ -1,0 +1,61 @@
+"""Frames of the latest step that the recorder has, to confirm that they are complete and unchanged."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterable
+
+from fringedic_msgs.msg import Exposure
+from fringedic_ros.stamps import to_nanoseconds
+
+_MOST_IMAGES = 1000  # far more than a sequence has
+
+
+def crc_of(crcs: Iterable[int]) -> int:
+    """Return the CRC-32 of CRC-32s in their order, each little-endian.
+
+    Examples
+    --------
+    >>> crc_of([1, 2]) == crc_of([2, 1])
+    False
+    """
+    numbers = list(crcs)
+    return zlib.crc32(struct.pack(f"<{len(numbers)}I", *numbers))
+
+
+class StepTally:
+    """Images and exposure records of the latest step; a frame counts when both are there and their CRCs agree.
+
+    Attributes
+    ----------
+    experiment, step
+        Identity of the step; empty and 0 before the first.
+    """
+
+    def __init__(self) -> None:
+        self.experiment, self.step = "", 0
+        self._images: dict[int, int] = {}  # stamp -> CRC
+        self._records: dict[int, tuple[int, int]] = {}  # index -> stamp, CRC
+
+    def begin(self, experiment: str, step: int) -> None:
+        """Forget the records of an earlier step; its topic and those of the frames are not in one order."""
+        if (experiment, step) != (self.experiment, self.step):
+            self.experiment, self.step = experiment, step
+            self._records.clear()
+
+    def add_image(self, stamp: int, crc: int) -> None:
+        """Add an image with the CRC-32 of its data; the newest thousand are kept."""
+        self._images[stamp] = crc
+        if len(self._images) > _MOST_IMAGES:
+            del self._images[next(iter(self._images))]
+
+    def add_record(self, record: Exposure) -> None:
+        """Add the exposure record of a frame of a step."""
+        if record.count:
+            self.begin(record.experiment, record.step)
+            self._records[record.index] = to_nanoseconds(record.header.stamp), record.image_crc
+
+    def confirmed(self) -> list[int]:
+        """Return the CRCs of the complete frames, in the order of the frames."""
+        return [crc for _, (stamp, crc) in sorted(self._records.items()) if self._images.get(stamp) == crc]
