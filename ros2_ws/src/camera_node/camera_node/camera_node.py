@@ -88,6 +88,8 @@ class CameraNode(HardwareNode[CameraParameters]):
     # one frame on request
 
     async def _capture(self, request: CaptureFrame.Request, response: CaptureFrame.Response) -> CaptureFrame.Response:
+        if not request.count:
+            return response  # a client asks whether its requests and the responses arrive
         started = time.monotonic()
         try:
             response.stamp = to_msg(await self._take_frame(request))

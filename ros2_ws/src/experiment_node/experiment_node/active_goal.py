@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -9,6 +11,7 @@ from typing import Any
 from rclpy.action.server import CancelResponse, ServerGoalHandle
 from rclpy.client import Client
 from rclpy.node import Node
+from rclpy.task import Future
 
 from fringedic.errors import WaitTimeoutError
 from fringedic_msgs.action import MeasureStep
@@ -87,20 +90,36 @@ class ActiveGoal:
             await until(self._node, lambda: self._cancelled or predicate(), timeout_s)
         self._conclude(predicate, failure)
 
-    async def call(self, client: Client, request: Any, timeout_s: float, code: int, what: str) -> Any:
-        """Return the response of a service; without service or response in time the goal ends with `code`."""
+    async def call(
+        self, client: Client, request: Any, timeout_s: float, code: int, what: str, *, again_s: float = math.inf
+    ) -> Any:
+        """Return the response of a service; without service or response in time the goal ends with `code`.
+
+        A server that has just started may not have discovered the reader of its responses yet. A request without effect
+        or with the same effect every time is therefore sent again after `again_s` without response.
+        """
         name = client.srv_name
         if not client.service_is_ready():
             await self.wait_polling(
                 client.service_is_ready, timeout_s, lambda: (code, f"{what}: there is no service {name}")
             )
+        deadline = time.monotonic() + timeout_s
+        future = await self._ask(client, request, min(timeout_s, again_s))
+        while not future.done() and not self._cancelled and (left := deadline - time.monotonic()) > 0:
+            future = await self._ask(client, request, min(left, again_s))
+        self._conclude(future.done, lambda: (code, f"{what}: {name} did not answer in {timeout_s:g} s"))
+        return future.result()
+
+    async def _ask(self, client: Client, request: Any, timeout_s: float) -> Future:
+        """Send a request and return its response, which is not done when there was none in time."""
         future = client.call_async(request)
         future.add_done_callback(lambda _: self._changed.notify())
         try:
-            await self.wait(future.done, timeout_s, lambda: (code, f"{what}: {name} did not answer in {timeout_s:g} s"))
+            with suppress(WaitTimeoutError):
+                await self._changed.wait(lambda: self._cancelled or future.done(), timeout_s)
         finally:
             client.remove_pending_request(future)
-        return future.result()
+        return future
 
     def _conclude(self, predicate: Callable[[], bool], failure: Callable[[], Failure]) -> None:
         self.check()

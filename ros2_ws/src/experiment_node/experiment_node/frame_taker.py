@@ -11,12 +11,13 @@ from experiment_node.active_goal import StepFailure
 from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.load_watch import LoadWatch
 from experiment_node.running_step import RunningStep
-from fringedic.patterns.pattern import ProjectedPattern
+from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.srv import CaptureFrame, ShowPattern
 from fringedic_ros.stamps import to_nanoseconds
 
 Result = MeasureStep.Result
+AGAIN_S = 1.0
 CAPTURE_ERRORS = {
     CaptureFrame.Request.CAMERA_TIMEOUT: Result.CAMERA_TIMEOUT,
     CaptureFrame.Request.CAMERA_FAILED: Result.CAMERA_FAILED,
@@ -50,6 +51,23 @@ class FrameTaker:
     def servers(self) -> list[int]:
         """Return how many servers of each service are known."""
         return [self._node.count_services(client.srv_name) for client in (self._show, self._capture)]
+
+    async def await_responses(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+        """Wait until projector and camera have discovered this node, so that no response is lost.
+
+        Raises
+        ------
+        StepFailure
+            PROJECTOR_TIMEOUT, CAMERA_TIMEOUT.
+        """
+        white, nothing = ShowPattern.Request(kind=int(PatternKind.WHITE)), CaptureFrame.Request(count=0)
+        pings = [(self._capture, nothing, Result.CAMERA_TIMEOUT)]
+        if parameters.projector:
+            pings.insert(0, (self._show, white, Result.PROJECTOR_TIMEOUT))
+        for client, request, code in pings:
+            await step.goal.call(
+                client, request, parameters.start_timeout_s, code, "before the first frame", again_s=AGAIN_S
+            )
 
     async def show(self, step: RunningStep, pattern: ProjectedPattern, parameters: ExperimentParameters) -> Time:
         """Show a pattern and return the stamp of it.

@@ -21,6 +21,7 @@ from fringedic_ros.waiting import Condition
 
 Result = MeasureStep.Result
 CONNECTING_TIME = 1.0  # [s] from the last node that connects to the first exposure
+_SERVICES = ("projector/show", "camera/capture")
 _QUIET_TOPICS = ("camera/image_raw", "camera/exposure")
 
 
@@ -44,6 +45,7 @@ class Readiness:
         self._connected: dict[str, bool] = {}
         self._connected_at = time.monotonic()
         self._graph_changed = True
+        self._servers: list[int] = []
         self._matching = Matching(node, PUBLISHED, READERS)
 
     def subscribe(self, kind: type[Any], topic: str, callback: Callable[[Any], None]) -> None:
@@ -52,8 +54,7 @@ class Readiness:
 
         def matched(event: QoSSubscriptionMatchedInfo) -> None:
             self._connected[topic] = event.current_count > 0
-            if event.current_count_change > 0:
-                self._graph_changed = True
+            self._graph_changed = True
             self._connected_at = time.monotonic()
             self._changed.notify()
 
@@ -85,12 +86,31 @@ class Readiness:
             timeout,
             lambda: (Result.NO_SUBSCRIBER, f"no node publishes {', '.join(absent())}; start the nodes they belong to"),
         )
+        await step.goal.wait_polling(
+            lambda: not self._doubled(),
+            timeout,
+            lambda: (Result.NO_SUBSCRIBER, f"two nodes use {', '.join(self._doubled())}; end one of them"),
+        )
         await self._await_quiet_graph(step)
+        await self._frames.await_responses(step, parameters)
         await self.reach_readers(step.goal, step.nodes, timeout)
+
+    def _doubled(self) -> list[str]:
+        """Return what a node and its killed predecessor, which is listed until its lease ends, have in common."""
+        doubled = [name for name, count in zip(_SERVICES, self._frames.servers(), strict=True) if count > 1]
+        for topic in self._connected:
+            publishers = [each.node_name for each in self._node.get_publishers_info_by_topic(topic)]
+            doubled += [f"{topic} as {name}" for name in set(publishers) if publishers.count(name) > 1]
+        for topic in _QUIET_TOPICS:
+            readers = [each.node_name for each in self._node.get_subscriptions_info_by_topic(topic)]
+            doubled += [f"{topic} as {name}" for name in READERS if readers.count(name) > 1]
+        return doubled
 
     def is_outdated(self, step: RunningStep) -> bool:
         """Return whether the connections must be checked before this step."""
-        if self._graph_changed:
+        servers = self._frames.servers()
+        if self._graph_changed or servers != self._servers:
+            self._servers = servers
             self._graph_changed = step.experiment.ready = False
         return not step.experiment.ready
 

@@ -112,6 +112,8 @@ class Rig(Peer):
         return response
 
     def _capture(self, request: CaptureFrame.Request, response: CaptureFrame.Response) -> CaptureFrame.Response:
+        if not request.count:
+            return response
         self.clock_ns += 10_000_000
         response.stamp = to_msg(self.clock_ns)
         there = self.placed[-1]

@@ -104,7 +104,8 @@ class Rig(Peer):
         self.feedback: list[MeasureStep.Feedback] = []
 
     async def _show(self, request: ShowPattern.Request, response: ShowPattern.Response) -> ShowPattern.Response:
-        self.shown.append(request)
+        if request.kind != Exposure.WHITE:
+            self.shown.append(request)
         response.error_code = self.show_error
         response.error_message = "no screen" if self.show_error else ""
         response.shown = to_msg(self.time())
@@ -121,6 +122,8 @@ class Rig(Peer):
             self.publish_load(self.load_mode)
 
     async def _capture(self, request: CaptureFrame.Request, response: CaptureFrame.Response) -> CaptureFrame.Response:
+        if not request.count:
+            return response
         self.captured.append(request)
         if self.hang is not None:
             await self.hang

@@ -33,9 +33,9 @@ from fringedic.report.calibration_sentences import place_in_words
 from fringedic_bringup.launch.readiness import Readiness
 from fringedic_bringup.participant import Participant
 from fringedic_msgs.action import CalibrateDistortion, CalibrateRig, MeasureStep, MoveCrosshead
-from fringedic_msgs.msg import LoadState, RecorderStatus
+from fringedic_msgs.msg import LoadState, RecorderStatus, Reference
 from fringedic_msgs.srv import PlaceReferencePlane, SetReference, StartExperiment
-from fringedic_ros.qos import STATE
+from fringedic_ros.qos import LATCHED, STATE
 
 MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
 START_TIMEOUT_S = 60.0
@@ -43,6 +43,7 @@ START_TIMEOUT_S = 60.0
 HEARTBEATS_S = 0.5
 # The experiment node ends every step by itself; this ends the wait for an experiment node that has ended.
 STEP_TIMEOUT_S = 3600.0
+AGAIN_S = 2.0  # after which a request without answer is sent again
 
 
 class RigClient:
@@ -97,13 +98,19 @@ class RigClient:
         self._readiness = Readiness(self.node, actions, self._place)
         self._start = self.node.create_client(StartExperiment, "experiment/start")
         self._set_reference = self.node.create_client(SetReference, "experiment/set_reference")
-        self._recorder_parameters = self.node.create_client(GetParameters, "recorder/get_parameters")
         self._hold = self.node.create_client(Trigger, "load_frame/hold")
+        self._reference = -1
+        self.node.create_subscription(Reference, "experiment/reference", self._take_reference, LATCHED)
         self._load: LoadState | None = None
         self._strain = self._strain_of_step = math.nan
         self.node.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
         self.node.create_subscription(Float64, "extensometer/strain", self._take_strain, STATE)
         self._running: Any = None  # goal whose result is pending
+        # the last of all, because a node discovers the endpoints of another in the order of their creation
+        self._pings = {
+            name: self.node.create_client(GetParameters, f"{name}/get_parameters")
+            for name in ("experiment", "load_frame", "recorder")
+        }
 
     def __enter__(self) -> Self:
         return self
@@ -126,6 +133,8 @@ class RigClient:
     def wait_until_ready(self, nodes: Iterable[str], timeout_s: float = START_TIMEOUT_S) -> None:
         """Wait for nodes and actions, and until a recorder among the nodes has subscribed to every recorded topic.
 
+        The nodes have then discovered this client, too: an answer that they send earlier is lost.
+
         Raises
         ------
         WaitTimeoutError
@@ -136,7 +145,13 @@ class RigClient:
         expected = set(nodes)
         missing = self._readiness.missing
         self.wait_for(lambda: not missing(expected), timeout_s, lambda: f"not ready: {', '.join(missing(expected))}")
-        self._readiness.remember(expected)
+        for name in sorted(expected & self._pings.keys()):
+            self._call_again(self._pings[name], GetParameters.Request(), timeout_s)
+
+    @property
+    def reference(self) -> int:
+        """Step that the experiment node announced as reference; -1 before the first."""
+        return self._reference
 
     def start_experiment(self, name: str) -> None:
         """Begin a new experiment with step 0.
@@ -158,7 +173,8 @@ class RigClient:
         StepFailedError
             The experiment node refuses it.
         """
-        response = self.call(self._set_reference, SetReference.Request(next=step is None, step=step or 0))
+        request = SetReference.Request(next=step is None, step=step or 0)
+        response = self._call_again(self._set_reference, request, START_TIMEOUT_S)
         if not response.success:
             raise StepFailedError(response.message)
 
@@ -256,7 +272,7 @@ class RigClient:
         """
         if not self._hold.service_is_ready():
             raise StepFailedError("there is no service load_frame/hold: stop the machine by hand")
-        response = self._await(self._hold.call_async(Trigger.Request()), timeout_s, self._hold.srv_name)
+        response = self._call_again(self._hold, Trigger.Request(), timeout_s)
         if not response.success:
             raise StepFailedError(response.message)
 
@@ -279,7 +295,7 @@ class RigClient:
             self._await(handle.get_result_async(), timeout_s, "the result of the cancelled goal")
 
     def wait_until_started(self, nodes: Iterable[str], since_ns: int, timeout_s: float = START_TIMEOUT_S) -> None:
-        """Wait for nodes that were started again; the middleware lists their predecessors for some more seconds.
+        """Wait for nodes that were started again, and until the middleware has dropped their predecessors.
 
         Parameters
         ----------
@@ -456,7 +472,7 @@ class RigClient:
             The recorder does not answer.
         """
         self.sleep(HEARTBEATS_S)
-        self.call(self._recorder_parameters, GetParameters.Request())
+        self._call_again(self._pings["recorder"], GetParameters.Request(), START_TIMEOUT_S)
 
     def sleep(self, seconds: float) -> None:
         """Wait, with the checks of `watch`."""
@@ -472,6 +488,30 @@ class RigClient:
             The service does not answer.
         """
         return self._await(client.call_async(request), START_TIMEOUT_S, client.srv_name)
+
+    def _call_again(self, client: Client, request: Any, timeout_s: float) -> Any:
+        """Call a service whose effect is the same every time, again and again until it responds.
+
+        Raises
+        ------
+        WaitTimeoutError
+            The service does not answer.
+        """
+        sent, next_s = list[Future](), 0.0
+
+        def answered() -> bool:
+            nonlocal next_s
+            if client.service_is_ready() and time.monotonic() >= next_s:
+                sent.append(client.call_async(request))
+                next_s = time.monotonic() + AGAIN_S
+            return any(future.done() for future in sent)
+
+        try:
+            self.wait_for(answered, timeout_s, lambda: f"{client.srv_name}: no answer")
+        finally:
+            for future in sent:
+                client.remove_pending_request(future)
+        return next(future.result() for future in sent if future.done())
 
     def wait_for(self, done: Callable[[], bool], timeout_s: float, what: Callable[[], str]) -> None:
         """Run the callbacks of the node until a condition is true, with the checks of `watch`.
@@ -517,6 +557,9 @@ class RigClient:
     def _await(self, future: Future, timeout_s: float, what: str) -> Any:
         self.wait_for(future.done, timeout_s, lambda: f"{what}: no answer")
         return future.result()
+
+    def _take_reference(self, message: Reference) -> None:
+        self._reference = message.step
 
     def _take_load(self, message: LoadState) -> None:
         self._load = message

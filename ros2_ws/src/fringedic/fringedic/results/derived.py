@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Mapping
 from typing import Any
 
@@ -30,7 +29,8 @@ class Collected:
         self._topics = topics
         self._parameters = RecordedParameters({})
         self._calibration: RigModel | None = None
-        self._steps: OrderedDict[int, dict[str, Any]] = OrderedDict()
+        self._steps: dict[int, dict[str, Any]] = {}  # by stamp, of the steps that are not complete yet
+        self._done: set[int] = set()  # stamps of the rows so far
         self._reference: int | None = None
         self._reference_of: dict[int, int | None] = {}
 
@@ -39,7 +39,10 @@ class Collected:
         return self._parameters.settings(self._calibration)
 
     def take(self, topic: str, message: Any) -> list[Row]:
-        """Take one message; return the step that it completes, if any."""
+        """Take one message; return the step that it completes, if any, after those before it.
+
+        Nodes work on one step after the other: when a later one is complete, what is missing of an earlier one is lost.
+        """
         if topic == "node_parameters":
             self._parameters.take(message)
             return []
@@ -50,22 +53,29 @@ class Collected:
             self._reference = message.step
             return []
         stamp = stamp_of(message)
+        if stamp in self._done:
+            return []  # too late
         if stamp not in self._steps:
             # a late message may arrive after the next reference was announced
             self._steps[stamp], self._reference_of[stamp] = {}, self._reference
         parts = self._steps[stamp]
         parts[topic] = message
-        if self._expected(parts) <= parts.keys():
-            return [self._row(self._steps.pop(stamp), stamp)]
-        return []
+        return self._rows(last=stamp) if self._expected(parts) <= parts.keys() else []
 
     def finish(self) -> list[Row]:
-        """Return the steps of which messages are missing; without a status their number is not known."""
-        return [
-            self._row(parts, stamp)
-            for stamp, parts in self._steps.items()
-            if any(topic.endswith("/status") for topic in parts)
-        ]
+        """Return the last steps of which messages are missing."""
+        return self._rows(last=None)
+
+    def _rows(self, last: int | None) -> list[Row]:
+        """Return the steps in the order of their first messages; without a status the number of one is not known."""
+        rows = []
+        while self._steps and last not in self._done:
+            stamp = next(iter(self._steps))
+            parts = self._steps.pop(stamp)
+            self._done.add(stamp)
+            if any(topic.endswith("/status") for topic in parts):
+                rows.append(self._row(parts, stamp))
+        return rows
 
     def _expected(self, parts: Mapping[str, Any]) -> set[str]:
         """Return the topics of a step according to its statuses: a node that failed or skipped it publishes no maps."""
@@ -87,6 +97,9 @@ class Collected:
                 row.error = row.error or status.error_message
             elif not np.isnan(status.valid_fraction):
                 row.valid_fraction = status.valid_fraction
+        missing = sorted(self._expected(parts) - parts.keys())
+        if missing and not row.error:
+            row.error = f"the recording lacks {', '.join(missing)} of this step; measure it with fringedic process"
         for topic, name in PHASE_TOPICS.items():
             if f"phase/{topic}" in parts:
                 row.maps[name] = image_array(parts[f"phase/{topic}"])

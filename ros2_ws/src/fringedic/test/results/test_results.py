@@ -352,6 +352,22 @@ def test_recordings_of_versions_that_did_not_tell_say_so():
     assert [(row.step, row.reference_step, row.correlated_step) for row in rows] == [(3, 3, None)]
 
 
+def test_a_step_without_its_last_status_keeps_its_place():
+    """As when coupling was killed: appended at the end, it was the last step of the dataset."""
+    topics = {"dic/status", "coupling/status"}
+    collected = Collected(topics)
+    rows = []
+    for step in (4, 5, 6):
+        header = SimpleNamespace(stamp=SimpleNamespace(sec=step, nanosec=0))
+        status = SimpleNamespace(header=header, step=step, error_code=0, error_message="", valid_fraction=1.0, rms=1.0)
+        for topic in topics - ({"coupling/status"} if step == 5 else set()):
+            rows += collected.take(topic, status)
+    rows += collected.finish()
+    assert [row.step for row in rows] == [4, 5, 6]
+    assert [bool(row.error) for row in rows] == [False, True, False]
+    assert "lacks coupling/status" in rows[1].error
+
+
 def test_results_do_not_depend_on_the_number_of_threads(bench, processed, tmp_path):
     script = """
         import sys

@@ -132,6 +132,8 @@ def _finish(reports: list[RunReport]) -> None:
     """
     for report in reports:
         console.print(report_table(report))
+        if report.ended_early:
+            say(f"{report.experiment} ended early: {report.ended_early}")
         if report.unmeasured:
             say(f"{report.folder}: complete recording (bag), no dataset: {report.unmeasured}")
         else:

@@ -134,6 +134,14 @@ class RunningGraph:
         entry = replace(entry, parameters={**entry.parameters, **changes})
         self._start(entry, _executable(entry))
 
+    def kill(self, names: Iterable[str]) -> None:
+        """Kill nodes that do not answer; `dead` contains them then."""
+        processes = [self._processes[name] for name in names if name in self._processes]
+        for process in processes:
+            process.kill()
+        for process in processes:
+            process.wait(GRACE_S[signal.SIGKILL])
+
     def stop(self, names: Iterable[str] | None = None) -> None:
         """End the named nodes, or all of them, by SIGINT, then SIGTERM, then SIGKILL.
 

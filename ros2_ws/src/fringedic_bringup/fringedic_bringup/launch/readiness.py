@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Mapping
 
 from rclpy.action import ActionClient
@@ -15,8 +14,6 @@ from fringedic_msgs.msg import NodeParameters, RecorderStatus
 from fringedic_ros.qos import LATCHED, LATCHED_BY_MANY
 from fringedic_ros.stamps import to_nanoseconds
 
-# The service of a node that was killed stays listed for 20 s, beside that of the node that replaces it.
-LISTED_S = 20.0
 SERVICES = {"camera": "camera/capture", "projector": "projector/show", "load_frame": "load_frame/hold"}
 
 
@@ -37,9 +34,6 @@ class Readiness:
         self._node = node
         self._actions = actions
         self._place = place
-        self._known_servers: dict[str, set[bytes]] = {}
-        self._known_readers: set[bytes] = set()  # of the recorder
-        self._stale_readers: set[bytes] = set()  # of a recorder that has ended
         self._started: dict[str, int] = {}  # when each node published its parameters last [ns]
         self._recorder: RecorderStatus | None = None
         node.create_subscription(NodeParameters, "node_parameters", self._take_parameters, LATCHED_BY_MANY)
@@ -58,7 +52,12 @@ class Readiness:
         StepFailedError
             The recorder cannot record.
         """
-        absent = sorted(expected - {name for name, _ in self._node.get_node_names_and_namespaces()})
+        absent = sorted(name for name in expected if self._listed(name) != 1)
+        absent += [
+            f"service {service}"
+            for node, service in SERVICES.items()
+            if node in expected and self._node.count_services(self._node.resolve_service_name(service)) != 1
+        ]
         for node in sorted(expected & self._actions.keys()):
             absent += [f"action {name}" for name, client in self._actions[node].items() if not client.server_is_ready()]
         if "stage" in expected and not self._place.service_is_ready():
@@ -67,13 +66,11 @@ class Readiness:
             absent += [f"recorder on {topic}" for topic in self._unrecorded()]
         return absent
 
-    def remember(self, expected: set[str]) -> None:
-        """Remember the servers and subscriptions that are listed now, to distinguish them from their successors."""
-        self._known_servers = self._servers(expected)
-        self._known_readers = {gid for topic in self._topics() for gid in self._recorder_readers(topic)}
-
     def missing_since(self, expected: set[str], since_ns: int) -> Callable[[], set[str]]:
         """Return a function that lists the nodes that were started again and are not there yet.
+
+        A killed node stays listed until its lease ends. Until then messages and requests for it and for its successor
+        cannot be distinguished, so that a node is there when it is listed once.
 
         Parameters
         ----------
@@ -84,37 +81,18 @@ class Readiness:
         """
         if "recorder" in expected:
             self._recorder = None  # the latest status is that of the recorder that has ended
-            self._stale_readers |= self._known_readers
-        listed_until = time.monotonic() + LISTED_S
+        return lambda: {name for name in expected if self._started.get(name, 0) < since_ns or self._listed(name) != 1}
 
-        def missing() -> set[str]:
-            absent = {name for name in expected if self._started.get(name, 0) < since_ns}
-            known = self._known_servers
-            absent |= {name for name, gids in self._servers(expected).items() if gids <= known.get(name, set())}
-            if time.monotonic() < listed_until:
-                absent |= {name for name in expected & SERVICES.keys() if self._count_services(name) < 2}
-            return absent
-
-        return missing
+    def _listed(self, name: str) -> int:
+        """Return how many nodes of this name are listed."""
+        own = self._node.get_namespace()
+        return self._node.get_node_names_and_namespaces().count((name, own))
 
     def _topics(self, names: Iterable[str] = (*RAW_TOPICS, *DERIVED_TOPICS)) -> list[str]:
         return [self._node.resolve_topic_name(name) for name in names]
 
-    def _servers(self, nodes: set[str]) -> dict[str, set[bytes]]:
-        """Return the identities of the listed action servers; a killed server stays listed for some seconds."""
-        servers = {}
-        for node in nodes & self._actions.keys():
-            name = self._node.resolve_topic_name(next(iter(self._actions[node])))
-            found = self._node.get_publishers_info_by_topic(f"{name}/_action/status")
-            servers[node] = {bytes(each.endpoint_gid) for each in found}
-        return servers
-
-    def _recorder_readers(self, topic: str) -> set[bytes]:
-        found = self._node.get_subscriptions_info_by_topic(topic)
-        return {bytes(each.endpoint_gid) for each in found if each.node_name == "recorder"}
-
-    def _count_services(self, node: str) -> int:
-        return self._node.count_services(self._node.resolve_service_name(SERVICES[node]))
+    def _is_recorded(self, topic: str) -> bool:
+        return any(each.node_name == "recorder" for each in self._node.get_subscriptions_info_by_topic(topic))
 
     def _unrecorded(self) -> list[str]:
         """Return the topics that have a publisher and that the recorder has not subscribed to yet."""
@@ -123,7 +101,7 @@ class Readiness:
         if self._recorder is None or self._recorder.state != RecorderStatus.RECORDING:
             return ["everything"]
         topics = self._topics()
-        heard = [topic for topic in topics if self._recorder_readers(topic) - self._stale_readers]
+        heard = [topic for topic in topics if self._is_recorded(topic)]
         derived = set(self._topics(DERIVED_TOPICS))
         wanted = topics if derived & set(heard) else [topic for topic in topics if topic not in derived]
         return [topic for topic in wanted if topic not in heard and self._node.count_publishers(topic)]

@@ -15,16 +15,18 @@ from typing import Any, NamedTuple
 
 from fringedic.configuration.conditions import MetCondition, Reading
 from fringedic.configuration.programme import Programme, ProgrammeStep
-from fringedic.errors import NodeDiedError, StepFailedError, WaitTimeoutError
+from fringedic.errors import FringedicError, NodeDiedError, StepFailedError, WaitTimeoutError
 from fringedic.report.programme import block_end_sentence, condition_sentence
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.outcome import Progress, StepReport
 from fringedic_msgs.action import MeasureStep
 
-MOST_DEATHS = 3  # of one node in one run; after more, a restart does not remove the cause
+MOST_DEATHS = 3  # of one node without a measured step in between; after more, a restart does not remove the cause
+MOST_SILENCES = 3  # missing answers without a measured step in between, although every node runs
 WITH_REFERENCE = ("dic", "coupling")  # keep the reference step in memory and lose it when they end
 INTERRUPTION_S = 5.0  # wait for the answer to hold and cancel
+RESTART_S = 40.0  # from the start of a node until it is ready and its predecessor's lease has ended
 
 
 class Driven(NamedTuple):
@@ -35,16 +37,22 @@ class Driven(NamedTuple):
     steps
         Reports of the steps that were to be measured.
     measure_again
-        Reference step for a new measurement of all steps from the recording, because a node ended and lost the
-        reference; None when none was lost.
+        Reference step for a new measurement of all steps from the recording, because a node ended, so that results are
+        missing or count from another step; None when none ended.
+    ended_early
+        Why the programme ended before its last step; empty when it did not.
     """
 
     steps: list[StepReport]
     measure_again: int | None
+    ended_early: str = ""
 
 
 def drive(running: RunningGraph, programme: Programme, progress: Progress, *, domain: int | None = None) -> Driven:
     """Move, hold and measure, step by step; a failed step is reported and the next one follows.
+
+    What was measured is returned whatever happens later: nodes that end again and again, or answers that never come,
+    end the programme early, with a request to hold.
 
     Parameters
     ----------
@@ -60,7 +68,7 @@ def drive(running: RunningGraph, programme: Programme, progress: Progress, *, do
     Raises
     ------
     NodeDiedError
-        A node ended before all were ready, or repeatedly.
+        A node ended before all were ready.
     WaitTimeoutError
         The nodes are not ready in time, or the strain that a condition needs has no publisher.
     """
@@ -71,13 +79,19 @@ def drive(running: RunningGraph, programme: Programme, progress: Progress, *, do
         driver = _Driver(running, rig, progress, len(programme.load_steps()))
         walk = programme.walk(lambda end: progress.note(block_end_sentence(end)))
         reading: Reading | None = None
-        with suppress(StopIteration):
-            while True:
-                reading = driver.do(walk.send(reading))
-        driver.finish()
+        ended_early = ""
+        try:
+            with suppress(StopIteration):
+                while True:
+                    reading = driver.do(walk.send(reading))
+            driver.finish()
+        except FringedicError as error:
+            ended_early = str(error)
+            progress.note(f"the programme ends early: {ended_early}")
+            driver.interrupt()
     first = next((report.step for report in driver.reports if not report.error), None)
     own = any(step.set_reference for step in programme.load_steps())
-    return Driven(driver.reports, first if driver.reference_was_lost and not own else None)
+    return Driven(driver.reports, first if driver.interrupted and not own else None, ended_early)
 
 
 class _Driver:
@@ -87,18 +101,19 @@ class _Driver:
     ----------
     reports
         Reports of the steps that are measured.
-    reference_was_lost
-        A node that kept the reference in memory has ended.
+    interrupted
+        A node has ended: results of its step are missing, or it lost the reference that it kept in memory.
     """
 
     def __init__(self, running: RunningGraph, rig: RigClient, progress: Progress, steps: int) -> None:
         self.reports: list[StepReport] = []
         self._running, self._rig, self._progress = running, rig, progress
         self._number, self._steps = 0, steps
-        self.reference_was_lost = False
+        self.interrupted = False
         self._restarted = False  # a node was started again since the last successful step
-        self._reference = -1
-        self._deaths: Counter[str] = Counter()
+        self._deaths: Counter[str] = Counter()  # without a measured step in between
+        self._silences = 0
+        self._started: list[str] = []  # nodes that were started again last
 
     def do(self, step: ProgrammeStep) -> Reading | None:
         """Execute a step, and repeat it when a node ends meanwhile; return the readings for the conditions."""
@@ -134,11 +149,12 @@ class _Driver:
                 number = max([self._rig.last_step, *(report.step for report in self.reports)], default=0)
                 self.reports.append(StepReport(max(number, 0), error=str(error)))
             return None
-        self._restarted = False
+        self._restarted, self._silences = False, 0
+        self._deaths.clear()
+        if not step.set_reference and self.reports and result.step == self._rig.reference:
+            self.interrupted = True  # the experiment node replaced it
         if moved:
             self._progress.note(moved)
-        if self._reference < 0 or step.set_reference:
-            self._reference = result.step
         self.reports.append(_report(step, result))
         return Reading(result.force_mean, self._rig.strain_of_step, result.valid_fraction)
 
@@ -179,12 +195,25 @@ class _Driver:
         self._progress.step(self._number, self._steps, feedback.stage, feedback.frame, feedback.frames)
 
     def _with_restarts(self, work: Callable[[], Any]) -> Any:
-        """Call a function; when nodes end meanwhile, start them again and call it once more."""
+        """Call a function; when nodes end or do not answer meanwhile, mend that and call it once more."""
         while True:
             try:
                 return work()
             except NodeDiedError as death:
                 self._restart(death)
+            except WaitTimeoutError as silence:
+                self._silences += 1
+                if self._silences > MOST_SILENCES:
+                    raise
+                self._progress.note(f"{silence}; step {self._number} is repeated")
+                self.interrupt()
+
+    def interrupt(self) -> None:
+        """Request a hold, and the end of the move or step under way."""
+        for request in (self._rig.hold, self._rig.cancel):
+            # the node that should answer may have ended
+            with suppress(StepFailedError, WaitTimeoutError, NodeDiedError):
+                request(INTERRUPTION_S)
 
     def _restart(self, death: NodeDiedError) -> None:
         while True:
@@ -192,36 +221,43 @@ class _Driver:
                 without_reference = self._start_again(death)
                 self._rig.wait_until_ready(self._running.graph.names)
                 self._restarted = True
-                if without_reference and self._reference >= 0:
+                if without_reference and self._rig.reference >= 0:
                     self._rig.set_reference()
-                    self.reference_was_lost = True
                     self._progress.note(
                         f"{' and '.join(without_reference)} lost the reference: until the end of the programme "
-                        "displacements count from the next step; afterwards all steps are measured again against step "
-                        f"{self._reference}"
+                        "displacements count from the next step; afterwards all steps are measured again against the "
+                        "first"
                     )
                 return
             except NodeDiedError as another:
                 death = another
+            except WaitTimeoutError as silence:
+                death = self._end_silent(silence)
+
+    def _end_silent(self, silence: WaitTimeoutError) -> NodeDiedError:
+        """End the nodes that were started again and did not become ready, so that they are started once more."""
+        self._silences += 1
+        if self._silences > MOST_SILENCES:
+            raise silence
+        self._progress.note(str(silence))
+        self._running.kill(self._started)
+        return NodeDiedError(str(silence))
 
     def _start_again(self, death: NodeDiedError) -> list[str]:
         """Request a hold, start the nodes that have ended again, and return those that lost the reference."""
-        dead = self._running.dead()
+        dead, self.interrupted = self._running.dead(), True
         self._deaths.update(dead.keys())
         if any(self._deaths[name] > MOST_DEATHS for name in dead):
             raise death
-        since = time.time_ns()
+        since, self._started = time.time_ns(), list(dead)
         for name, how in dead.items():
             self._running.restart(name, **self._changes(name))
             self._progress.note(
                 f"{name} {how} (see {self._running.log(name)}); it is started again, "
                 f"and step {self._number} is repeated"
             )
-        for request in (self._rig.hold, self._rig.cancel):
-            # the node that should answer may have ended itself
-            with suppress(StepFailedError, WaitTimeoutError):
-                request(INTERRUPTION_S)
-        self._rig.wait_until_started(dead, since)
+        self.interrupt()
+        self._rig.wait_until_started(dead, since, RESTART_S)
         return [name for name in dead if name in WITH_REFERENCE]
 
     def _changes(self, name: str) -> dict[str, Any]:
@@ -230,7 +266,7 @@ class _Driver:
         if name == "recorder" and entry.parameters["bag_path"]:
             return {"bag_path": str(next_part(Path(entry.parameters["bag_path"])))}
         if name == "experiment":  # the interrupted step has a number already
-            return {"first_step": self._rig.last_step + 2, "reference_step": self._reference}
+            return {"first_step": self._rig.last_step + 2, "reference_step": self._rig.reference}
         if name == "camera" and entry.parameters.get("truth_folder"):
             return {"truth_folder": ""}  # a new file would start with another reference
         return {}

@@ -70,6 +70,8 @@ class RunReport:
         Why there is no dataset of what was recorded; empty when there is one.
     no_errors
         Why the steps have no errors although there is a ground truth; empty when they have.
+    ended_early
+        Why the programme ended before its last step; empty when it did not.
     """
 
     experiment: str
@@ -78,11 +80,12 @@ class RunReport:
     pictures: list[Path]
     unmeasured: str = ""
     no_errors: str = ""
+    ended_early: str = ""
 
     @property
     def failed(self) -> bool:
-        """Whether a step failed, a frame is missing, or nothing could be measured."""
-        return bool(self.unmeasured) or any(step.error or step.missing for step in self.steps)
+        """Whether the programme ended early, a step failed, a frame is missing, or nothing could be measured."""
+        return bool(self.unmeasured or self.ended_early) or any(step.error or step.missing for step in self.steps)
 
 
 @dataclass(frozen=True)

@@ -83,7 +83,7 @@ def run_experiment(
     """Run a programme on a rig and leave recording, dataset, pictures, report and logs in a folder.
 
     A step that fails is reported and the programme continues. A node that ends is started again, and the step is
-    repeated.
+    repeated. When that does not help the programme ends early, with the results of what was measured.
 
     Parameters
     ----------
@@ -123,9 +123,11 @@ def run_experiment(
         progress.stage(f"{programme.experiment}: closing the recording")
     join_parts(folder / "bag", progress, rig.recording.split)
     progress.stage(f"{programme.experiment}: writing dataset, pictures and report")
-    return write_results(
+    report = write_results(
         programme.experiment, folder, driven.steps, exact=_exact(rig), measure_again=driven.measure_again
     )
+    report.ended_early = driven.ended_early
+    return report
 
 
 def join_parts(bag: Path, progress: Progress, split: Split) -> None:
