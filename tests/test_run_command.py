@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -16,7 +17,7 @@ from running_system import RecordedExperiment, node_pid, wait_until
 from typer.testing import CliRunner, Result
 
 import fringedic
-from fringedic.errors import ConfigurationError
+from fringedic.errors import ConfigurationError, ProcessError
 from fringedic.frames.messages import image_array
 from fringedic.recording.reader import BagReader
 from fringedic.rig.model import RigModel
@@ -176,10 +177,15 @@ class Running:
         return [node_pid(self._run, name) for name in self.NODES]
 
 
-def test_interrupted_run_closes_the_recording_and_ends_its_nodes(tiny: Path, tmp_path: Path) -> None:
+def test_a_rig_has_one_owner_whose_interruption_closes_recording_and_nodes(tiny: Path, tmp_path: Path) -> None:
     running = Running(tiny, tmp_path)
     running.wait_until_printed("step 2 of 3")
     pids = running.pids()
+    second = fringedic_command("run", tiny, "--output", tmp_path / "second")
+    assert isinstance(second.exception, ProcessError)
+    words = rf"is in use by process {running.process.pid} \(.*run.*\) since 20.*, folder {tmp_path / 'run'}; wait"
+    assert re.search(words, str(second.exception)), second.exception
+    assert running.process.poll() is None
     running.process.send_signal(signal.SIGINT)
     assert running.process.wait(60) == 130
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids)

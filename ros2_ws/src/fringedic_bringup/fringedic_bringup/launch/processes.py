@@ -26,6 +26,7 @@ from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 from fringedic.errors import NodeDiedError, ProcessError
 from fringedic_bringup.launch.graph import Graph, NodeEntry
+from fringedic_bringup.launch.lease import RigLease
 
 # Wait after each signal: a node finishes its current work, and a recorder closes its recording.
 GRACE_S = {signal.SIGINT: 15.0, signal.SIGTERM: 5.0, signal.SIGKILL: 5.0}
@@ -58,7 +59,7 @@ class RunningGraph:
     Raises
     ------
     ProcessError
-        The executable of a node is not installed; nothing was started.
+        The executable of a node is not installed, or another process has the rig; nothing was started.
     """
 
     def __init__(
@@ -67,17 +68,19 @@ class RunningGraph:
         self.graph = graph
         self.logs = Path(logs)
         self.environment = node_environment(domain) | dict(environment or {})
+        self._lease = RigLease(int(self.environment.get("ROS_DOMAIN_ID") or 0), graph.namespace, self.logs.parent)
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._may_end: set[str] = set()
 
     def __enter__(self) -> RunningGraph:
-        self.logs.mkdir(parents=True, exist_ok=True)
         executables = {entry.name: _executable(entry) for entry in self.graph.nodes}
+        self._lease.__enter__()
         try:
+            self.logs.mkdir(parents=True, exist_ok=True)
             for entry in self.graph.nodes:
                 self._start(entry, executables[entry.name])
         except BaseException:
-            self.stop()
+            self.__exit__(*sys.exc_info())
             raise
         return self
 
@@ -85,6 +88,7 @@ class RunningGraph:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self.stop()
+        self._lease.__exit__(kind, error, traceback)
 
     def pid(self, name: str) -> int:
         """Return the process id of a node."""

@@ -269,7 +269,8 @@ def _describe_exchange(layout: Layout, group: int, frames: tuple[int, int], numb
     shifts = " and ".join(str(period[frame].shift) for frame in frames)
     return first, (
         f"frames {first} and {second} are interchanged (shifts {shifts} of pitch {layout.pitches[group]:g} px): frames "
-        "are out of order"
+        "are out of order, or some show an earlier pattern because settle_ms is shorter than the projector's delay "
+        "(fringedic timing measures it)"
     )
 
 

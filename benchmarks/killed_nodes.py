@@ -1,0 +1,113 @@
+"""Time that a test loses by a killed node: random kills of every node of the virtual rig while a programme runs.
+
+``python benchmarks/killed_nodes.py 200`` kills 200 times, in runs of 20; without a number 20 times.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import statistics
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+from fringedic.configuration.programme import Programme
+from fringedic_bringup.launch.graph import PROCESSING_NODES
+from fringedic_bringup.launch.processes import configuration, private_domain
+from fringedic_bringup.procedures.outcome import RunReport
+from fringedic_bringup.procedures.run import load_rig, run_experiment
+
+NODES = ("recorder", "projector", "stage", "camera", "load_frame", *PROCESSING_NODES, "experiment")
+IN_ONE_RUN = 20
+LONGEST_DELAY_S = 1.2  # a step of this rig takes 0.6 s
+SECOND = 0.3  # probability of a second kill within 3 s
+
+
+class Victims:
+    """Receives the progress of a run, kills nodes, and keeps the time of each step."""
+
+    def __init__(self, folder: Path, kills: int, seed: int) -> None:
+        self._random = random.Random(seed)
+        self._folder = folder
+        self._planned = {3 + 2 * number + self._random.randrange(2) for number in range(kills)}
+        self.starts: dict[int, float] = {}
+        self.killed: list[tuple[int, str]] = []
+
+    def stage(self, text: str) -> None:
+        """Ignore what is being done now."""
+
+    def note(self, text: str) -> None:
+        """Ignore notes."""
+
+    def step(self, number: int, *_: object) -> None:
+        """Plan a kill when one of the chosen steps begins."""
+        if number in self.starts:
+            return
+        self.starts[number] = time.monotonic()
+        if number in self._planned:
+            delay = self._random.uniform(0, LONGEST_DELAY_S)
+            threading.Timer(delay, self._kill, (number, self._random.choice(NODES))).start()
+            if self._random.random() < SECOND:
+                delay = self._random.uniform(0, 3.0)
+                threading.Timer(delay, self._kill, (number, self._random.choice(NODES))).start()
+
+    def _kill(self, number: int, name: str) -> None:
+        marker = str(self._folder / "logs" / f"{name}.yaml").encode()
+        for process in Path("/proc").glob("[0-9]*"):
+            try:
+                if marker in (process / "cmdline").read_bytes():
+                    os.kill(int(process.name), signal.SIGKILL)
+                    self.killed.append((number, name))
+            except OSError:
+                continue  # it has ended, or belongs to another user
+
+    def lost(self) -> dict[str, list[float]]:
+        """Return the time [s] that each kill cost its step, by node; that of a pair counts for both."""
+        hit = {number for number, _ in self.killed}
+        numbers = self.starts.keys()
+        durations = {n: self.starts[n + 1] - self.starts[n] for n in numbers if n + 1 in numbers}
+        usual = statistics.median(value for number, value in durations.items() if number not in hit)
+        found: dict[str, list[float]] = {}
+        for number, name in self.killed:
+            if number in durations:
+                found.setdefault(name, []).append(durations[number] - usual)
+        return found
+
+
+def run(folder: Path, kills: int, seed: int) -> tuple[RunReport, Victims]:
+    """Run a programme of two steps for each kill."""
+    victims = Victims(folder, kills, seed)
+    path = configuration("tiny.yaml")
+    rig, _ = load_rig(path, None, None)
+    ramp = {"from_mm": 0.0, "to_mm": 0.6, "steps": 2 * kills + 4, "speed_mm_per_s": 2.0}
+    programme = Programme.model_validate({"experiment": "killed", "ramp": ramp})
+    with private_domain() as domain:
+        return run_experiment(rig, path, programme, folder, victims, domain=domain), victims
+
+
+def main(kills: int) -> None:
+    """Print the time lost by node, and what was not measured."""
+    lost: dict[str, list[float]] = {}
+    steps = failed = missing = early = 0
+    for seed in range(-(-kills // IN_ONE_RUN)):
+        with tempfile.TemporaryDirectory() as folder:
+            report, victims = run(Path(folder) / "run", min(kills, IN_ONE_RUN), seed)
+        for name, values in victims.lost().items():
+            lost.setdefault(name, []).extend(values)
+        steps += len(report.steps)
+        failed += sum(bool(step.error) for step in report.steps)
+        missing += sum(step.missing for step in report.steps)
+        early += bool(report.ended_early)
+    print("| node | kills | time lost, median | largest |\n|---|---|---|---|")
+    everything = [value for values in lost.values() for value in values]
+    for name, values in [*sorted(lost.items()), ("all", everything)]:
+        print(f"| {name} | {len(values)} | {statistics.median(values):.1f} s | {max(values):.1f} s |")
+    print(f"{steps} steps: {failed} failed, {missing} frames missing, {early} runs ended early")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else IN_ONE_RUN)
