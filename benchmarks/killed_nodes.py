@@ -32,7 +32,7 @@ class Victims:
 
     def __init__(self, folder: Path, kills: int, seed: int) -> None:
         self._random = random.Random(seed)
-        self._folder = folder
+        self._folder, self._started = folder, time.monotonic()
         self._planned = {3 + 2 * number + self._random.randrange(2) for number in range(kills)}
         self.starts: dict[int, float] = {}
         self.killed: list[tuple[int, str]] = []
@@ -41,7 +41,8 @@ class Victims:
         """Ignore what is being done now."""
 
     def note(self, text: str) -> None:
-        """Ignore notes."""
+        """Tell what happened to the nodes."""
+        print(f"{time.monotonic() - self._started:8.1f} s  {text}", file=sys.stderr)
 
     def step(self, number: int, *_: object) -> None:
         """Plan a kill when one of the chosen steps begins."""

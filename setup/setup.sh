@@ -163,6 +163,8 @@ fi
 
 kernels=$(find ros2_ws/src/fringedic/fringedic -name '*.py' -print0 | fingerprint)
 if ! current kernels "$kernels"; then
+    # Numba compares a kernel's own file only, not those of the functions that it calls
+    find ros2_ws/src -name '*.nb[ic]' -delete
     run "compiled kernels" "$venv/bin/python" -m fringedic.warm_up
     done_for kernels "$kernels"
 fi

@@ -259,6 +259,13 @@ def test_machine_file_with_a_mistake(changes: dict[str, Any], words: str, tmp_pa
         load_machine(tmp_path / "absent.yaml")
 
 
+def test_machine_file_with_a_key_twice(tmp_path: Path) -> None:
+    path = tmp_path / "machine.yaml"
+    path.write_text(yaml.safe_dump(MODBUS) + "host: 192.168.1.11\n")
+    with pytest.raises(ConfigurationError, match=r"machine\.yaml: .*the key 'host' is in line \d+ already"):
+        load_machine(path)
+
+
 def test_motion_over_a_clock_that_jumps_back() -> None:
     motion = Motion(slowest=0.01 * MM, span=0.2)
     times = [int(1e8 * k) for k in range(6)]

@@ -96,9 +96,9 @@ class Until(Section):
 
         Examples
         --------
-        >>> Until(force_above_n=500, strain_above_percent=2).of_strain()
-        Until(force_above_n=None, force_below_n=None, strain_above_percent=2.0, strain_below_percent=None,
-              valid_fraction_below=None)
+        >>> strain = Until(force_above_n=500, strain_above_percent=2).of_strain()
+        >>> strain.force_above_n, strain.strain_above_percent
+        (None, 2.0)
         """
         names = self.model_fields_set & {"strain_above_percent", "strain_below_percent"}
         return Until(**{name: getattr(self, name) for name in names}) if self.needs_strain else None

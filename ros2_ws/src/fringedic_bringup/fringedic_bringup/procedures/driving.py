@@ -216,15 +216,17 @@ class _Driver:
                 request(INTERRUPTION_S)
 
     def _restart(self, death: NodeDiedError) -> None:
+        without_reference: set[str] = set()
         while True:
             try:
-                without_reference = self._start_again(death)
+                without_reference.update(name for name in self._running.dead() if name in WITH_REFERENCE)
+                self._start_again(death)
                 self._rig.wait_until_ready(self._running.graph.names)
                 self._restarted = True
                 if without_reference and self._rig.reference >= 0:
                     self._rig.set_reference()
                     self._progress.note(
-                        f"{' and '.join(without_reference)} lost the reference: until the end of the programme "
+                        f"{' and '.join(sorted(without_reference))} lost the reference: until the end of the programme "
                         "displacements count from the next step; afterwards all steps are measured again against the "
                         "first"
                     )
@@ -243,8 +245,8 @@ class _Driver:
         self._running.kill(self._started)
         return NodeDiedError(str(silence))
 
-    def _start_again(self, death: NodeDiedError) -> list[str]:
-        """Request a hold, start the nodes that have ended again, and return those that lost the reference."""
+    def _start_again(self, death: NodeDiedError) -> None:
+        """Request a hold and start the nodes that have ended again."""
         dead, self.interrupted = self._running.dead(), True
         self._deaths.update(dead.keys())
         if any(self._deaths[name] > MOST_DEATHS for name in dead):
@@ -258,7 +260,6 @@ class _Driver:
             )
         self.interrupt()
         self._rig.wait_until_started(dead, since, RESTART_S)
-        return [name for name in dead if name in WITH_REFERENCE]
 
     def _changes(self, name: str) -> dict[str, Any]:
         """Return the parameters with which a restarted node continues where it ended."""

@@ -19,6 +19,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from fringedic.errors import ConfigurationError
+from fringedic.yaml_text import load_yaml
 from load_frame_node.machines.machine import LoadMode
 
 ForceUnit = Literal["mN", "N", "kN"]
@@ -287,7 +288,7 @@ def load_machine(path: str | os.PathLike[str]) -> MachineDescription:
         The file cannot be read, or a key is unknown, missing or out of range; the message names file and key.
     """
     try:
-        content = yaml.safe_load(Path(path).read_text("utf-8"))
+        content = load_yaml(Path(path).read_text("utf-8"))
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
