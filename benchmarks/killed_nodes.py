@@ -51,18 +51,18 @@ class Victims:
         self.starts[number] = time.monotonic()
         if number in self._planned:
             delay = self._random.uniform(0, LONGEST_DELAY_S)
-            threading.Timer(delay, self._kill, (number, self._random.choice(NODES))).start()
+            threading.Timer(delay, self._kill, (self._random.choice(NODES),)).start()
             if self._random.random() < SECOND:
                 delay = self._random.uniform(0, 3.0)
-                threading.Timer(delay, self._kill, (number, self._random.choice(NODES))).start()
+                threading.Timer(delay, self._kill, (self._random.choice(NODES),)).start()
 
-    def _kill(self, number: int, name: str) -> None:
+    def _kill(self, name: str) -> None:
         marker = str(self._folder / "logs" / f"{name}.yaml").encode()
         for process in Path("/proc").glob("[0-9]*"):
             try:
                 if marker in (process / "cmdline").read_bytes():
                     os.kill(int(process.name), signal.SIGKILL)
-                    self.killed.append((number, name))
+                    self.killed.append((max(self.starts), name))
             except OSError:
                 continue  # it has ended, or belongs to another user
 
