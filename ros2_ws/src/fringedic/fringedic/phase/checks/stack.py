@@ -151,5 +151,6 @@ def _usable_pixels(sample: Sample, saturated: np.ndarray, ceiling: float, number
 def _coherence(sample: Sample, number: int, allowed: np.ndarray) -> float:
     """Return how well neighbours agree in the growth of the phase where the modulation is largest, 0 (noise) to 1."""
     strength = np.where(allowed, np.hypot(*sample.fits[number][1:]), 0)
-    strong = strength > np.quantile(strength, 0.8)
+    # equal strengths are all among the largest: fringes without noise on a plane have no others
+    strong = (strength >= np.quantile(strength, 0.8)) & (strength > 0)
     return float(np.abs(np.mean(sample.growth(number)[strong]))) if strong.any() else 0.0

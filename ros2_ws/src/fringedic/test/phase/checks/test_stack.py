@@ -50,6 +50,14 @@ def test_a_good_stack_passes_without_remarks(preset: str) -> None:
             assert check_stack(stack_of(twin, sequence), sequence.patterns) == []
 
 
+@pytest.mark.parametrize("kind", [np.uint8, np.float32])
+def test_fringes_without_noise_are_good(kind: type[np.generic]) -> None:
+    """Their modulation is the same at every pixel."""
+    sequence = fringe_sequence(240, 180, [240, 40, 10], 4)
+    frames = np.array([25 + 0.8 * image.astype(np.float32) for image in sequence]).astype(kind)
+    assert check_stack(frames, sequence.patterns) == []
+
+
 @pytest.fixture(scope="module")
 def bent() -> VirtualRig:
     return rig_of(preset="plate", projector={"gamma": 2.2})
