@@ -15,6 +15,8 @@ from running_system import MACHINE, WORKING, Killer, ModbusServer, Progress
 from camera_node.testing import FakeCamera
 from fringe_projector_node.testing import VirtualDisplay
 from fringedic.recording.reader import BagReader
+from fringedic.rig.model import RigModel
+from fringedic.virtual_rig import VirtualRig
 from fringedic_bringup.procedures.outcome import RunReport
 from fringedic_bringup.procedures.replay import replay
 from fringedic_bringup.procedures.run import load_rig, run_experiment
@@ -96,7 +98,12 @@ def test_ten_steps_on_devices_and_a_killed_camera_node(folder: Path, tmp_path: P
     assert "no step could be measured" in report.unmeasured
     assert "patt" in report.unmeasured
     assert all(np.isfinite(step.force) and np.isfinite(step.position) for step in report.steps)
-    again = BagReader(replay(report.folder / "bag", tmp_path / "again", Progress()))
+    optics = VirtualRig.from_preset("plate", size="small").optics()
+    model = RigModel(**optics | {"projector_width": 640, "projector_height": 480}, identifier="of another rig")
+    model.to_yaml(tmp_path / "rig_model.yaml")
+    again = BagReader(
+        replay(report.folder / "bag", tmp_path / "again", Progress(), calibration=tmp_path / "rig_model.yaml")
+    )
     counts = {name.removeprefix("/rig/"): count for name, count in again.counts.items()}
     assert counts["camera/image_raw"] == recorded.counts[names["camera/image_raw"]]
     assert counts["phase/status"] >= STEPS

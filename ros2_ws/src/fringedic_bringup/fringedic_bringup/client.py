@@ -221,8 +221,8 @@ class RigClient:
             `until` is given, and the load frame publishes no state.
         """
         goal = MoveCrosshead.Goal(position=position, speed=speed, controller=self._name)
-        goal.force_above = [] if force_above is None else [force_above]
-        goal.force_below = [] if force_below is None else [force_below]
+        goal.force_above = [] if force_above is None else [float(force_above)]
+        goal.force_below = [] if force_below is None else [float(force_below)]
         what = f"crosshead to {position * 1e3:.4f} mm"
         if until is None:
             return self._act(self._move, goal, what, lambda _: None)

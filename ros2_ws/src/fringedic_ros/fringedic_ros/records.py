@@ -23,7 +23,7 @@ def exposure_message(record: FrameRecord, *, frame_id: str) -> Exposure:
         shifts=record.pattern.shifts,
         exposure_time=float(record.exposure_time),
         dropped=record.dropped,
-        image_crc=record.image_crc or 0,
+        image_crc=record.image_crc,
     )
     message.header.stamp = to_msg(record.stamp)
     message.header.frame_id = frame_id

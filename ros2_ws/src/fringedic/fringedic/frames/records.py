@@ -27,7 +27,7 @@ class FrameRecord:
     dropped
         Frames that the camera has lost since it was started.
     image_crc
-        CRC-32 (zlib) of the image's data; None in recordings of version 0.1.
+        CRC-32 (zlib) of the image's data; 0 in recordings of version 0.1.
     """
 
     experiment: str
@@ -38,7 +38,7 @@ class FrameRecord:
     stamp: int
     exposure_time: float
     dropped: int = 0
-    image_crc: int | None = None
+    image_crc: int = 0
 
 
 class StampedMessage(Protocol):
@@ -93,5 +93,5 @@ def frame_record(exposure: ExposureMessage) -> FrameRecord:
         stamp=stamp_of(exposure),
         exposure_time=exposure.exposure_time,
         dropped=exposure.dropped,
-        image_crc=getattr(exposure, "image_crc", None),
+        image_crc=getattr(exposure, "image_crc", 0),
     )

@@ -85,6 +85,7 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
     if rig.extensometer is not None:
         nodes.append(NodeEntry("extensometer", "dic_node", "extensometer", _extensometer(rig.extensometer)))
     settings = _experiment(rig, experiment) | {
+        "load_frame": rig.load_frame is not None,
         "white_between_steps": rig.extensometer is not None,
         "facts": rig.metadata(rig_path).to_text(),
         "calibration_file": calibration_file,
@@ -338,7 +339,7 @@ def _experiment(rig: RigFile, experiment: str) -> dict[str, Any]:
     }
     if rig.load_frame is not None:
         names = ("hold_required", "load_drift_n", "position_drift_um")
-        parameters |= {"load_frame": True} | {name: getattr(rig.load_frame, name) for name in names}
+        parameters |= {name: getattr(rig.load_frame, name) for name in names}
     if rig.virtual_rig is not None:
         parameters["camera_timeout_s"] = RENDERING_TIMEOUT_S
     size = rig.projector_size()
