@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -294,22 +294,20 @@ class RigClient:
             self._await(handle.cancel_goal_async(), timeout_s, "cancelling")
             self._await(handle.get_result_async(), timeout_s, "the result of the cancelled goal")
 
-    def wait_until_started(self, nodes: Iterable[str], since_ns: int, timeout_s: float = START_TIMEOUT_S) -> None:
+    def wait_until_started(self, since_ns: Mapping[str, int], timeout_s: float = START_TIMEOUT_S) -> None:
         """Wait for nodes that were started again, and until the middleware has dropped their predecessors.
 
         Parameters
         ----------
-        nodes
-            Their names.
         since_ns
-            Time on this computer's clock [ns] after which they publish their parameters.
+            When each was started, by its name, on this computer's clock [ns]; it publishes its parameters later.
 
         Raises
         ------
         WaitTimeoutError
             One of them is not ready in time.
         """
-        missing = self._readiness.missing_since(set(nodes), since_ns)
+        missing = self._readiness.missing_since(since_ns)
         self.wait_for(lambda: not missing(), timeout_s, lambda: f"not started: {', '.join(sorted(missing()))}")
 
     def measure(

@@ -66,7 +66,7 @@ class Readiness:
             absent += [f"recorder on {topic}" for topic in self._unrecorded()]
         return absent
 
-    def missing_since(self, expected: set[str], since_ns: int) -> Callable[[], set[str]]:
+    def missing_since(self, since_ns: Mapping[str, int]) -> Callable[[], set[str]]:
         """Return a function that lists the nodes that were started again and are not there yet.
 
         A killed node stays listed until its lease ends. Until then messages and requests for it and for its successor
@@ -74,14 +74,14 @@ class Readiness:
 
         Parameters
         ----------
-        expected
-            Their names.
         since_ns
-            Time on this computer's clock [ns] after which they publish their parameters.
+            When each was started, by its name, on this computer's clock [ns]; it publishes its parameters later.
         """
-        if "recorder" in expected:
+        if "recorder" in since_ns:
             self._recorder = None  # the latest status is that of the recorder that has ended
-        return lambda: {name for name in expected if self._started.get(name, 0) < since_ns or self._listed(name) != 1}
+        return lambda: {
+            name for name, since in since_ns.items() if self._started.get(name, 0) < since or self._listed(name) != 1
+        }
 
     def _listed(self, name: str) -> int:
         """Return how many nodes of this name are listed."""

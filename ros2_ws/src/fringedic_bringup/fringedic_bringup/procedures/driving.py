@@ -113,7 +113,7 @@ class _Driver:
         self._restarted = False  # a node was started again since the last successful step
         self._deaths: Counter[str] = Counter()  # without a measured step in between
         self._silences = 0
-        self._started: list[str] = []  # nodes that were started again last
+        self._awaited: dict[str, int] = {}  # nodes that were started again, and when [ns]
 
     def do(self, step: ProgrammeStep) -> Reading | None:
         """Execute a step, and repeat it when a node ends meanwhile; return the readings for the conditions."""
@@ -242,7 +242,7 @@ class _Driver:
         if self._silences > MOST_SILENCES:
             raise silence
         self._progress.note(str(silence))
-        self._running.kill(self._started)
+        self._running.kill(self._awaited)
         return NodeDiedError(str(silence))
 
     def _start_again(self, death: NodeDiedError) -> None:
@@ -251,7 +251,7 @@ class _Driver:
         self._deaths.update(dead.keys())
         if any(self._deaths[name] > MOST_DEATHS for name in dead):
             raise death
-        since, self._started = time.time_ns(), list(dead)
+        self._awaited |= dict.fromkeys(dead, time.time_ns())
         for name, how in dead.items():
             self._running.restart(name, **self._changes(name))
             self._progress.note(
@@ -259,7 +259,8 @@ class _Driver:
                 f"and step {self._number} is repeated"
             )
         self.interrupt()
-        self._rig.wait_until_started(dead, since, RESTART_S)
+        self._rig.wait_until_started(self._awaited, RESTART_S)
+        self._awaited.clear()
 
     def _changes(self, name: str) -> dict[str, Any]:
         """Return the parameters with which a restarted node continues where it ended."""
