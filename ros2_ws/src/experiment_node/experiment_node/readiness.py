@@ -45,7 +45,7 @@ class Readiness:
         self._connected: dict[str, bool] = {}
         self._connected_at = time.monotonic()
         self._graph_changed = True
-        self._servers: list[int] = []
+        self._known_endpoints: list[int] = []
         self._matching = Matching(node, PUBLISHED, READERS)
 
     def subscribe(self, kind: type[Any], topic: str, callback: Callable[[Any], None]) -> None:
@@ -94,6 +94,7 @@ class Readiness:
         await self._await_quiet_graph(step)
         await self._frames.await_responses(step, parameters)
         await self.reach_readers(step.goal, step.nodes, timeout)
+        self._known_endpoints = self._endpoints()
 
     def _doubled(self) -> list[str]:
         """Return what a node and its killed predecessor, which is listed until its lease ends, have in common."""
@@ -108,11 +109,13 @@ class Readiness:
 
     def is_outdated(self, step: RunningStep) -> bool:
         """Return whether the connections must be checked before this step."""
-        servers = self._frames.servers()
-        if self._graph_changed or servers != self._servers:
-            self._servers = servers
+        if self._graph_changed or self._endpoints() != self._known_endpoints:
             self._graph_changed = step.experiment.ready = False
         return not step.experiment.ready
+
+    def _endpoints(self) -> list[int]:
+        """Return how many readers of the camera's topics and servers of frames are listed."""
+        return [self._node.count_subscribers(topic) for topic in _QUIET_TOPICS] + self._frames.servers()
 
     async def reach_readers(self, goal: ActiveGoal, nodes: Collection[str], timeout_s: float) -> None:
         """Wait until the publishers of these nodes are connected to all readers of their topics.
@@ -134,12 +137,8 @@ class Readiness:
 
     async def _await_quiet_graph(self, step: RunningStep) -> None:
         """Wait until no further node has connected for a time: nodes discover each other one by one."""
-
-        def endpoints() -> list[int]:
-            return [self._node.count_subscribers(topic) for topic in _QUIET_TOPICS] + self._frames.servers()
-
-        found, since = endpoints(), self._connected_at
+        found, since = self._endpoints(), self._connected_at
         while (left := since + CONNECTING_TIME - time.monotonic()) > 0:
             await step.goal.pause(min(left, 0.1))
-            if found != (found := endpoints()):
+            if found != (found := self._endpoints()):
                 since = time.monotonic()
