@@ -21,9 +21,9 @@ START = 1_700_000_000_000_000_000
 
 
 def frames(
-    projector: ProjectorConfiguration, *, changes: int = 80, reach: float = 9e-3, seed: int = 1
+    projector: ProjectorConfiguration, *, changes: int = 80, reach: float = 9e-3, seed: int = 1, noise: float = 0.1
 ) -> TimingSamples:
-    """Mean brightness of 4 dark and 110 bright grey levels around each change and at rest, with a noise of 0.1."""
+    """Mean brightness of 4 dark and 110 bright grey levels, with noise, around each change and at rest."""
     random = np.random.default_rng(seed)
     shown = [START - 10**9, START]
     rows = []
@@ -37,7 +37,7 @@ def frames(
             weights = pattern_weights(projector, seed, shown, middle - round(0.5e9 * EXPOSURE), EXPOSURE)
             # the latest pattern is bright or not, and those before it in turn
             lit = weights[::-1][0 if bright else 1 :: 2].sum()
-            rows.append((since, 1e-9 * (middle - START), bright, 4.0 + 106.0 * lit + random.normal(0.0, 0.1)))
+            rows.append((since, 1e-9 * (middle - START), bright, 4.0 + 106.0 * lit + random.normal(0.0, noise)))
     since, stamp, lit, level = np.array(rows).T
     return TimingSamples(since, stamp, lit > 0, level, EXPOSURE)
 
@@ -84,6 +84,17 @@ def test_pulses_do_not_bias_the_delay(pulsing: ProjectorTiming) -> None:
     assert timing.whole_exposure(0.010) == pytest.approx(1 / 60, rel=1e-4)
     assert timing.whole_exposure(0.030) == pytest.approx(2 / 60, rel=1e-4)
     assert timing.settle_time() == pytest.approx(3 / 60, rel=1e-4)
+
+
+@pytest.mark.parametrize("seed", [4, 5, 6])
+def test_errors_of_the_waveform_are_not_taken_for_a_slow_rise(seed: int) -> None:
+    timing = measure_timing(
+        frames(
+            ProjectorConfiguration(delay_ms=37.0, refresh_hz=60.0, refresh_duty=0.5), changes=60, seed=seed, noise=1.0
+        )
+    )
+    assert abs(1e3 * timing.delay - 37.0) < 4e3 * timing.delay_sigma, timing
+    assert (timing.rise, timing.fall) == (0.0, 0.0)
 
 
 def test_jitter_is_not_taken_for_a_slow_rise() -> None:
