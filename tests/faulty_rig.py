@@ -88,7 +88,7 @@ class Rig:
         """Move the machine slowly; only a request to hold stops it, and there has to be one."""
         self.client.move(0.0, 5 * MM)
         goal = MoveCrosshead.Goal(position=0.9 * MM, speed=0.05 * MM, controller="creep")
-        with action(self.client, MoveCrosshead, "move_crosshead") as move:
+        with action(self.client, MoveCrosshead, "move_crosshead", "load_frame") as move:
             sent = move.send_goal_async(goal)
             self.client.wait_for(sent.done, 20.0, lambda: "the start of the motion")
             with self.settings(hold_required=False):
@@ -109,11 +109,12 @@ class Rig:
 
 
 @contextmanager
-def action(client: RigClient, kind: Any, name: str) -> Iterator[ActionClient]:
-    """Provide a client of an action, as another controller has it."""
+def action(client: RigClient, kind: Any, name: str, server: str) -> Iterator[ActionClient]:
+    """Provide a client of an action, as another controller has it; `server` is the node that has to know it."""
     other = ActionClient(client.node, kind, name)
     try:
         client.wait_for(other.server_is_ready, 20.0, lambda: f"action {name}")
+        set_parameters(client, server, {})
         yield other
     finally:
         other.destroy()
@@ -122,9 +123,8 @@ def action(client: RigClient, kind: Any, name: str) -> Iterator[ActionClient]:
 def set_parameters(client: RigClient, node: str, values: dict[str, Any]) -> SetParametersResult:
     """Set parameters of a node and return its answer."""
     service = client.node.create_client(SetParametersAtomically, f"{node}/set_parameters_atomically")
-    client.wait_for(service.service_is_ready, 20.0, lambda: "parameter service")
     changes = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-    result = client.call(service, SetParametersAtomically.Request(parameters=changes)).result
+    result = client.call_again(service, SetParametersAtomically.Request(parameters=changes), 20.0).result
     client.node.destroy_client(service)
     return result
 

@@ -97,7 +97,7 @@ def _with(graph: Graph, name: str, **parameters: object) -> Graph:
 
 def test_a_second_step_while_one_runs_is_refused(rig: Rig) -> None:
     goal = MeasureStep.Goal(mode=MeasureStep.Goal.FRINGES)
-    with action(rig.client, MeasureStep, "measure_step") as measure:
+    with action(rig.client, MeasureStep, "measure_step", "experiment") as measure:
         first, second = (measure.send_goal_async(goal) for _ in range(2))
         rig.client.wait_for(lambda: first.done() and second.done(), 20.0, lambda: "goals")
         results = [each.result().get_result_async() for each in (first, second)]

@@ -74,7 +74,7 @@ def test_cancelled_half_way(rig: Rig) -> None:
 def test_second_controller(rig: Rig) -> None:
     refusals = []
     done = False
-    with action(rig.client, MeasureStep, "measure_step") as measure:
+    with action(rig.client, MeasureStep, "measure_step", "experiment") as measure:
 
         def interfere(feedback: MeasureStep.Feedback) -> None:
             nonlocal done

@@ -35,7 +35,7 @@ class Studio(Peer):
 
     def capture(self, index: int = 0, count: int = 100, **fields: Any) -> CaptureFrame.Response:
         """Request one frame and wait for the response."""
-        self.wait(self.capture_client.service_is_ready, "the camera's service")
+        self.ask(self.capture_client, CaptureFrame.Request(count=0), "the camera node")  # takes no frame
         expected = {"image_subscribers": 1, "exposure_subscribers": 1}
         request = CaptureFrame.Request(**{"experiment": "test", "index": index, "count": count, **expected, **fields})
         future = self.capture_client.call_async(request)

@@ -69,13 +69,11 @@ class Studio(Peer):
 
     def set_region(self, region: list[int]) -> None:
         change = Parameter("region_px", Parameter.Type.INTEGER_ARRAY, region).to_parameter_msg()
-        future = self._parameters.call_async(SetParameters.Request(parameters=[change]))
-        self.wait(future.done, "the change of the region")
-        assert future.result().results[0].successful
+        response = self.ask(self._parameters, SetParameters.Request(parameters=[change]), "the change of the region")
+        assert response.results[0].successful
 
     def reset(self) -> None:
-        future = self._reset.call_async(Trigger.Request())
-        self.wait(future.done, "the reset")
+        self.ask(self._reset, Trigger.Request(), "the reset")
 
 
 def test_figures_and_picture_of_every_frame(studio: Studio, tmp_path: Path) -> None:

@@ -72,8 +72,7 @@ class Rig(Peer):
         self.serve(0.1)
 
     def zero(self) -> None:
-        future = self._zero.call_async(Trigger.Request())
-        self.wait(future.done, "the zero", 10)
+        self.ask(self._zero, Trigger.Request(), "the zero")
 
 
 @pytest.fixture(scope="module")

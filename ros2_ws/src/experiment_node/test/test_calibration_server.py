@@ -170,6 +170,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     with NodeProcess("experiment_node.experiment_node", folder, PARAMETERS | {"calibration_folder": folder}):
         for client in (rig.distortion, rig.rig, rig.measure):
             rig.wait(client.server_is_ready, "an action server")
+        rig.meet("experiment")
         yield rig
     rig.destroy_node()
     rclpy.try_shutdown()

@@ -290,6 +290,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
         rig.wait(rig.measure.server_is_ready, "the action server")
         for client in (rig.start, rig.set_reference, rig.set_parameters):
             rig.wait(client.service_is_ready, client.srv_name)
+        rig.meet("experiment")
         yield rig
     rig.destroy_node()
     rclpy.try_shutdown()

@@ -139,15 +139,13 @@ def test_node_shows_on_the_display(display: VirtualDisplay, tmp_path: Path) -> N
     parameters = {"screen": "display", "width_px": WIDTH, "height_px": HEIGHT}
     try:
         with NodeProcess("fringe_projector_node.projector_node", tmp_path, parameters):
-            operator.wait(show.service_is_ready, "the projector's service")
             for request, name in (
                 (ShowPattern.Request(kind=1, pitch=20.0, shift=2, shifts=4), ""),
                 (ShowPattern.Request(kind=2, name="crosshair"), "crosshair"),
                 (ShowPattern.Request(kind=2, name="focus"), "focus"),
             ):
-                future = show.call_async(request)
-                operator.wait(future.done, "the answer", 10)
-                assert future.result().error_code == ShowPattern.Request.NONE, future.result().error_message
+                response = operator.ask(show, request, "the projector's answer")
+                assert response.error_code == ShowPattern.Request.NONE, response.error_message
                 pattern = ProjectedPattern(
                     PatternKind(request.kind), pitch=request.pitch, shift=request.shift, shifts=request.shifts
                 )

@@ -34,10 +34,7 @@ class Audience(Peer):
         self._show = self.create_client(ShowPattern, "projector/show")
 
     def show(self, **request: object) -> ShowPattern.Response:
-        self.wait(self._show.service_is_ready, "the projector's service")
-        future = self._show.call_async(ShowPattern.Request(**request))
-        self.wait(future.done, "the projector's answer", 10)
-        return future.result()
+        return self.ask(self._show, ShowPattern.Request(**request), "the projector's answer")
 
     def seen(self, stamp_ns: int) -> np.ndarray:
         self.wait(lambda: any(to_nanoseconds(image.header.stamp) == stamp_ns for image in self.images), "the image", 10)
@@ -122,6 +119,7 @@ def test_inactive_projector_refuses(audience: Audience) -> None:
         return future.result().success
 
     audience.wait(change.service_is_ready, "the lifecycle service", 10)
+    audience.meet("projector")
     assert transition(Transition.TRANSITION_DEACTIVATE)
     response = audience.show(kind=int(PatternKind.WHITE))
     assert response.error_code == ShowPattern.Request.SCREEN_FAILED

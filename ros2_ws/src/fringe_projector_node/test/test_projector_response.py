@@ -31,10 +31,8 @@ def test_patterns_make_up_for_the_response_curve(tmp_path: Path) -> None:
     show = audience.create_client(ShowPattern, "projector/show")
     try:
         with NodeProcess("fringe_projector_node.projector_node", tmp_path, parameters):
-            audience.wait(show.service_is_ready, "the projector's service")
-            future = show.call_async(ShowPattern.Request(kind=int(fringes.kind), pitch=25.0, shift=1, shifts=4))
-            audience.wait(future.done, "the projector's answer", 10)
-            stamp = future.result().shown
+            request = ShowPattern.Request(kind=int(fringes.kind), pitch=25.0, shift=1, shifts=4)
+            stamp = audience.ask(show, request, "the projector's answer").shown
             audience.wait(lambda: any(image.header.stamp == stamp for image in images), "the image", 10)
     finally:
         audience.destroy_node()

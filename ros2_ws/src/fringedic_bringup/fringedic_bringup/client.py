@@ -146,7 +146,7 @@ class RigClient:
         missing = self._readiness.missing
         self.wait_for(lambda: not missing(expected), timeout_s, lambda: f"not ready: {', '.join(missing(expected))}")
         for name in sorted(expected & self._pings.keys()):
-            self._call_again(self._pings[name], GetParameters.Request(), timeout_s)
+            self.call_again(self._pings[name], GetParameters.Request(), timeout_s)
 
     @property
     def reference(self) -> int:
@@ -174,7 +174,7 @@ class RigClient:
             The experiment node refuses it.
         """
         request = SetReference.Request(next=step is None, step=step or 0)
-        response = self._call_again(self._set_reference, request, START_TIMEOUT_S)
+        response = self.call_again(self._set_reference, request, START_TIMEOUT_S)
         if not response.success:
             raise StepFailedError(response.message)
 
@@ -272,7 +272,7 @@ class RigClient:
         """
         if not self._hold.service_is_ready():
             raise StepFailedError("there is no service load_frame/hold: stop the machine by hand")
-        response = self._call_again(self._hold, Trigger.Request(), timeout_s)
+        response = self.call_again(self._hold, Trigger.Request(), timeout_s)
         if not response.success:
             raise StepFailedError(response.message)
 
@@ -470,7 +470,7 @@ class RigClient:
             The recorder does not answer.
         """
         self.sleep(HEARTBEATS_S)
-        self._call_again(self._pings["recorder"], GetParameters.Request(), START_TIMEOUT_S)
+        self.call_again(self._pings["recorder"], GetParameters.Request(), START_TIMEOUT_S)
 
     def sleep(self, seconds: float) -> None:
         """Wait, with the checks of `watch`."""
@@ -487,13 +487,13 @@ class RigClient:
         """
         return self._await(client.call_async(request), START_TIMEOUT_S, client.srv_name)
 
-    def _call_again(self, client: Client, request: Any, timeout_s: float) -> Any:
+    def call_again(self, client: Client, request: Any, timeout_s: float) -> Any:
         """Call a service whose effect is the same every time, again and again until it responds.
 
         Raises
         ------
         WaitTimeoutError
-            The service does not answer.
+            There is no such service, or it does not answer.
         """
         sent, next_s = list[Future](), 0.0
 

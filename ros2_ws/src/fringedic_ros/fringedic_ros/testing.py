@@ -14,7 +14,8 @@ from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
-from rcl_interfaces.srv import SetParameters
+from rcl_interfaces.srv import GetParameters, SetParameters
+from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -36,6 +37,7 @@ from fringedic_ros.stamps import to_msg, to_nanoseconds
 
 PITCHES = (100.0, 20.0, 5.0)
 SHIFTS = (4, 4, 8)
+_AGAIN_S = 2.0
 Frame = tuple[FrameRecord, np.ndarray]
 
 
@@ -148,6 +150,35 @@ class Peer(Node):
         while time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.01)
 
+    def ask(self, client: Client, request: Any, what: str, timeout_s: float = 60.0) -> Any:
+        """Return the response to a request whose effect is the same every time.
+
+        A server that does not know the reader of its responses yet, which may take seconds on a busy computer, loses a
+        response; the request is therefore sent again.
+        """
+        self.wait(client.service_is_ready, f"service {client.srv_name}", timeout_s)
+        sent = [client.call_async(request)]
+        next_s = time.monotonic() + _AGAIN_S
+
+        def answered() -> bool:
+            nonlocal next_s
+            if time.monotonic() >= next_s:
+                sent.append(client.call_async(request))
+                next_s += _AGAIN_S
+            return any(future.done() for future in sent)
+
+        self.wait(answered, what, timeout_s)
+        return next(future.result() for future in sent if future.done())
+
+    def meet(self, node: str) -> None:
+        """Wait until a node knows all clients of this one, so that no response to a later request or goal is lost.
+
+        Endpoints become known in the order of their creation, and the client of this question is the last one.
+        """
+        client = self.create_client(GetParameters, f"{node}/get_parameters")
+        self.ask(client, GetParameters.Request(), f"the {node} node")
+        self.destroy_client(client)
+
     def destroy_node(self) -> None:
         """Leave the executor first."""
         self._executor.shutdown()
@@ -180,7 +211,7 @@ class Bench(Peer):
         for publisher in self.publishers:
             if not publisher.topic_name.endswith(("/parameter_events", "/rosout")):
                 self.wait(partial(self._all_connected, publisher), f"the readers of {publisher.topic_name}")
-        self.serve(0.5)
+        self.meet(self._tested)
 
     def _all_connected(self, publisher: Publisher) -> bool:
         return publisher.get_subscription_count() >= self.count_subscribers(publisher.topic_name)
@@ -228,9 +259,8 @@ class Bench(Peer):
     def change(self, **values: Any) -> None:
         """Change parameters of the node."""
         changes = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        future = self._set_parameters.call_async(SetParameters.Request(parameters=changes))
-        self.wait(future.done, "the change of parameters")
-        assert all(result.successful for result in future.result().results), future.result()
+        response = self.ask(self._set_parameters, SetParameters.Request(parameters=changes), "the change of parameters")
+        assert all(result.successful for result in response.results), response
 
 
 def of_stamp(messages: list[Any], stamp: int) -> list[Any]:

@@ -41,6 +41,7 @@ class Operator(Peer):
 
     def start(self, position: float, speed: float, controller: str = "", **limits: list[float]) -> ClientGoalHandle:
         self.wait(self._move.server_is_ready, "the action server")
+        self.meet("load_frame")
         goal = MoveCrosshead.Goal(position=position, speed=speed, controller=controller, **limits)
         future = self._move.send_goal_async(goal, lambda message: self.feedback.append(message.feedback))
         self.wait(future.done, "the answer to the goal", 10)
@@ -55,10 +56,7 @@ class Operator(Peer):
         return self.end(self.start(position, speed, controller))
 
     def hold(self) -> Trigger.Response:
-        self.wait(self._hold.service_is_ready, "the hold service")
-        future = self._hold.call_async(Trigger.Request())
-        self.wait(future.done, "the hold", 10)
-        return future.result()
+        return self.ask(self._hold, Trigger.Request(), "the hold")
 
     def now(self) -> LoadState:
         """A sample that is taken from now on."""

@@ -285,6 +285,7 @@ class Operator(Peer):
 
     def move(self, position: float, speed: float) -> MoveCrosshead.Result:
         self.wait(self._move.server_is_ready, "the action server")
+        self.meet("load_frame")
         sending = self._move.send_goal_async(MoveCrosshead.Goal(position=position, speed=speed))
         self.wait(sending.done, "the answer to the goal", 10)
         ending = sending.result().get_result_async()
@@ -292,10 +293,7 @@ class Operator(Peer):
         return ending.result().result
 
     def hold(self) -> Trigger.Response:
-        self.wait(self._hold.service_is_ready, "the hold service")
-        future = self._hold.call_async(Trigger.Request())
-        self.wait(future.done, "the hold", 10)
-        return future.result()
+        return self.ask(self._hold, Trigger.Request(), "the hold")
 
     def until(self, mode: int) -> LoadState:
         self.states.clear()
