@@ -13,6 +13,7 @@ import sys
 import tempfile
 import threading
 import time
+from itertools import pairwise
 from pathlib import Path
 
 from fringedic.configuration.programme import Programme
@@ -44,12 +45,15 @@ class Victims:
         """Tell what happened to the nodes."""
         print(f"{time.monotonic() - self._started:8.1f} s  {text}", file=sys.stderr)
 
+    def part(self, *_: object) -> None:
+        """Ignore parts of procedures: no node is killed in them."""
+
     def step(self, number: int, *_: object) -> None:
         """Plan a kill when one of the chosen steps begins."""
         if number in self.starts:
             return
         self.starts[number] = time.monotonic()
-        if number in self._planned:
+        if len(self.starts) in self._planned:  # a repeated step takes two numbers
             delay = self._random.uniform(0, LONGEST_DELAY_S)
             threading.Timer(delay, self._kill, (self._random.choice(NODES),)).start()
             if self._random.random() < SECOND:
@@ -69,8 +73,7 @@ class Victims:
     def lost(self) -> dict[str, list[float]]:
         """Return the time [s] that each kill cost its step, by node; that of a pair counts for both."""
         hit = {number for number, _ in self.killed}
-        numbers = self.starts.keys()
-        durations = {n: self.starts[n + 1] - self.starts[n] for n in numbers if n + 1 in numbers}
+        durations = {n: self.starts[after] - self.starts[n] for n, after in pairwise(sorted(self.starts))}
         usual = statistics.median(value for number, value in durations.items() if number not in hit)
         found: dict[str, list[float]] = {}
         for number, name in self.killed:

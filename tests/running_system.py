@@ -54,8 +54,11 @@ class Progress:
     def stage(self, text: str) -> None:
         self.lines.append(text)
 
-    def step(self, number: int, steps: int, text: str, frame: int = 0, frames: int = 0) -> None:
-        self.lines.append(f"step {number} of {steps}: {text} {frame}/{frames}")
+    def step(self, number: int, last: int, text: str, frame: int = 0, frames: int = 0) -> None:
+        self.lines.append(f"step {number} of 0 to {last}: {text} {frame}/{frames}")
+
+    def part(self, number: int, parts: int, text: str, frame: int = 0, frames: int = 0) -> None:
+        self.lines.append(f"{number} of {parts}: {text} {frame}/{frames}")
 
     def note(self, text: str) -> None:
         self.lines.append(text)
@@ -69,17 +72,20 @@ class Killer(Progress):
     folder
         Folder of the run.
     victims
-        The node that is killed in each step, counted from 1.
+        The node that is killed, by the place of its step among those that have begun, counted from 1: a step that is
+        repeated takes two numbers.
     """
 
     def __init__(self, folder: Path, victims: dict[int, str]) -> None:
         super().__init__()
         self._folder, self._victims = folder, dict(victims)
+        self._begun: dict[int, int] = {}
 
-    def step(self, number: int, steps: int, text: str, frame: int = 0, frames: int = 0) -> None:
-        super().step(number, steps, text, frame, frames)
-        if number in self._victims and frame == 3:
-            os.kill(node_pid(self._folder, self._victims.pop(number)), signal.SIGKILL)
+    def step(self, number: int, last: int, text: str, frame: int = 0, frames: int = 0) -> None:
+        super().step(number, last, text, frame, frames)
+        place = self._begun.setdefault(number, len(self._begun) + 1)
+        if place in self._victims and frame == 3:
+            os.kill(node_pid(self._folder, self._victims.pop(place)), signal.SIGKILL)
 
 
 @dataclass(frozen=True)

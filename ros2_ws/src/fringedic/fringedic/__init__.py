@@ -4,7 +4,10 @@ The public names are listed in ``__init__.pyi`` and loaded on first use: most no
 """
 
 import os
+import sys
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 import lazy_loader
 
@@ -26,4 +29,12 @@ try:
 except PackageNotFoundError:
     __version__ = "not installed"
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_public_name, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name, and the methods ``dataset.fringedic`` with the first one that loads xarray."""
+    value = _public_name(name)
+    if "xarray" in sys.modules:
+        import_module("fringedic.accessor")
+    return value

@@ -1,5 +1,6 @@
 __version__: str
 
+from .accessor import ExperimentAccessor as ExperimentAccessor
 from .calibration import RigCalibration as RigCalibration
 from .calibration import RigCheck as RigCheck
 from .calibration import calibrate_rig as calibrate_rig
@@ -12,8 +13,6 @@ from .correlation import Reference as Reference
 from .correlation import accumulate as accumulate
 from .correlation import measure_displacement as measure_displacement
 from .errors import FringedicError as FringedicError
-from .export import export_dataset as export_dataset
-from .figures import save_pictures as save_pictures
 from .frames.region import Region as Region
 from .patterns import ResponseCurve as ResponseCurve
 from .patterns import fringe_sequence as fringe_sequence
@@ -24,14 +23,8 @@ from .phase import demodulate as demodulate
 from .phase import unwrap_hierarchical as unwrap_hierarchical
 from .phase import unwrap_spatial as unwrap_spatial
 from .report import write_report as write_report
-from .results import compare_with_truth as compare_with_truth
-from .results import extensometer as extensometer
-from .results import force_curve as force_curve
 from .results import open_experiment as open_experiment
 from .results import process_bag as process_bag
-from .results import profile as profile
-from .results import region_statistics as region_statistics
-from .results import remove_rigid_motion as remove_rigid_motion
 from .rig import RigModel as RigModel
 from .rig_setup.advice import Advice as Advice
 from .rig_setup.recommended_settings import advise_settings as advise_settings

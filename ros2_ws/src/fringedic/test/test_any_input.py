@@ -18,6 +18,9 @@ from hypothesis.extra import numpy as arrays
 from scipy.ndimage import gaussian_filter
 
 import fringedic
+import fringedic.export
+import fringedic.figures
+import fringedic.results
 from fringedic.errors import FringedicError
 from fringedic.rig_setup.response import response_patterns
 
@@ -160,17 +163,23 @@ CALLS = {
     fringedic.PreparedShape: {"shape": SURFACE, "z_filter": 1.0, "calibration": RIG},
     fringedic.to_local_frame: {"displacement_3d": CLOUD, "window": 5},
     fringedic.surface_strain: {"displacement_3d": CLOUD, "window": 5, "measures": ("von_mises",)},
-    fringedic.extensometer: {"dataset": EXPERIMENT, "first": (3.0, 5.0), "second": (20.0, 5.0), "subset": 3.0},
-    fringedic.profile: {
+    fringedic.results.extensometer: {"dataset": EXPERIMENT, "first": (3.0, 5.0), "second": (20.0, 5.0), "subset": 3.0},
+    fringedic.results.profile: {
         "dataset": EXPERIMENT,
         "names": ["u"],
         "start": (3.0, 5.0),
         "end": (20.0, 5.0),
         "points": 5,
     },
-    fringedic.region_statistics: {"dataset": EXPERIMENT, "names": ["u"], "region": REGION},
-    fringedic.remove_rigid_motion: {"dataset": EXPERIMENT, "region": REGION},
-    fringedic.force_curve: {"dataset": EXPERIMENT, "strain": [0.0, 0.01], "section": 1e-5, "tare": 0.0, "sign": 1},
+    fringedic.results.region_statistics: {"dataset": EXPERIMENT, "names": ["u"], "region": REGION},
+    fringedic.results.remove_rigid_motion: {"dataset": EXPERIMENT, "region": REGION},
+    fringedic.results.force_curve: {
+        "dataset": EXPERIMENT,
+        "strain": [0.0, 0.01],
+        "section": 1e-5,
+        "tare": 0.0,
+        "sign": 1,
+    },
     fringedic.measure_distortion: {"grid_image": GRID, "pitch": 5e-4, "order": 1, "mask": np.ones(GRID.shape, bool)},
     fringedic.measure_response: {
         "frames": np.stack([20 + ALBEDO * (pattern.shift / 255) ** 2 for pattern in GREYS]),
@@ -184,9 +193,9 @@ CALLS = {
         each.name: getattr(RIG, each.name) for each in dataclasses.fields(RIG) if each.name != "camera_distortion"
     },
     RIG.reconstruct: {"phase": plane(), "pitch": PITCH, "sigma_phase": SIGMA},
-    fringedic.save_pictures: {"dataset": EXPERIMENT.isel(step=[0], row=slice(0, 3)), "folder": NOWHERE},
-    fringedic.export_dataset: {"dataset": EXPERIMENT, "folder": NOWHERE, "formats": ["csv"], "steps": [1]},
-    fringedic.compare_with_truth: {"dataset": EXPERIMENT, "truth_path": NOWHERE},
+    fringedic.figures.save_pictures: {"dataset": EXPERIMENT.isel(step=[0], row=slice(0, 3)), "folder": NOWHERE},
+    fringedic.export.export_dataset: {"dataset": EXPERIMENT, "folder": NOWHERE, "formats": ["csv"], "steps": [1]},
+    fringedic.results.compare_with_truth: {"dataset": EXPERIMENT, "truth_path": NOWHERE},
     fringedic.open_experiment: {"path": NOWHERE},
     fringedic.process_bag: {"path": NOWHERE, "output": NOWHERE},
     fringedic.write_report: {"source": NOWHERE, "output": NOWHERE, "static_steps": [0]},
@@ -194,7 +203,7 @@ CALLS = {
     fringedic.load_programme: {"path": NOWHERE},
 }
 FILES = {  # their call does not work, because there is no such file
-    fringedic.compare_with_truth,
+    fringedic.results.compare_with_truth,
     fringedic.open_experiment,
     fringedic.process_bag,
     fringedic.write_report,
@@ -202,7 +211,15 @@ FILES = {  # their call does not work, because there is no such file
     fringedic.load_programme,
 }
 # results and enumerations, which are not made by users; tests of the functions that return them check them
-RETURNED = {"Advice", "CylinderFrame", "FringedicError", "RigCalibration", "RigCheck", "SpecimenFrame"}
+RETURNED = {
+    "Advice",
+    "CylinderFrame",
+    "ExperimentAccessor",
+    "FringedicError",
+    "RigCalibration",
+    "RigCheck",
+    "SpecimenFrame",
+}
 NUMBERS = [
     None,
     math.nan,
@@ -353,7 +370,8 @@ KINDS = (int, float, str, np.ndarray, list, tuple)
 MADE_UP = {
     function: [name for name, value in arguments.items() if isinstance(value, KINDS)]
     for function, arguments in CALLS.items()
-    if function not in FILES | {fringedic.calibrate_rig, fringedic.save_pictures, fringedic.remove_rigid_motion}
+    if function
+    not in FILES | {fringedic.calibrate_rig, fringedic.figures.save_pictures, fringedic.results.remove_rigid_motion}
 }
 
 

@@ -26,10 +26,10 @@ SCRIPT = """
     said = {}
     with fringedic.open_experiment(file) as dataset:
         found = {"measured": float(dataset.w.sel(step=1).notnull().mean())}
-        gauge = fringedic.extensometer(dataset, (40, 60), (120, 60), subset=9)
+        gauge = dataset.fringedic.extensometer((40, 60), (120, 60), subset=9)
         found["strain"] = float(gauge.strain.sel(step=1))
         formats = ["netcdf", "csv", "ply", "mat", "tiff", "r3xa", "zarr", "vtk", "png", "gif"]
-        done = fringedic.export_dataset(dataset, folder / "exported", formats)
+        done = dataset.fringedic.export(folder / "exported", formats)
         found["written"] = [each.format for each in done if each.path is not None]
         said |= {each.format: each.problems[0] for each in done if each.path is None}
     for name, task in {

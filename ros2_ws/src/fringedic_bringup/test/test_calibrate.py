@@ -26,7 +26,10 @@ class Quiet:
     def stage(self, text: str) -> None:
         pass
 
-    def step(self, number: int, steps: int, text: str, frame: int = 0, frames: int = 0) -> None:
+    def step(self, number: int, last: int, text: str, frame: int = 0, frames: int = 0) -> None:
+        pass
+
+    def part(self, number: int, parts: int, text: str, frame: int = 0, frames: int = 0) -> None:
         pass
 
     def note(self, text: str) -> None:

@@ -356,7 +356,12 @@ def accumulate(increments: Sequence[xr.Dataset], *, method: str = "spline", elem
     attributes |= {name: increments[0].attrs[name] for name in ("window_px",) if name in increments[0].attrs}
     if method == "mesh":
         attributes |= {"element_px": element, "misfit_px": total.misfit}
-    words = ("displacement along columns", "displacement along rows", "of displacement_x", "of displacement_y")
+    words = (
+        "in-plane displacement x (right)",
+        "in-plane displacement y (down)",
+        "of displacement_x",
+        "of displacement_y",
+    )
     arrays = (*total.displacement.astype(np.float32), *sigma.astype(np.float32))
     fields = {
         name: (("row", "column"), values, {"units": "px", "long_name": text if "dis" in name else f"sigma {text}"})

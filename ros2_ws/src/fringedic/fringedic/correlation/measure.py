@@ -185,8 +185,8 @@ def _label(
     pixels = {"units": "px"}
     return xr.Dataset(
         {
-            "displacement_x": (dimensions, displacement[0], {**pixels, "long_name": "displacement along columns"}),
-            "displacement_y": (dimensions, displacement[1], {**pixels, "long_name": "displacement along rows"}),
+            "displacement_x": (dimensions, displacement[0], {**pixels, "long_name": "in-plane displacement x (right)"}),
+            "displacement_y": (dimensions, displacement[1], {**pixels, "long_name": "in-plane displacement y (down)"}),
             "sigma_x": (dimensions, sigma[0], {**pixels, "long_name": "standard uncertainty of displacement_x"}),
             "sigma_y": (dimensions, sigma[1], {**pixels, "long_name": "standard uncertainty of displacement_y"}),
             "valid": (dimensions, valid, {"long_name": "measured"}),

@@ -1,7 +1,7 @@
 """Datasets as files of other programs: VTK for ParaView, PLY, CSV, MATLAB, TIFF, NetCDF, Zarr, PNG, R3XA metadata.
 
-Files for people (VTK, PLY, CSV, TIFF, PNG) have positions in mm, displacements in µm and strain in µm/m, with the unit
-in every name; files for programs (NetCDF, Zarr, MATLAB) keep the SI units of the dataset and name them.
+Files for people (VTK, PLY, CSV, TIFF, PNG) have positions in mm, displacements in µm and strain in µstrain, with the
+unit in every name; files for programs (NetCDF, Zarr, MATLAB) keep the SI units of the dataset and name them.
 """
 
 import lazy_loader

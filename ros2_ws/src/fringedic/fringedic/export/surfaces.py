@@ -66,7 +66,7 @@ def _surfaces(dataset: xr.Dataset, skipped: list[str]) -> Iterator[tuple[xr.Data
 
 def _maps(step: xr.Dataset, names: Iterable[str], valid: np.ndarray) -> dict[str, np.ndarray]:
     """Return the measured values of maps, named with their unit."""
-    units = {name: people_unit(name, step[name].attrs.get("units", "")) for name in names}
+    units = {name: people_unit(step[name]) for name in names}
     return {
         f"{name}_{unit.identifier}": _float32(step[name].values[valid], unit.factor) for name, unit in units.items()
     }

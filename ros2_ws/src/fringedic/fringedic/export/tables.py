@@ -17,6 +17,7 @@ from fringedic.results.attributes import map_names, origin_of, origin_text, seco
 from fringedic.results.quantities import MAP_DIMENSIONS, STEP_NUMBERS, people_unit
 
 MATLAB_LIMIT = 2**31 - 1  # bytes of one variable in a MATLAB 5 file
+_WITH_MARK = "utf-8-sig"  # spreadsheets take µ for another character without a byte-order mark
 _LIGHT = ("modulation", "texture")  # known of every pixel, measured or not
 _SCALARS = ("force", "position", "valid_fraction", "rms_displacement")
 _SCALAR_UNITS = {"force": ("N", 1.0), "position": ("mm", 1e-3), "rms_displacement": ("µm", 1e-6)}
@@ -27,7 +28,7 @@ def write_csv(dataset: xr.Dataset, folder: Path) -> list[str]:
     folder.mkdir(parents=True)
     skipped = []
     names = map_names(dataset)
-    units = {name: people_unit(name, dataset[name].attrs.get("units", "")) for name in names}
+    units = {name: people_unit(dataset[name]) for name in names}
     heading = ",".join(["row [px]", "column [px]", *(f"{name} [{units[name].text}]" for name in names)])
     rows, columns = np.meshgrid(dataset["row"].values, dataset["column"].values, indexing="ij")
     for number in dataset["step"].values:
@@ -41,8 +42,8 @@ def write_csv(dataset: xr.Dataset, folder: Path) -> list[str]:
             continue
         table = np.stack([rows[measured], columns[measured], *(values[measured] for values in maps)], axis=-1)
         file = folder / f"step_{int(number):03d}.csv"
-        np.savetxt(file, table, fmt="%.7g", delimiter=",", header=heading, comments="", encoding="utf-8")
-    with open(folder / "steps.csv", "w", newline="", encoding="utf-8") as stream:
+        np.savetxt(file, table, fmt="%.7g", delimiter=",", header=heading, comments="", encoding=_WITH_MARK)
+    with open(folder / "steps.csv", "w", newline="", encoding=_WITH_MARK) as stream:
         csv.writer(stream).writerows(_steps_table(dataset))
     (folder / "metadata.json").write_text(json.dumps(origin_of(dataset), indent=1), encoding="utf-8")
     return skipped
@@ -105,7 +106,7 @@ def write_tiff(dataset: xr.Dataset, folder: Path) -> list[str]:
             values = step[name].values
             if not np.isfinite(values).any():
                 continue
-            unit = people_unit(name, step[name].attrs.get("units", ""))
+            unit = people_unit(step[name])
             description = {
                 "map": name,
                 "unit": unit.text,
@@ -118,7 +119,7 @@ def write_tiff(dataset: xr.Dataset, folder: Path) -> list[str]:
                 **origin,
             }
             tifffile.imwrite(
-                folder / f"step_{int(number):03d}_{name}_{unit.identifier.replace('/', '_per_')}.tif",
+                folder / f"step_{int(number):03d}_{name}_{unit.identifier}.tif",
                 (values / unit.factor).astype(np.float32),
                 description=json.dumps(description),
                 metadata=None,

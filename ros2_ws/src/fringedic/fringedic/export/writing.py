@@ -81,7 +81,7 @@ class Exported:
     problems: list[str] = field(default_factory=list)
 
 
-_EXPERIMENT = dataset_of("displacement_x", "displacement_y", over=("step", "row", "column"))
+_EXPERIMENT = dataset_of(over=("step", "row", "column"))
 
 
 @check_arguments(

@@ -15,6 +15,7 @@ from fringedic.errors import DatasetError, optional_import
 from fringedic.figures.maps import map_figure, redraw_map
 from fringedic.figures.panels import Panel
 from fringedic.results.attributes import origin_text
+from fringedic.results.quantities import people_unit
 
 if TYPE_CHECKING:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -36,7 +37,7 @@ def save_animation(dataset: xr.Dataset, file: str | os.PathLike[str], panel: Pan
     file
         The GIF.
     panel
-        The map and its unit.
+        The map.
 
     Raises
     ------
@@ -110,7 +111,8 @@ def _measured(dataset: xr.Dataset, name: str) -> list[int]:
 
 
 def _limits(dataset: xr.Dataset, panel: Panel, steps: Sequence[int]) -> tuple[float, float]:
-    """Return the ends of the colour scale over all steps, in the panel's unit."""
-    ends = [np.nanpercentile(dataset[panel.name].sel(step=step).values, (0.5, 99.5)) / panel.factor for step in steps]
+    """Return the ends of the colour scale over all steps, in the unit of the picture."""
+    factor = people_unit(dataset[panel.name]).factor
+    ends = [np.nanpercentile(dataset[panel.name].sel(step=step).values, (0.5, 99.5)) / factor for step in steps]
     low, high = float(min(end[0] for end in ends)), float(max(end[1] for end in ends))
     return (low, high) if high > low else (low - 0.5, low + 0.5)

@@ -104,7 +104,7 @@ def curve_charts(dataset: xr.Dataset, section: float | None) -> list[go.Figure]:
     ]
     strains = _medians(dataset, _STRAINS, MICRO)
     if strains:
-        figures.append(_over("Median strain", "step", "strain [µm/m]", numbers, strains))
+        figures.append(_over("Median strain", "step", "strain [µstrain]", numbers, strains))
     force, position = dataset["force"].values, dataset["position"].values / MILLI
     if np.isfinite(force).any():
         if np.isfinite(position).any():
@@ -115,7 +115,7 @@ def curve_charts(dataset: xr.Dataset, section: float | None) -> list[go.Figure]:
             title, label, values = "Force over strain", "force [N]", force
             if section is not None:
                 title, label, values = "Stress over strain", "stress [MPa]", force / section / MEGA
-            figures.append(_over(title, f"median {largest} [µm/m]", label, strains[largest], {label: values}))
+            figures.append(_over(title, f"median {largest} [µstrain]", label, strains[largest], {label: values}))
     return [figure for figure in figures if figure.data]
 
 
@@ -136,7 +136,7 @@ def extensometer_charts(
     if not gauges:
         return []
     strains = {name: each["strain"].values / MICRO for name, each in gauges.items()}
-    over_steps = _over("Virtual extensometers", "step", "strain [µm/m]", dataset["step"].values, strains)
+    over_steps = _over("Virtual extensometers", "step", "strain [µstrain]", dataset["step"].values, strains)
     for trace, each in zip(over_steps.data, gauges.values(), strict=True):
         if "sigma_strain" in each:
             trace.error_y = {"type": "data", "array": (each["sigma_strain"].values / MICRO).tolist()}
@@ -149,7 +149,7 @@ def extensometer_charts(
         curves = go.Figure()
         for name, strain in strains.items():
             curves.add_trace(go.Scatter(x=strain.tolist(), y=load.tolist(), mode="lines+markers", name=name))
-        layout = {"title": title, "xaxis_title": "strain [µm/m]", "yaxis_title": label, "hovermode": "closest"}
+        layout = {"title": title, "xaxis_title": "strain [µstrain]", "yaxis_title": label, "hovermode": "closest"}
         figures.append(curves.update_layout(**_LAYOUT, **layout, showlegend=len(gauges) > 1))
     return figures
 

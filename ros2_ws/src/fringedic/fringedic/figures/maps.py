@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +15,7 @@ from fringedic.errors import DatasetError, optional_import
 from fringedic.figures.panels import ERRORS, IN_PLANE, SHAPE_AND_DISPLACEMENT, Panel
 from fringedic.figures.previews import NOT_MEASURED
 from fringedic.results.attributes import origin_text
+from fringedic.results.quantities import number_text, people_unit
 from fringedic.results.truth import truth_errors
 
 if TYPE_CHECKING:
@@ -26,6 +25,7 @@ if TYPE_CHECKING:
 
 _NOT_MEASURED_COLOUR = f"#{bytes(NOT_MEASURED).hex()}"
 _WIDEST = 900  # points of a map along its longer side in a picture
+_HIGHEST, _NARROWEST = 7.0, 3.0  # [inch] of a map
 _TAIL = 0.5  # [%] of the values beyond either end of a colour scale
 Extent = tuple[float, float, float, float]
 """Left, right, bottom and top of a map in the unit of its axes."""
@@ -84,7 +84,7 @@ def save_pictures(
         title = _title(measured, number)
         files.append(_save(maps_figure(measured, panels, title=title), target / f"step_{number:03d}.png", origin))
         if truth is not None and spatial:
-            errors = truth_errors(dataset, truth, number).assign_attrs(dataset.attrs)
+            errors = truth_errors(dataset, truth, number)
             figure = maps_figure(errors, ERRORS, title=f"{title}: measured minus true")
             files.append(_save(figure, target / f"step_{number:03d}_errors.png", origin))
     return files
@@ -96,7 +96,7 @@ def maps_figure(maps: xr.Dataset, panels: tuple[Panel, ...], *, title: str) -> F
     Parameters
     ----------
     maps
-        Maps over (row, column); the attribute ``calibration`` of an experiment gives the axes their millimetres.
+        Maps over (row, column); the coordinates ``x_mm`` and ``y_mm`` of an experiment give the axes millimetres.
     panels
         The maps to draw.
     title
@@ -113,15 +113,11 @@ def maps_figure(maps: xr.Dataset, panels: tuple[Panel, ...], *, title: str) -> F
     if missing:
         raise DatasetError(f"the dataset has no {', '.join(missing)}")
     lines = (len(panels) + 1) // 2
-    extent, across, along = _axes_of(maps)
-    height = 4.7 * abs((extent[3] - extent[2]) / (extent[1] - extent[0])) + 0.8
-    figure = Figure(figsize=(12.5, lines * height + 0.5), dpi=100, layout="constrained")
+    width, height = _panel_size(maps, 4.85)
+    figure = Figure(figsize=(2 * width, lines * height + 0.5), dpi=100, layout="constrained")
     figure.suptitle(title)
     for place, panel in enumerate(panels):
-        axes = figure.add_subplot(lines, 2, place + 1)
-        _draw(axes, maps[panel.name].values / panel.factor, panel, extent)
-        axes.set_xlabel(across)
-        axes.set_ylabel(along)
+        draw_map(figure.add_subplot(lines, 2, place + 1), maps, panel)
     return figure
 
 
@@ -137,13 +133,10 @@ def map_figure(maps: xr.Dataset, panel: Panel, limits: tuple[float, float], *, t
     """
     with optional_import("figures"):
         from matplotlib.figure import Figure
-    extent, across, along = _axes_of(maps)
-    figure = Figure(
-        figsize=(6.4, 5.2 * abs((extent[3] - extent[2]) / (extent[1] - extent[0])) + 0.9), dpi=90, layout="constrained"
-    )
+    figure = Figure(figsize=_panel_size(maps, 5.2), dpi=90, layout="constrained")
     axes = figure.add_subplot()
-    _draw(axes, maps[panel.name].values / panel.factor, panel, extent, limits)
-    axes.set(xlabel=across, ylabel=along, title=title)
+    draw_map(axes, maps, panel, limits)
+    axes.set_title(title)
     return figure
 
 
@@ -151,7 +144,7 @@ def redraw_map(figure: Figure, maps: xr.Dataset, panel: Panel, *, title: str) ->
     """Show the map of another step in a figure of `map_figure`, with the same colour scale and layout."""
     figure.set_layout_engine("none")  # a new layout takes longer than drawing
     axes = figure.axes[0]
-    axes.images[0].set_data(_thinned(maps[panel.name].values / panel.factor))
+    axes.images[0].set_data(_thinned(_in_people_units(maps, panel)))
     axes.set_title(title)
 
 
@@ -160,15 +153,22 @@ def _thinned(values: np.ndarray) -> np.ndarray:
     return values[::thin, ::thin]
 
 
-def _draw(
-    axes: Axes,
-    values: np.ndarray,
-    panel: Panel,
-    extent: Extent,
-    limits: tuple[float, float] | None = None,
-) -> None:
+def draw_map(axes: Axes, maps: xr.Dataset, panel: Panel, limits: tuple[float, float] | None = None) -> None:
+    """Draw a map with its colour bar, as the camera sees it: x to the right, and the first row at the top.
+
+    Parameters
+    ----------
+    axes
+        Where to draw.
+    maps, panel
+        As for `maps_figure`.
+    limits
+        Values of the first and the last colour; by default without the tails of the values.
+    """
     from matplotlib import colormaps
 
+    unit = people_unit(maps[panel.name])
+    values = _in_people_units(maps, panel)
     finite = values[np.isfinite(values)]
     low, high = limits or _colour_range(finite, panel.symmetric)
     name = "RdBu_r" if panel.symmetric else "viridis"
@@ -177,14 +177,22 @@ def _draw(
         cmap=colormaps[name].with_extremes(bad=_NOT_MEASURED_COLOUR),
         vmin=low,
         vmax=high,
-        extent=extent,
+        extent=_extent(maps),
         origin="upper",
         interpolation="nearest",
     )
-    bar = axes.inset_axes((1.03, 0.0, 0.04, 1.0))
-    axes.figure.colorbar(image, cax=bar, label=panel.units, extend="both", extendfrac=0.03)
-    spread = f"RMS {np.sqrt(np.mean(finite**2)):.3g} {panel.units}" if panel.symmetric and finite.size else ""
-    axes.set_title(f"{panel.title}   {spread}".rstrip())
+    place = axes.inset_axes((1.03, 0.0, 0.04, 1.0))
+    bar = axes.figure.colorbar(image, cax=place, label=unit.text, extend="both", extendfrac=0.03)
+    bar.formatter.set_useOffset(False)  # type: ignore[attr-defined] # numbers as they are, without "+1.8e2" above them
+    bar.formatter.set_scientific(False)  # type: ignore[attr-defined]
+    across, down = ("x [mm]", "y [mm]") if "x_mm" in maps.coords else ("column [px]", "row [px]")
+    spread = f"RMS {np.sqrt(np.mean(finite**2)):.3g} {unit.text}" if panel.symmetric and finite.size else ""
+    axes.set(xlabel=across, ylabel=down, title=f"{panel.title}   {spread}".rstrip())
+
+
+def _in_people_units(maps: xr.Dataset, panel: Panel) -> np.ndarray:
+    variable = maps[panel.name]
+    return np.asarray(variable.values / people_unit(variable).factor)
 
 
 def _colour_range(finite: np.ndarray, symmetric: bool) -> tuple[float, float]:
@@ -196,20 +204,23 @@ def _colour_range(finite: np.ndarray, symmetric: bool) -> tuple[float, float]:
     return (low, high) if high > low else (low - 0.5, low + 0.5)
 
 
-def _axes_of(maps: xr.Dataset) -> tuple[Extent, str, str]:
-    """Return the extent of the image and the labels of its axes."""
-    row, column = (_edges(maps[name].values) for name in ("row", "column"))
-    if "calibration" not in maps.attrs:
-        return (column[0], column[1], row[1], row[0]), "column [px]", "row [px]"
-    rig: Mapping[str, float] = json.loads(maps.attrs["calibration"])
-    scale = 1e3 * rig["pixel_size"]
-    x = [scale / rig["pixel_aspect"] * (edge - rig["principal_column"]) for edge in column]
-    y = [-scale * (edge - rig["principal_row"]) for edge in row]
-    return (x[0], x[1], y[1], y[0]), "x [mm]", "y [mm]"
+def _extent(maps: xr.Dataset) -> Extent:
+    """Return the edges of the points' pixels: millimetres where the scale is known, else pixels with rows downwards."""
+    names = ("x_mm", "y_mm") if "x_mm" in maps.coords else ("column", "row")
+    (left, right), (top, bottom) = (_edges(maps[name].values) for name in names)
+    return left, right, bottom, top
+
+
+def _panel_size(maps: xr.Dataset, width: float) -> tuple[float, float]:
+    """Return width and height [inch] of a picture of one map with its labels; high maps are made narrower."""
+    left, right, bottom, top = _extent(maps)
+    aspect = abs((top - bottom) / (right - left))
+    wide = min(width, _HIGHEST / aspect)
+    return max(wide, _NARROWEST) + 1.4, wide * aspect + 0.9
 
 
 def _edges(positions: np.ndarray) -> tuple[float, float]:
-    half = 0.5 * (positions[1] - positions[0]) if len(positions) > 1 else 0.5
+    half = 0.5 * float(positions[1] - positions[0]) if len(positions) > 1 else 0.5
     return float(positions[0] - half), float(positions[-1] + half)
 
 
@@ -218,7 +229,7 @@ def _title(measured: xr.Dataset, step: int) -> str:
     if "position" in measured and np.isfinite(measured["position"]):
         words.append(f"crosshead {float(measured['position']) * 1e3:.3f} mm")
     if "force" in measured and np.isfinite(measured["force"]):
-        words.append(f"{float(measured['force']):.4g} N")
+        words.append(f"{number_text(float(measured['force']))} N")
     return ", ".join(words)
 
 

@@ -19,7 +19,7 @@ from fringedic.errors import DatasetError, FringedicError
 from fringedic.figures.animation import animation
 from fringedic.figures.charts import curve_charts, extensometer_charts, surface_chart
 from fringedic.figures.maps import maps_figure
-from fringedic.figures.panels import DISPLACEMENT_IN_IMAGE, SHAPE_IN_MM, STRAIN, Panel
+from fringedic.figures.panels import DISPLACEMENT, DISPLACEMENT_IN_IMAGE, SHAPE_AND_DISPLACEMENT, STRAIN, Panel
 from fringedic.frames.region import Point
 from fringedic.metadata import NOISE_COLUMNS
 from fringedic.provenance import git_commit, software
@@ -257,7 +257,7 @@ def _date(dataset: xr.Dataset) -> str:
 
 
 def _maps(step: xr.Dataset, surface: bool) -> list[str]:
-    groups: list[tuple[Panel, ...]] = [SHAPE_IN_MM, STRAIN] if surface else [DISPLACEMENT_IN_IMAGE]
+    groups: list[tuple[Panel, ...]] = [SHAPE_AND_DISPLACEMENT, STRAIN] if surface else [DISPLACEMENT_IN_IMAGE]
     return [
         base64_png(maps_figure(step, panels, title=f"step {int(step.step)}"))
         for panels in groups
@@ -266,7 +266,7 @@ def _maps(step: xr.Dataset, surface: bool) -> list[str]:
 
 
 def _animation(dataset: xr.Dataset) -> str:
-    for panel in (SHAPE_IN_MM[-1], DISPLACEMENT_IN_IMAGE[-1]):
+    for panel in (DISPLACEMENT[-1], DISPLACEMENT_IN_IMAGE[-1]):
         try:
             return base64_text(animation(dataset, panel))
         except DatasetError:

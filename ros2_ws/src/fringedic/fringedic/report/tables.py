@@ -10,29 +10,17 @@ import xarray as xr
 
 from fringedic.metadata import NOISE_QUANTITIES
 from fringedic.results.noise_floor import NoiseFloor
+from fringedic.results.quantities import number_text
 from fringedic.results.truth import compare_with_truth
 
 MILLI, MICRO = 1e-3, 1e-6
-
-
-def number(value: float) -> str:
-    """Return a number with four digits, "-" for NaN.
-
-    Examples
-    --------
-    >>> number(3.14159), number(123456.0), number(float("nan"))
-    ('3.142', '123456', '-')
-    """
-    if not np.isfinite(value):
-        return "-"
-    return f"{value:.0f}" if abs(value) >= 1e4 else f"{value:.4g}"
 
 
 def noise_floor_row(floor: NoiseFloor) -> list[str]:
     """Return quantity, spatial and temporal noise, bias, stated noise and number of points."""
     quantity = NOISE_QUANTITIES[floor.name]
     values = (floor.spatial, floor.temporal, floor.bias, floor.predicted)
-    cells = [number(value / quantity.factor) for value in values]
+    cells = [number_text(value / quantity.factor) for value in values]
     return [f"{floor.name} [{quantity.unit}]", *cells, str(floor.points)]
 
 
@@ -47,12 +35,12 @@ def step_rows(dataset: xr.Dataset) -> list[list[str]]:
             [
                 str(int(step)),
                 f"{seconds:.1f}",
-                number(float(one["force"])),
-                number(float(one["position"]) / MILLI),
+                number_text(float(one["force"])),
+                number_text(float(one["position"]) / MILLI),
                 _step_number(one, "reference_step"),
                 _step_number(one, "correlated_step"),
-                number(100 * float(one["valid_fraction"])),
-                number(float(one["rms_displacement"]) / MICRO),
+                number_text(100 * float(one["valid_fraction"])),
+                number_text(float(one["rms_displacement"]) / MICRO),
                 str(one["error"].values),
             ]
         )
@@ -77,7 +65,7 @@ def truth_rows(dataset: xr.Dataset, file: Path) -> list[list[str]]:
     errors = compare_with_truth(dataset, file)
     names = [f"error_{name}" for name in "uvwz"]
     return [
-        [str(int(step)), *(number(float(errors[name].sel(step=step))) for name in names)]
+        [str(int(step)), *(number_text(float(errors[name].sel(step=step))) for name in names)]
         for step in errors["step"].values
     ]
 
@@ -95,4 +83,4 @@ def _gauge_cells(gauge: xr.Dataset) -> list[str]:
     elongation, strain = float(last["elongation"]), float(last["strain"])
     sigma = float(last.get("sigma_strain", np.nan))
     rest = float(last["length"]) - elongation
-    return [number(each) for each in (rest / MILLI, elongation / MICRO, strain / MICRO, sigma / MICRO)]
+    return [number_text(each) for each in (rest / MILLI, elongation / MICRO, strain / MICRO, sigma / MICRO)]

@@ -12,6 +12,7 @@ from fringedic.arguments import check_arguments
 from fringedic.arguments import path as file_path
 from fringedic.errors import DatasetError, ErrorCode, RecordingError, optional_import
 from fringedic.metadata import translate_metadata
+from fringedic.results.millimetres import with_millimetres
 from fringedic.results.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE
 from fringedic.results.stores import SUFFIXES, dataset_path
 
@@ -36,8 +37,10 @@ def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
     -------
     Dataset
         Maps over (step, row, column) in SI units, float32, NaN where not measured, with force, position, time and error
-        of each step. The attributes contain calibration, parameters, rig, metadata (``facts``), software and commit;
-        see docs/results.md. Metadata of earlier versions have the present keys.
+        of each step. ``x_mm`` and ``y_mm`` are coordinates for pictures: the positions of columns and rows on the
+        reference plane, with y upwards; the maps ``x``, ``y``, ``z`` are those of the surface. The attributes contain
+        calibration, parameters, rig, metadata (``facts``), software and commit; see docs/results.md. Metadata of
+        earlier versions have the present keys. `ExperimentAccessor` describes the methods ``dataset.fringedic``.
 
     Raises
     ------
@@ -100,4 +103,4 @@ def _open(file: Path) -> xr.Dataset:
     if METADATA_ATTRIBUTE in dataset.attrs:
         metadata = translate_metadata(json.loads(dataset.attrs[METADATA_ATTRIBUTE]))
         dataset.attrs[METADATA_ATTRIBUTE] = json.dumps(metadata)
-    return dataset
+    return with_millimetres(dataset)

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+import xarray as xr
+
 MAP_DIMENSIONS = ("step", "row", "column")
 METADATA_ATTRIBUTE = "facts"  # name of the metadata in datasets
 
@@ -72,13 +75,34 @@ class PeopleUnit(NamedTuple):
 
 _MILLIMETRE = PeopleUnit("mm", "mm", 1e-3)
 _MICROMETRE = PeopleUnit("µm", "um", 1e-6)
-_MICROSTRAIN = PeopleUnit("µm/m", "um_per_m", 1e-6)
+_MICROSTRAIN = PeopleUnit("µstrain", "ustrain", 1e-6)
 
 
-def people_unit(name: str, units: str) -> PeopleUnit:
-    """Return the unit of a map in reports and exports: positions in mm, displacements in µm, strain in µm/m."""
+def people_unit(variable: xr.DataArray) -> PeopleUnit:
+    """Return the one unit of a map in pictures, curves, tables and exports.
+
+    Positions are in mm, displacements in µm and strain in µstrain; a map without the attribute ``units`` has that of
+    `MAPS`.
+    """
+    name = str(variable.name)
+    units = variable.attrs.get("units") or MAPS.get(name, Quantity("", "")).units
     if units == "m":
         return _MILLIMETRE if name in POSITIONS else _MICROMETRE
     if units == "1":
         return _MICROSTRAIN
     return PeopleUnit(units, units.replace(" ", "_"), 1.0)
+
+
+def number_text(value: float) -> str:
+    """Return a number with four digits and without an exponent, as people write it; "-" for NaN.
+
+    Examples
+    --------
+    >>> [number_text(value) for value in (3.14159, 123456.0, -0.042, 3.191e-05, 0.0, float("nan"))]
+    ['3.142', '123456', '-0.042', '0.00003191', '0', '-']
+    """
+    if not np.isfinite(value):
+        return "-"
+    if abs(value) >= 1e4:
+        return f"{value:.0f}"
+    return np.format_float_positional(value, precision=4, fractional=False, trim="-")

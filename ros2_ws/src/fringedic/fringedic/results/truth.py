@@ -58,8 +58,9 @@ def truth_errors(dataset: xr.Dataset, truth: xr.Dataset, step: int) -> xr.Datase
     Returns
     -------
     Dataset
-        ``u``, ``v``, ``w`` of the material points of the reference image and ``shape_z``, the height of this step's
-        surface at each of its own pixels [m]; ``visible``, True where the material point is in both images.
+        ``error_u``, ``error_v``, ``error_w`` of the material points of the reference image and ``error_z``, of the
+        height of this step's surface at each of its own pixels [m]; ``visible``, True where the material point is in
+        both images.
 
     Raises
     ------
@@ -80,10 +81,10 @@ def _truth_errors(dataset: xr.Dataset, truth: xr.Dataset, step: int) -> xr.Datas
     measured = dataset.sel(step=step)
     visible = exact["valid"].astype(bool).values & np.isfinite(exact["u"].values)
     errors = {name: np.where(visible, measured[name].values - exact[name].values, np.nan) for name in "uvw"}
-    errors["shape_z"] = measured["shape_z"].values - exact["z_deformed"].values
+    errors["z"] = measured["shape_z"].values - exact["z_deformed"].values
     coordinates = {"row": dataset.row, "column": dataset.column}
     maps = {
-        name: (("row", "column"), values, {"units": "m", "long_name": f"error of {name}"})
+        f"error_{name}": (("row", "column"), values, {"units": "m", "long_name": f"error of {name}"})
         for name, values in errors.items()
     }
     return xr.Dataset(maps | {"visible": (("row", "column"), visible, {"units": "1"})}, coordinates)
@@ -119,10 +120,9 @@ def compare_with_truth(dataset: xr.Dataset, truth_path: str | os.PathLike[str]) 
         for step in dataset.step.values:
             errors = truth_errors(dataset, truth, int(step))
             for name in "uvwz":
-                values = errors["shape_z" if name == "z" else name].values
-                table[f"error_{name}"].append(_rms(values) / MICRO)
+                table[f"error_{name}"].append(_rms(errors[f"error_{name}"].values) / MICRO)
             visible = errors["visible"].values
-            measured = np.isfinite(errors["w"].values) & visible
+            measured = np.isfinite(errors["error_w"].values) & visible
             table["measured_fraction"].append(measured.sum() / visible.sum() if visible.any() else np.nan)
     units = {name: "1" if name == "measured_fraction" else "µm" for name in table}
     return xr.Dataset(

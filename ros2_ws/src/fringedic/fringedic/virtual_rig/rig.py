@@ -452,8 +452,8 @@ class VirtualRig:
                 "u": image(x - x0, "m", "displacement to the right"),
                 "v": image(y - y0, "m", "displacement upwards"),
                 "w": image(z - z0, "m", "displacement towards the camera"),
-                "displacement_x": image(seen_column - column, "px", "displacement along columns"),
-                "displacement_y": image(seen_row - row, "px", "displacement along rows, downwards"),
+                "displacement_x": image(seen_column - column, "px", "in-plane displacement x (right)"),
+                "displacement_y": image(seen_row - row, "px", "in-plane displacement y (down)"),
                 "valid": image(within_columns & within_rows, "1", "point seen in both images"),
                 "lit": image(reference.lit, "1", "lit by the projector in the reference state"),
                 "z_deformed": image(

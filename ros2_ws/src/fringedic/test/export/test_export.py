@@ -140,7 +140,7 @@ def test_vtk_series_shows_the_surface_in_mm_with_its_displacement(dataset, expor
     np.testing.assert_allclose(mesh["displacement_mm"], moved, rtol=1e-6)
     # to the left, upwards and towards the camera
     assert (mesh["displacement_mm"] * [-1, 1, 1] > 0).all()
-    np.testing.assert_allclose(mesh["e_22_um_per_m"], measured(dataset, "e_22", 2, 1e-6), rtol=1e-6)
+    np.testing.assert_allclose(mesh["e_22_ustrain"], measured(dataset, "e_22", 2, 1e-6), rtol=1e-6)
     assert mesh.n_points == ROWS * COLUMNS - 1
     assert mesh.n_cells == (ROWS - 1) * (COLUMNS - 1) - 4
     normals = mesh.compute_normals(point_normals=False, consistent_normals=False, auto_orient_normals=False)["Normals"]
@@ -170,15 +170,19 @@ def test_ply_holds_the_moved_surface(dataset, exported):
 
 def test_csv_names_its_units(dataset, exported):
     folder = exported["csv"].path
-    assert (folder / "step_001.csv").read_text("utf-8").splitlines()[0].startswith("row [px],column [px],phase [rad]")
-    table = np.genfromtxt(folder / "step_001.csv", delimiter=",", names=True, deletechars="", encoding="utf-8")
+    assert (
+        (folder / "step_001.csv").read_text("utf-8-sig").splitlines()[0].startswith("row [px],column [px],phase [rad]")
+    )
+    table = np.genfromtxt(folder / "step_001.csv", delimiter=",", names=True, deletechars="", encoding="utf-8-sig")
     assert len(table) == ROWS * COLUMNS - 1
     np.testing.assert_allclose(table["u_[µm]"], measured(dataset, "u", 1, 1e-6), rtol=1e-6)
     np.testing.assert_allclose(table["z_[mm]"], measured(dataset, "z", 1, 1e-3), rtol=1e-6)
-    np.testing.assert_allclose(table["e_11_[µm/m]"], -150, rtol=1e-6)
+    np.testing.assert_allclose(table["e_11_[µstrain]"], -150, rtol=1e-6)
     assert table["row_[px]"][0] == 0
     assert table["column_[px]"][1] == SPACING
-    steps = np.genfromtxt(folder / "steps.csv", delimiter=",", names=True, deletechars="", encoding="utf-8", dtype=None)
+    steps = np.genfromtxt(
+        folder / "steps.csv", delimiter=",", names=True, deletechars="", encoding="utf-8-sig", dtype=None
+    )
     assert steps["time_[s]"].tolist() == [0.0, 1.5, 3.0, 4.0, 5.0]
     assert steps["force_[N]"][:4].tolist() == [0, 10, 20, 20]
     assert steps["position_[mm]"][2] == 0.2

@@ -11,6 +11,7 @@ from fringedic.errors import DatasetError
 from fringedic.figures.maps import maps_figure, save_pictures
 from fringedic.figures.panels import ERRORS, SHAPE_AND_DISPLACEMENT
 from fringedic.figures.previews import NOT_MEASURED, displacement_preview, phase_preview
+from fringedic.results.millimetres import with_millimetres
 
 CALIBRATION = {"pixel_size": 1e-4, "pixel_aspect": 1.0, "principal_row": 29.5, "principal_column": 39.5}
 
@@ -39,7 +40,7 @@ def experiment(calibrated=True, white=()):
     maps["force"] = ("step", [0.0, 12.5, np.nan])
     maps["position"] = ("step", [0.0, 1e-3, np.nan])
     attributes = {"experiment": "plate"} | ({"calibration": json.dumps(CALIBRATION)} if calibrated else {})
-    return xr.Dataset(maps, {"step": [0, 1, 2], "row": row, "column": column}, attributes)
+    return with_millimetres(xr.Dataset(maps, {"step": [0, 1, 2], "row": row, "column": column}, attributes))
 
 
 def panel_axes(figure):
@@ -59,7 +60,7 @@ def test_axes_are_millimetres_with_y_upwards():
     assert shown[0, 0] == pytest.approx(120)
     assert shown[-1, 0] == pytest.approx(4)
     assert [axes.child_axes[0].get_ylabel() for axes in panel_axes(figure)] == ["mm", "µm", "µm", "µm"]
-    assert v.get_title() == "displacement v along y"
+    assert v.get_title() == "displacement v along y (up)"
 
 
 def test_what_is_not_measured_is_grey():
@@ -77,7 +78,9 @@ def test_without_calibration_the_axes_are_pixels_with_rows_downwards():
 
 
 def test_errors_have_a_scale_that_is_symmetric_about_zero():
-    figure = maps_figure(experiment().sel(step=1), ERRORS, title="")
+    step = experiment().sel(step=1)
+    errors = step[["shape_z", "u", "v", "w"]].rename(shape_z="error_z", u="error_u", v="error_v", w="error_w")
+    figure = maps_figure(errors.map(lambda each: each.assign_attrs(units="m")), ERRORS, title="")
     for axes in panel_axes(figure):
         low, high = axes.images[0].get_clim()
         assert low == -high < 0

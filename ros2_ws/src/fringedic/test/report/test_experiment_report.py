@@ -231,20 +231,20 @@ def test_the_charts_show_the_numbers_of_the_dataset(page):
 
 
 def test_the_moving_picture_has_one_frame_per_measured_step(dataset, tmp_path):
-    panel = Panel("w", "displacement w", "mm", 1e-3, symmetric=False)
+    panel = Panel("w", "displacement w")
     file = save_animation(dataset, tmp_path / "w.gif", panel)
     with Image.open(file) as picture:
         assert picture.n_frames == 5
         picture.seek(4)
         seen = np.asarray(picture.convert("RGB")).astype(float)
-    ends = [np.nanpercentile(dataset.w.sel(step=step), (0.5, 99.5)) / 1e-3 for step in range(5)]
+    ends = [np.nanpercentile(dataset.w.sel(step=step), (0.5, 99.5)) / 1e-6 for step in range(5)]
     limits = min(low for low, _ in ends), max(high for _, high in ends)
     drawn = FigureCanvasAgg(map_figure(dataset.sel(step=4), panel, limits, title="step 4: displacement w"))
     drawn.draw()
     difference = np.abs(seen - np.asarray(drawn.buffer_rgba())[..., :3])
     assert np.percentile(difference, 90) < 4, "another picture, or contours that the map does not have"
     with pytest.raises(DatasetError, match="no step has the map nothing"):
-        save_animation(dataset, tmp_path / "x.gif", Panel("nothing", "", "", 1.0))
+        save_animation(dataset, tmp_path / "x.gif", Panel("nothing", ""))
 
 
 def test_the_moving_picture_of_the_page_is_one(page):

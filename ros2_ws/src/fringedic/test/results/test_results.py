@@ -406,7 +406,9 @@ def test_errors_against_the_truth_are_small_and_have_the_right_sign(bench, proce
         measured = processed.sel(step=3)
         for name in "uvw":
             np.testing.assert_allclose(
-                errors[name] + exact[name].where(errors.visible), measured[name].where(errors.visible), atol=1e-9
+                errors[f"error_{name}"] + exact[name].where(errors.visible),
+                measured[name].where(errors.visible),
+                atol=1e-9,
             )
     # the upper grip pulls along +y and the lower one stands still: v grows from the bottom of the image to its top
     v = processed.v.sel(step=3)

@@ -6,7 +6,7 @@ from types import TracebackType
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 from rich.table import Table
 
@@ -29,6 +29,8 @@ class LiveProgress:
             BarColumn(),
             TextColumn("{task.fields[frame]}"),
             TimeElapsedColumn(),
+            TextColumn("elapsed, remaining"),
+            TimeRemainingColumn(),
             console=console,
             transient=True,
             disable=not console.is_terminal,
@@ -50,12 +52,18 @@ class LiveProgress:
         self._bars.update(self._task, description=text, total=None, frame="")
         self._plain(text)
 
-    def step(self, number: int, steps: int, text: str, frame: int = 0, frames: int = 0) -> None:
-        """Show the progress of a step; `number` counts from 1."""
-        activity = f"step {number} of {steps}: {text}"
-        done = number - 1 + (frame / frames if frames else 0.0)
+    def step(self, number: int, last: int, text: str, frame: int = 0, frames: int = 0) -> None:
+        """Show the progress of a load step; its number and that of the last one are those of the dataset, from 0."""
+        self._advance(f"step {number} of 0 to {last}: {text}", number, last + 1, frame, frames)
+
+    def part(self, number: int, parts: int, text: str, frame: int = 0, frames: int = 0) -> None:
+        """Show the progress of one of several parts of a procedure; `number` counts from 1."""
+        self._advance(f"{number} of {parts}: {text}" if parts > 1 else text, number - 1, parts, frame, frames)
+
+    def _advance(self, activity: str, done: int, total: int, frame: int, frames: int) -> None:
         counted = f"frame {frame} of {frames}" if frames else ""
-        self._bars.update(self._task, description=activity, total=steps, completed=done, frame=counted)
+        completed = done + (frame / frames if frames else 0.0)
+        self._bars.update(self._task, description=activity, total=total, completed=completed, frame=counted)
         self._plain(activity)
 
     def note(self, text: str) -> None:

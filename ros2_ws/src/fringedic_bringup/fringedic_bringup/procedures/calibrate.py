@@ -145,7 +145,7 @@ class _Shown:
 
     def __call__(self, feedback: Any) -> None:
         words = f"{self._what}: {feedback.words}"
-        self._progress.step(feedback.plane, feedback.planes, words, feedback.frame, feedback.frames)
+        self._progress.part(feedback.plane, feedback.planes, words, feedback.frame, feedback.frames)
 
 
 def _failure(result: Any) -> str:

@@ -73,7 +73,7 @@ def check(
     stamps = []
     with calibration_client(rig, rig_path, folder, progress, ask=ask, domain=domain) as client:
         for number, height in enumerate(heights, start=1):
-            progress.step(number, len(heights), f"plane {1e3 * height:g} mm above its place")
+            progress.part(number, len(heights), f"plane {1e3 * height:g} mm above its place")
             client.place(PLANE, height=height)
             stamps.append(to_nanoseconds(client.measure().stamp))
         client.place(PlaceReferencePlane.Request.SPECIMEN)

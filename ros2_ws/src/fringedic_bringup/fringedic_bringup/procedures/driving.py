@@ -76,7 +76,8 @@ def drive(running: RunningGraph, programme: Programme, progress: Progress, *, do
         rig.wait_until_ready(running.graph.names)
         if any(until.needs_strain for until in programme.conditions()):
             rig.wait_for_strain()
-        driver = _Driver(running, rig, progress, len(programme.load_steps()))
+        measured = sum(step.mode != "none" for step in programme.load_steps())
+        driver = _Driver(running, rig, progress, measured - 1)
         walk = programme.walk(lambda end: progress.note(block_end_sentence(end)))
         reading: Reading | None = None
         ended_early = ""
@@ -105,10 +106,10 @@ class _Driver:
         A node has ended: results of its step are missing, or it lost the reference that it kept in memory.
     """
 
-    def __init__(self, running: RunningGraph, rig: RigClient, progress: Progress, steps: int) -> None:
+    def __init__(self, running: RunningGraph, rig: RigClient, progress: Progress, last: int) -> None:
         self.reports: list[StepReport] = []
         self._running, self._rig, self._progress = running, rig, progress
-        self._number, self._steps = 0, steps
+        self._number, self._last = 0, last
         self.interrupted = False
         self._restarted = False  # a node was started again since the last successful step
         self._deaths: Counter[str] = Counter()  # without a measured step in between
@@ -117,7 +118,8 @@ class _Driver:
 
     def do(self, step: ProgrammeStep) -> Reading | None:
         """Execute a step, and repeat it when a node ends meanwhile; return the readings for the conditions."""
-        self._number += 1
+        self._number = self._rig.last_step + 1  # the number that the step gets in the recording
+        self._last = max(self._last, self._number)
         return self._with_restarts(lambda: self._move_and_measure(step))
 
     def finish(self) -> None:
@@ -189,10 +191,10 @@ class _Driver:
         return f"{where}: {why}"
 
     def _tell(self, text: str) -> None:
-        self._progress.step(self._number, self._steps, text)
+        self._progress.step(self._number, self._last, text)
 
     def _show(self, feedback: MeasureStep.Feedback) -> None:
-        self._progress.step(self._number, self._steps, feedback.stage, feedback.frame, feedback.frames)
+        self._progress.step(self._number, self._last, feedback.stage, feedback.frame, feedback.frames)
 
     def _with_restarts(self, work: Callable[[], Any]) -> Any:
         """Call a function; when nodes end or do not answer meanwhile, mend that and call it once more."""

@@ -15,8 +15,11 @@ class Progress(Protocol):
     def stage(self, text: str) -> None:
         """Take a text about what is being done now."""
 
-    def step(self, number: int, steps: int, text: str, frame: int = 0, frames: int = 0) -> None:
-        """Take the progress of a load step; `number` counts from 1."""
+    def step(self, number: int, last: int, text: str, frame: int = 0, frames: int = 0) -> None:
+        """Take the progress of a load step; its number and that of the last one are those of the dataset, from 0."""
+
+    def part(self, number: int, parts: int, text: str, frame: int = 0, frames: int = 0) -> None:
+        """Take the progress of one of several parts of a procedure, such as planes; `number` counts from 1."""
 
     def note(self, text: str) -> None:
         """Take a text that stays on the screen."""

@@ -136,7 +136,7 @@ class _PlayedSteps:
     def _take(self, status: StepStatus) -> None:
         if status.stage == StepStatus.BEGIN:
             self._number += 1
-            self._progress.step(self._number, self._steps, f"recorded step {status.step}")
+            self._progress.part(self._number, self._steps, f"recorded step {status.step}")
             return
         self._frames[status.experiment, status.step] = status.frame
         if status.stage == StepStatus.ERROR:

@@ -120,7 +120,7 @@ class _RigFrames:
             for number, pattern in enumerate(patterns, start=1):
                 client.show(pattern)
                 frames.append(client.expose()[0])
-                self.progress.step(1, 1, name, number, len(patterns))
+                self.progress.part(1, 1, name, number, len(patterns))
             client.show(SETUP, "dark")
         return np.array(frames)
 

@@ -102,7 +102,7 @@ def measure_rig_timing(
         session.find_delay()
         captured = 0
         for _ in range(MOST_TRIES * changes):
-            progress.step(1, 1, "dark and white in turn", captured + 1, changes)
+            progress.part(1, 1, "dark and white in turn", captured + 1, changes)
             captured += session.capture_change()
             if captured == changes:
                 break

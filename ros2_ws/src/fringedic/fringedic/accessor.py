@@ -1,0 +1,188 @@
+"""The methods of datasets: ``dataset.fringedic``, registered when the first public name is used."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import xarray as xr
+from numpy.typing import ArrayLike
+
+from fringedic.arguments import check_arguments, several, text, whole
+from fringedic.errors import DatasetError, optional_import
+from fringedic.frames.region import Point, Region
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from fringedic.export import Exported
+
+
+@xr.register_dataset_accessor("fringedic")  # type: ignore[no-untyped-call]
+class ExperimentAccessor:
+    """Evaluations of an experiment, as methods of its dataset: ``experiment.fringedic.plot("w")``.
+
+    The methods take the dataset of `fringedic.open_experiment` and, for a single step, that of `fringedic.couple` or
+    `fringedic.measure_displacement`. Positions are (column, row) = (x, y) [px] of the reference image.
+
+    Parameters
+    ----------
+    dataset
+        The experiment.
+
+    Examples
+    --------
+    >>> import fringedic
+    >>> experiment = fringedic.open_experiment("recordings/plate-7/bag")  # doctest: +SKIP
+    >>> experiment.fringedic.plot("w")  # doctest: +SKIP
+    >>> gauge = experiment.fringedic.extensometer((200, 480), (1000, 480), subset=21)  # doctest: +SKIP
+    >>> strain = experiment.fringedic.strain(window=41, measures=["von_mises"])  # doctest: +SKIP
+    """
+
+    def __init__(self, dataset: xr.Dataset) -> None:
+        self._dataset = dataset
+
+    @check_arguments(DatasetError, name=text, step=whole())
+    def plot(self, name: str, *, step: int = -1, ax: Axes | None = None) -> Axes:
+        """Draw a map as the report does: the first row at the top, millimetres where the scale is known.
+
+        Parameters
+        ----------
+        name
+            The map, such as ``"w"`` or ``"e_11"``.
+        step
+            Number of the step; negative numbers count from the last one, as in Python.
+        ax
+            Where to draw; by default axes of a new figure of matplotlib.pyplot.
+
+        Returns
+        -------
+        Axes
+            The axes with the map.
+
+        Raises
+        ------
+        DatasetError
+            The dataset has no such map or step.
+        FringedicError
+            The package ``matplotlib`` is not installed.
+        """
+        from fringedic.figures.maps import draw_map
+        from fringedic.figures.panels import panel_of
+        from fringedic.results.step_maps import require_maps
+
+        require_maps(self._dataset, [name])
+        maps = self._step(step)
+        if ax is None:
+            with optional_import("figures"):
+                from matplotlib import pyplot
+            ax = pyplot.subplots(layout="constrained")[1]
+        draw_map(ax, maps, panel_of(name))
+        if "step" in maps.coords:
+            ax.set_title(f"step {int(maps.step)}: {ax.get_title()}")
+        return ax
+
+    def extensometer(self, first: Point, second: Point, *, subset: float = 1.0) -> xr.Dataset:
+        """Return length, elongation and strain between two points; see `fringedic.results.extensometer`."""
+        from fringedic.results.probes import extensometer
+
+        return extensometer(self._dataset, first, second, subset=subset)
+
+    def profile(self, names: str | Sequence[str], start: Point, end: Point, *, points: int | None = None) -> xr.Dataset:
+        """Return maps along a line; see `fringedic.results.profile`."""
+        from fringedic.results.probes import profile
+
+        return profile(self._dataset, _list(names), start, end, points=points)
+
+    def region(self, names: str | Sequence[str], region: Region) -> xr.Dataset:
+        """Return mean, standard deviation, range and median of maps in a region; see `region_statistics`."""
+        from fringedic.results.probes import region_statistics
+
+        return region_statistics(self._dataset, _list(names), region)
+
+    @check_arguments(DatasetError, step=whole(), measures=several(text))
+    def strain(self, window: int, *, step: int = -1, measures: Iterable[str] = ()) -> xr.Dataset:
+        """Return the strain of a step with a window of one's own.
+
+        Parameters
+        ----------
+        window
+            Width of the window [px of the reference image].
+        step
+            Number of the step; negative numbers count from the last one.
+        measures
+            Of `fringedic.surface_strain`, such as ``"von_mises"``.
+
+        Returns
+        -------
+        Dataset
+            As of `fringedic.surface_strain`.
+
+        Raises
+        ------
+        DatasetError
+            There is no such step.
+        SurfaceError
+            The dataset has no displacement, the window contains fewer than 3 x 3 points, or a measure is unknown.
+        """
+        from fringedic.surface.strain import surface_strain
+
+        return surface_strain(self._step(step), window=window, measures=measures)
+
+    def remove_rigid_motion(self, region: Region | None = None) -> xr.Dataset:
+        """Return the displacement without its rigid motion; see `fringedic.results.remove_rigid_motion`."""
+        from fringedic.results.rigid_motion import remove_rigid_motion
+
+        return remove_rigid_motion(self._dataset, region)
+
+    def force_curve(
+        self, strain: ArrayLike, *, section: float | None = None, tare: float = 0.0, sign: int = 1
+    ) -> xr.Dataset:
+        """Return force and stress against a strain; see `fringedic.results.force_curve`."""
+        from fringedic.results.force import force_curve
+
+        return force_curve(self._dataset, strain, section=section, tare=tare, sign=sign)
+
+    def compare_with_truth(self, truth: str | os.PathLike[str]) -> xr.Dataset:
+        """Return the errors against the truth of a virtual rig; see `fringedic.results.compare_with_truth`."""
+        from fringedic.results.truth import compare_with_truth
+
+        return compare_with_truth(self._dataset, truth)
+
+    def save_pictures(self, folder: str | os.PathLike[str]) -> list[Path]:
+        """Write the maps of every measured step as PNG; see `fringedic.figures.save_pictures`."""
+        from fringedic.figures.maps import save_pictures
+
+        return save_pictures(self._dataset, folder)
+
+    def export(
+        self,
+        folder: str | os.PathLike[str],
+        formats: str | Sequence[str],
+        *,
+        steps: Iterable[int] | None = None,
+        overwrite: bool = False,
+    ) -> list[Exported]:
+        """Write files of other programs; see `fringedic.export.export_dataset`."""
+        from fringedic.export import export_dataset
+
+        return export_dataset(self._dataset, Path(folder), _list(formats), steps=steps, overwrite=overwrite)
+
+    def _step(self, number: int) -> xr.Dataset:
+        """Return one step, by its number or counted from the last one; a dataset without steps is one step."""
+        if "step" not in self._dataset.dims:
+            return self._dataset
+        present = self._dataset["step"].values.tolist()
+        if number < 0 and -number <= len(present):
+            return self._dataset.isel(step=number)
+        if number not in present:
+            raise DatasetError(
+                f"the dataset has no step {number}; it has {', '.join(map(str, present))}, and -1 is the last one"
+            )
+        return self._dataset.sel(step=number)
+
+
+def _list(names: str | Sequence[str]) -> list[str]:
+    return [names] if isinstance(names, str) else list(names)
