@@ -14,7 +14,7 @@ from camera_node.free_run import FreeRun
 from camera_node.parameters import CameraParameters
 from camera_node.scene_watch import SceneWatch
 from camera_node.truth_file import TruthFile
-from fringedic.errors import CameraError, CameraTimeoutError, FringedicError, WaitTimeoutError
+from fringedic.errors import CameraError, CameraTimeoutError, FringedicError, PatternError, WaitTimeoutError
 from fringedic.frames.records import FrameRecord
 from fringedic.patterns.pattern import pattern_of_message
 from fringedic_msgs.msg import StepStatus
@@ -134,8 +134,8 @@ class CameraNode(HardwareNode[CameraParameters]):
             raise CameraError(f"an exposure of {request.exposure_time:g} s is outside 0 to {_LONGEST_EXPOSURE_S:g} s")
         try:
             pattern = pattern_of_message(request)
-        except ValueError as error:
-            raise CameraError(f"no such pattern: {error}") from None
+        except PatternError as error:
+            raise CameraError(str(error)) from None
         return FrameRecord(request.experiment, request.step, request.index, request.count, pattern, 0, 0.0, 0)
 
     async def _await_subscribers(self, images: int, exposures: int) -> None:

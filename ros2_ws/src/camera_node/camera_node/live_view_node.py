@@ -106,9 +106,9 @@ class LiveViewNode(Node):
             time.sleep(max(0.0, 1 / self.parameters.value.maximum_rate_hz - (time.monotonic() - begin)))
 
     def _evaluate(self, message: Image, exposure: Exposure) -> None:
-        # the pattern of a free run is unknown
-        pattern = pattern_of_message(exposure) if exposure.count else None
         try:
+            # the pattern of a free run is unknown
+            pattern = pattern_of_message(exposure) if exposure.count else None
             image = image_array(message)
             figures = self._view.look(image, pattern)
         except FringedicError as error:

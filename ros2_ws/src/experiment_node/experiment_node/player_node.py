@@ -13,10 +13,9 @@ from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.serialization import deserialize_message
 from rclpy.utilities import try_shutdown
 
-from experiment_node.messages import message_type
+from experiment_node.messages import message_type, read
 from experiment_node.playback_nodes import PlaybackNodes, step_name
 from experiment_node.recorded_steps import OF_ONE_STEP, RecordedStep, ends_step, recorded_messages, split_steps
 from experiment_node.result_codes import failed_node, failure_of
@@ -221,7 +220,7 @@ class PlayerNode(Node):
 
     def _conclude(self, step: RecordedStep, complete: bool) -> None:
         """Wait for the answers to a step and publish its outcome."""
-        ends = [deserialize_message(each.data, StepStatus).stage for each in step.messages if ends_step(each)]
+        ends = [read(each.data, StepStatus).stage for each in step.messages if ends_step(each)]
         if complete or StepStatus.ERROR in ends:  # nodes answer an incomplete step only when its end was an error
             self._report(step, self._nodes.await_statuses(step.begin))
         else:
@@ -246,7 +245,7 @@ class PlayerNode(Node):
 
     def _set_parameters(self, step: RecordedStep, message: RawMessage) -> bool:
         """Set recorded parameters of a processing node; False when they belong to another node."""
-        recorded = deserialize_message(message.data, NodeParameters)
+        recorded = read(message.data, NodeParameters)
         if recorded.node not in PROCESSING_INPUTS:
             return False
         refusal = self._nodes.set_parameters(recorded, self.parameters.value.overrides)

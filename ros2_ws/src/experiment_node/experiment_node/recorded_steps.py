@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
-from rclpy.serialization import deserialize_message, serialize_message
+from rclpy.serialization import serialize_message
 
-from experiment_node.messages import header_stamp
+from experiment_node.messages import header_stamp, read
 from experiment_node.topics import CALIBRATION, EXPOSURE, IMAGE, STEP
 from fringedic.frames.records import frame_record, stamp_of
 from fringedic.recording.definitions import type_hash
@@ -56,7 +56,7 @@ class RecordedStep:
         images = {header_stamp(each.data) for each in self.messages if each.topic == IMAGE}
         for message in self.messages:
             if message.topic == EXPOSURE:
-                exposure = deserialize_message(message.data, Exposure)
+                exposure = read(message.data, Exposure)
                 if exposure.index == exposure.count - 1 and to_nanoseconds(exposure.header.stamp) in images:
                     return True
         return False
@@ -97,7 +97,7 @@ def split_steps(messages: Iterable[RawMessage]) -> Iterator[RecordedStep]:
     current = RecordedStep(None)
     for message in messages:
         if message.topic == STEP:
-            status = deserialize_message(message.data, StepStatus)
+            status = read(message.data, StepStatus)
             if status.stage == StepStatus.BEGIN:
                 yield current
                 current = RecordedStep(status)
@@ -109,4 +109,4 @@ def ends_step(message: RawMessage) -> bool:
     """Return whether a message ends its step: the stage END or ERROR."""
     if message.topic != STEP:
         return False
-    return deserialize_message(message.data, StepStatus).stage in (StepStatus.END, StepStatus.ERROR)
+    return read(message.data, StepStatus).stage in (StepStatus.END, StepStatus.ERROR)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -14,12 +15,11 @@ from pydantic import BaseModel, ConfigDict, Field
 from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import deserialize_message
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from experiment_node.exposure_tally import ExposureTally
-from experiment_node.messages import header_stamp, image_crc, message_type
+from experiment_node.messages import header_stamp, image_crc, message_type, read
 from experiment_node.step_tally import StepTally, crc_of
 from experiment_node.topics import DERIVED_TOPICS, EXPOSURE, IMAGE, RAW_TOPICS, SAMPLE_TOPICS, STEP
 from experiment_node.writing_thread import ReceivedMessage, WritingThread
@@ -30,6 +30,7 @@ from fringedic_msgs.msg import Exposure, RecorderStatus, StepStatus
 from fringedic_ros.main import run
 from fringedic_ros.parameters import declare
 from fringedic_ros.qos import LATCHED, SAMPLES
+from fringedic_ros.stamps import to_nanoseconds
 
 DISCOVERY_PERIOD_S = 0.1
 # Both depths outlast a recorder without processor time: images for four seconds, samples at 1 kHz for ten.
@@ -38,6 +39,7 @@ IMAGE_DEPTH = 128
 BATCH = 100  # messages of one topic that are taken before the other topics are served
 # A turn of the executor costs as much as ten samples: collect the samples of a fast machine for this time.
 COLLECTED_S = 0.002
+UNREADABLE_S = 10.0  # shortest time between two reports of messages that cannot be read
 
 
 class RecorderParameters(BaseModel):
@@ -75,8 +77,8 @@ Taken = list[tuple[bytes, MessageInfo]]
 class RecorderNode(Node):
     """Subscribes to every topic of a recording as soon as it has a publisher.
 
-    Messages are taken as serialised bytes and written unchanged by a thread of their own. Only the header stamps of
-    images and exposures and the stages of steps are read. A failure to write ends the recording, not the node.
+    Messages are taken as serialised bytes and written unchanged by a thread of their own. Only the stamps and checksums
+    of images, the exposures and the stages of steps are read. A failure to write ends the recording, not the node.
     """
 
     def __init__(self) -> None:
@@ -88,6 +90,7 @@ class RecorderNode(Node):
         self._step = StepTally()
         self._status = RecorderStatus(state=RecorderStatus.IDLE)
         self._status_publisher = self.create_publisher(RecorderStatus, "recorder/status", LATCHED)
+        self._publishing = threading.Lock()
         self._writing: WritingThread | None = None
         self._exposed = False  # all frames of the step
         self._confirmed = "", 0, 0, 0  # fields of the status, set by the writing thread
@@ -221,7 +224,10 @@ class RecorderNode(Node):
         )
         if name in (IMAGE, EXPOSURE, STEP):
             for data, _ in taken:
-                self._count(name, data)
+                try:
+                    self._count(name, data)
+                except RecordingError as error:
+                    self.get_logger().error(f"{topic}: {error}; it is recorded", throttle_duration_sec=UNREADABLE_S)
 
     def _count(self, name: str, data: bytes) -> None:
         """Count an image or exposure, or act on the stage of a step."""
@@ -232,11 +238,12 @@ class RecorderNode(Node):
             self._step.add_image(stamp, image_crc(data))
             self._confirm()
         elif name == EXPOSURE:
-            self._tally.add_exposure(header_stamp(data))
-            self._step.add_record(deserialize_message(data, Exposure))
+            record = read(data, Exposure)
+            self._tally.add_exposure(to_nanoseconds(record.header.stamp))
+            self._step.add_record(record)
             self._confirm()
         elif self._writing:
-            message = deserialize_message(data, StepStatus)
+            message = read(data, StepStatus)
             self._step.begin(message.experiment, message.step)
             self._exposed = message.stage == StepStatus.PROCESS
             self._confirm()
@@ -272,14 +279,14 @@ class RecorderNode(Node):
         self._publish_status()
 
     def _publish_status(self) -> None:
-        self._status.header.stamp = self.get_clock().now().to_msg()
-        self._status.missing_images = self._tally.missing
-        status = self._status
-        status.experiment, status.step, status.step_frames, status.step_crc = self._confirmed
-        if self._writing:
-            self._status.messages = self._writing.messages
-            self._status.bytes = self._writing.bytes
-        self._status_publisher.publish(self._status)
+        with self._publishing:  # the writing thread confirms frames meanwhile
+            status = self._status
+            status.header.stamp = self.get_clock().now().to_msg()
+            status.missing_images = self._tally.missing
+            status.experiment, status.step, status.step_frames, status.step_crc = self._confirmed
+            if self._writing:
+                status.messages, status.bytes = self._writing.messages, self._writing.bytes
+            self._status_publisher.publish(status)
 
 
 _HISTORIES: dict[HistoryPolicy, Literal["keep_last", "keep_all"]] = {

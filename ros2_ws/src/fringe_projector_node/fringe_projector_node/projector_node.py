@@ -99,7 +99,7 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
             lost, self._lost = self._lost, None
             if lost is not None:
                 raise lost
-            response.shown = to_msg(self._put(self._render(_asked(request), request.name)))
+            response.shown = to_msg(self._put(self._render(pattern_of_message(request), request.name)))
             self.diagnostics.success()
         except PatternError as error:
             self._refuse(response, ShowPattern.Request.INVALID_PATTERN, error)
@@ -121,13 +121,6 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
         response.error_code, response.error_message = code, str(error)
         self.get_logger().error(str(error))
         self.diagnostics.failure(str(error))
-
-
-def _asked(request: ShowPattern.Request) -> ProjectedPattern:
-    try:
-        return pattern_of_message(request)
-    except ValueError as error:
-        raise PatternError(f"no such pattern: {error}") from None
 
 
 def main() -> int:

@@ -81,7 +81,7 @@ def frame_record(exposure: ExposureMessage) -> FrameRecord:
 
     Raises
     ------
-    ValueError
+    PatternError
         Kind or orientation is not one of the defined numbers.
     """
     return FrameRecord(

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Protocol
 
+from fringedic.errors import PatternError
+
 
 class PatternKind(IntEnum):
     """What the projector shows during an exposure, with the numbers of ``fringedic_msgs/Exposure``."""
@@ -92,13 +94,11 @@ def pattern_of_message(message: PatternMessage) -> ProjectedPattern:
 
     Raises
     ------
-    ValueError
+    PatternError
         Kind or orientation is not one of the defined numbers.
     """
-    return ProjectedPattern(
-        kind=PatternKind(message.kind),
-        orientation=Orientation(message.orientation),
-        pitch=message.pitch,
-        shift=message.shift,
-        shifts=message.shifts,
-    )
+    try:
+        kind, orientation = PatternKind(message.kind), Orientation(message.orientation)
+    except ValueError as error:
+        raise PatternError(f"{error}; check which program published this message") from None
+    return ProjectedPattern(kind, orientation, message.pitch, message.shift, message.shifts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 
 from rclpy.action import ActionClient
@@ -52,7 +53,8 @@ class Readiness:
         StepFailedError
             The recorder cannot record.
         """
-        absent = sorted(name for name in expected if self._listed(name) != 1)
+        listed = self._listed()
+        absent = sorted(name for name in expected if listed[name] != 1)
         absent += [
             f"service {service}"
             for node, service in SERVICES.items()
@@ -79,14 +81,17 @@ class Readiness:
         """
         if "recorder" in since_ns:
             self._recorder = None  # the latest status is that of the recorder that has ended
-        return lambda: {
-            name for name, since in since_ns.items() if self._started.get(name, 0) < since or self._listed(name) != 1
-        }
 
-    def _listed(self, name: str) -> int:
-        """Return how many nodes of this name are listed."""
+        def missing() -> set[str]:
+            listed = self._listed()
+            return {name for name, since in since_ns.items() if self._started.get(name, 0) < since or listed[name] != 1}
+
+        return missing
+
+    def _listed(self) -> Counter[str]:
+        """Return how many nodes of each name are listed in this namespace."""
         own = self._node.get_namespace()
-        return self._node.get_node_names_and_namespaces().count((name, own))
+        return Counter(name for name, namespace in self._node.get_node_names_and_namespaces() if namespace == own)
 
     def _topics(self, names: Iterable[str] = (*RAW_TOPICS, *DERIVED_TOPICS)) -> list[str]:
         return [self._node.resolve_topic_name(name) for name in names]

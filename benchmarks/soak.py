@@ -1,0 +1,160 @@
+"""A long test: the tiny virtual rig measures step after step, with its camera free-running at 30 frames/s in between.
+
+``python benchmarks/soak.py --minutes 60`` counts what the recording lost and how the memory of every node grows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from recording import counts
+from rich.console import Console
+from rich.table import Table
+from system import figures, machine
+
+from fringedic.configuration.sections import ExtensometerSection
+from fringedic.errors import StepFailedError
+from fringedic.recording import BagReader
+from fringedic_bringup.client import RigClient
+from fringedic_bringup.launch.graph import rig_graph
+from fringedic_bringup.launch.processes import RunningGraph, configuration, private_domain
+from fringedic_bringup.procedures.run import load_rig
+
+WARM_UP = 100  # steps until buffers, histories and compiled kernels have their final size
+FARTHEST = 6e-4  # [m] crosshead
+SPEED = 5e-3  # [m/s]
+STROKES = 20  # positions of the crosshead before it goes back
+RATE_HZ = 30.0
+FLAT_KB = 1.0  # growth of a node per step that would be 0.1 GB in a hundred thousand steps
+
+
+@dataclass
+class Soak:
+    """What was noted after every step.
+
+    Attributes
+    ----------
+    memory
+        Memory of each node [kB].
+    durations
+        Duration of each successful step [s].
+    failures
+        Messages of the steps that failed.
+    """
+
+    memory: dict[str, list[int]] = field(default_factory=dict)
+    durations: list[float] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
+
+    def note(self, logs: Path) -> None:
+        """Note the memory of all nodes."""
+        for name, size in memory(logs):
+            self.memory.setdefault(name, []).append(size)
+
+
+def memory(logs: Path) -> Iterator[tuple[str, int]]:
+    """Yield name and resident memory [kB] of each node, by the parameter file in its command line."""
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (process / "cmdline").read_text().split("\0")
+            status = (process / "status").read_text()
+        except (OSError, UnicodeDecodeError):
+            continue  # it has ended, or belongs to another user
+        files = [Path(word) for word in words if word.startswith(f"{logs}/")]
+        if files:
+            yield files[0].stem, int(status.split("VmRSS:")[1].split()[0])
+
+
+def growth(sizes: list[int]) -> tuple[float, float]:
+    """Return slope and its standard uncertainty [kB per step] after the warm-up, by least squares."""
+    steps = np.arange(WARM_UP, len(sizes))
+    (slope, _), covariance = np.polyfit(steps, sizes[WARM_UP:], 1, cov=True)
+    return float(slope), float(np.sqrt(covariance[0, 0]))
+
+
+@contextmanager
+def rig(folder: Path) -> Iterator[RigClient]:
+    """Run the nodes of the tiny rig and an extensometer, which makes the camera run free."""
+    path = configuration("tiny.yaml")
+    tiny, _ = load_rig(path, None, None)
+    gauge = ExtensometerSection(first_px=[50, 60], second_px=[110, 60], subset_px=32, rate_hz=RATE_HZ)
+    graph = rig_graph(tiny.model_copy(update={"extensometer": gauge}), path, folder, experiment="soak")
+    with (
+        private_domain() as domain,
+        RunningGraph(graph, folder / "logs", domain=domain) as running,
+        RigClient(graph.namespace, domain=domain, watch=running.check) as client,
+    ):
+        client.wait_until_ready(graph.names)
+        yield client
+
+
+def soak(folder: Path, seconds: float) -> Soak:
+    """Measure until the time is over."""
+    noted = Soak()
+    end = time.monotonic() + seconds
+    with rig(folder) as client:
+        number = 0
+        while time.monotonic() < end:
+            client.move(FARTHEST * (number % STROKES) / STROKES, SPEED)
+            try:
+                noted.durations.append(client.measure().duration)
+            except StepFailedError as error:
+                noted.failures.append(str(error))
+            noted.note(folder / "logs")
+            number += 1
+    return noted
+
+
+def losses(bag: Path) -> tuple[int, int, int]:
+    """Return the images and records in a recording, and how many are missing by the counts of their publisher."""
+    found = {topic.removeprefix("/rig/"): each for topic, each in counts(bag).items()}
+    images, records = found["camera/image_raw"], found["camera/exposure"]
+    return images[0], records[0], images[1] + records[1]
+
+
+def table_of(noted: Soak, bag: Path, minutes: float) -> Table:
+    """Return the figures beside their targets."""
+    steps = len(noted.durations) + len(noted.failures)
+    table = figures(f"{steps} steps of the tiny rig in {minutes:g} min, free run at {RATE_HZ:g} Hz between them")
+    images, records, missing = losses(bag)
+    table.add_row("images, records; missing", f"{images}, {records}; {missing}", "0 missing")
+    table.add_row("damage of the recording", BagReader(bag, check=True).lost or "none", "none")
+    table.add_row("failed steps", f"{len(noted.failures)}", "0")
+    first, last = noted.durations[WARM_UP : 2 * WARM_UP], noted.durations[-WARM_UP:]
+    table.add_row(
+        f"duration of a step, steps {WARM_UP} to {2 * WARM_UP} / last {WARM_UP}, median [s]",
+        f"{statistics.median(first):.3f} / {statistics.median(last):.3f}",
+        "equal",
+    )
+    for name, sizes in sorted(noted.memory.items()):
+        slope, sigma = growth(sizes)
+        value = f"{sizes[-1] / 1024:.0f} MB, {slope:+.2f} ± {sigma:.2f} kB per step"
+        table.add_row(f"memory of {name}", value, f"<= {FLAT_KB:g}")
+    return table
+
+
+def main() -> None:
+    """Measure and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--minutes", type=float, default=60.0, help="length of the test [min]")
+    minutes = parser.parse_args().minutes
+    console = Console(markup=False, width=140)
+    console.print(f"before: {machine()}", highlight=False)
+    with tempfile.TemporaryDirectory(prefix="fringedic-soak-") as name:
+        folder = Path(name) / "run"
+        noted = soak(folder, 60 * minutes)
+        console.print(table_of(noted, folder / "bag", minutes))
+    for failure in noted.failures[:10]:
+        console.print(failure, highlight=False)
+
+
+if __name__ == "__main__":
+    main()
