@@ -11,7 +11,7 @@ from typing import Any
 
 import lazy_loader
 
-from fringedic.user_folder import replacement_of
+from fringedic.inputs.user_folder import replacement_of
 
 if "NUMBA_CACHE_DIR" not in os.environ and not os.access(os.path.dirname(__file__), os.W_OK):
     # Numba keeps compiled functions beside the source or in the home folder, and fails where it can write neither

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from fringedic.arguments import check_arguments, several, text, whole
 from fringedic.errors import DatasetError, optional_import
 from fringedic.frames.region import Point, Region
+from fringedic.inputs.arguments import check_arguments, several, text, whole
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 import xarray as xr
 
-from fringedic.arguments import array, check_arguments, number, one_of, optional, several, whole
 from fringedic.calibration.assessment import Origin, Selection, assess
 from fringedic.calibration.fit import Prior, StageUncertainty
 from fringedic.calibration.geometry import Camera
@@ -23,6 +22,7 @@ from fringedic.calibration.result import RigCalibration
 from fringedic.camera.distortion import DistortionMap
 from fringedic.camera.plane_homography import PlaneHomography
 from fringedic.errors import CalibrationError
+from fringedic.inputs.arguments import array, check_arguments, number, one_of, optional, several, whole
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.geometry import current_model_name
 

@@ -15,12 +15,12 @@ from enum import StrEnum
 import numpy as np
 import xarray as xr
 
-from fringedic.arguments import array, check_arguments, number, of_type, optional, several
 from fringedic.calibration.findings import CheckProblem, CheckWarning
 from fringedic.calibration.fit_results import GOOD
 from fringedic.calibration.planes import PlaneBlocks, reduce_plane, response_ripple
 from fringedic.camera.findings import Finding
 from fringedic.errors import CalibrationError, ImageError
+from fringedic.inputs.arguments import array, check_arguments, number, of_type, optional, several
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.model import RigModel
 

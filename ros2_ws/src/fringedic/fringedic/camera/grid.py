@@ -14,7 +14,6 @@ import numpy as np
 from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
-from fringedic.arguments import check_arguments, number, optional, whole
 from fringedic.camera.carriers import check_aliasing, find_carriers
 from fringedic.camera.distortion import DistortionMap
 from fringedic.camera.findings import Finding, GridFinding
@@ -23,6 +22,7 @@ from fringedic.camera.homography import apply_homography, fit_homography
 from fringedic.camera.plane_homography import PlaneHomography
 from fringedic.camera.polynomials import Basis, choose_order, square
 from fringedic.errors import GridError, ImageError
+from fringedic.inputs.arguments import check_arguments, number, optional, whole
 
 # test_grid.py contains images on both sides of the thresholds that refuse an image or warn.
 SMALLEST_IMAGE = 64  # [px]

@@ -9,8 +9,6 @@ from typing import Annotated, Any
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
-from fringedic.arguments import check_arguments
-from fringedic.arguments import path as file_path
 from fringedic.configuration.calibration_section import CalibrationSection, calibration_metadata
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.sections import (
@@ -29,6 +27,8 @@ from fringedic.configuration.sections import (
 from fringedic.configuration.virtual_calibration import calibration_of
 from fringedic.configuration.yaml_section import Section, load_sections
 from fringedic.errors import ConfigurationError, FringedicError
+from fringedic.inputs.arguments import check_arguments
+from fringedic.inputs.arguments import path as file_path
 from fringedic.metadata import CalibrationMetadata, HardwareMetadata, Metadata, NoiseFloorMetadata, SpecimenMetadata
 from fringedic.patterns.pattern import ProjectedPattern
 from fringedic.patterns.sequences import step_sequence

@@ -21,9 +21,9 @@ from scipy.ndimage import distance_transform_edt, map_coordinates, spline_filter
 from scipy.sparse import csr_matrix
 from scipy.sparse.linalg import splu
 
-from fringedic.arguments import check_arguments, dataset, number, several
 from fringedic.correlation.transfer import error_correlation
 from fringedic.errors import CorrelationError
+from fringedic.inputs.arguments import check_arguments, dataset, number, several
 
 _MARGIN = 12  # points around a field: a cubic spline forgets its boundary condition as .27 per point
 _NAMES = ("displacement_x", "displacement_y", "sigma_x", "sigma_y")

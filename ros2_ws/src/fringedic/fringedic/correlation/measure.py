@@ -8,7 +8,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from fringedic.arguments import array, check_arguments, either, optional, several, whole
 from fringedic.correlation import dense, image_kernels, pyramid, resampling_kernels, zoi
 from fringedic.correlation.agreement import assess, count_textured_cells
 from fringedic.correlation.images import (
@@ -21,6 +20,7 @@ from fringedic.correlation.images import (
 )
 from fringedic.correlation.window import design_window
 from fringedic.errors import CorrelationError, ImageError
+from fringedic.inputs.arguments import array, check_arguments, either, optional, several, whole
 
 f4 = np.float32
 

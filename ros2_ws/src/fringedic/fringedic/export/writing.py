@@ -11,13 +11,13 @@ from typing import NamedTuple
 
 import xarray as xr
 
-from fringedic.arguments import check_arguments, optional, path, several, text, whole
-from fringedic.arguments import dataset as dataset_of
 from fringedic.errors import DatasetError, ExportError, FringedicError
 from fringedic.export import r3xa, surfaces, tables
 from fringedic.figures.animation import save_animation
 from fringedic.figures.maps import save_pictures
 from fringedic.figures.panels import ANIMATED
+from fringedic.inputs.arguments import check_arguments, optional, path, several, text, whole
+from fringedic.inputs.arguments import dataset as dataset_of
 from fringedic.results.attributes import experiment_name
 
 

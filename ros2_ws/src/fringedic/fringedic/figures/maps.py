@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from fringedic.arguments import check_arguments, path
-from fringedic.arguments import dataset as dataset_of
 from fringedic.errors import DatasetError, optional_import
 from fringedic.figures.panels import ERRORS, IN_PLANE, SHAPE_AND_DISPLACEMENT, Panel
 from fringedic.figures.previews import NOT_MEASURED
+from fringedic.inputs.arguments import check_arguments, path
+from fringedic.inputs.arguments import dataset as dataset_of
 from fringedic.results.attributes import origin_text
 from fringedic.results.quantities import number_text, people_unit
 from fringedic.results.truth import truth_errors

@@ -13,9 +13,9 @@ import yaml
 from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from fringedic.arguments import check_value, number, several
 from fringedic.errors import ImageError
-from fringedic.yaml_text import load_yaml
+from fringedic.inputs.arguments import check_value, number, several
+from fringedic.inputs.yaml_text import load_yaml
 
 SUBPIXEL_BITS = 4  # of the corners, when they are drawn
 Point = tuple[float, float]

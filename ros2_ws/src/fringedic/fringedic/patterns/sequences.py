@@ -10,8 +10,8 @@ from typing import Literal
 
 import numpy as np
 
-from fringedic.arguments import check_arguments, either, number, several, text, whole
 from fringedic.errors import PatternError
+from fringedic.inputs.arguments import check_arguments, either, number, several, text, whole
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.patterns.render import check_pattern, render_pattern
 from fringedic.patterns.response import ResponseCurve

@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
-from fringedic.arguments import check_arguments, either, grey_levels, number, of_type, optional, several, whole
 from fringedic.errors import ErrorCode, ImageError, PhaseError
 from fringedic.frames.noise import ROUNDING_NOISE, CameraNoise, saturation_level
+from fringedic.inputs.arguments import check_arguments, either, grey_levels, number, of_type, optional, several, whole
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.phase.demodulation_kernel import Limits, Maps, NoiseModel, Shifts, measure_stack
 from fringedic.phase.layout import Layout, check_frames, layout_of, pixels, shift_angles

@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 from skimage.restoration import unwrap_phase
 
-from fringedic.arguments import array, check_arguments, number, several
 from fringedic.errors import ImageError
+from fringedic.inputs.arguments import array, check_arguments, number, several
 from fringedic.phase.layout import check_finer, pixels
 
 

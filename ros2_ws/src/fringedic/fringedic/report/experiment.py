@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from fringedic.arguments import check_arguments, optional, path, several, whole
 from fringedic.errors import DatasetError, FringedicError
 from fringedic.figures.animation import animation
 from fringedic.figures.charts import curve_charts, extensometer_charts, surface_chart
 from fringedic.figures.maps import maps_figure
 from fringedic.figures.panels import DISPLACEMENT, DISPLACEMENT_IN_IMAGE, SHAPE_AND_DISPLACEMENT, STRAIN, Panel
 from fringedic.frames.region import Point
+from fringedic.inputs.arguments import check_arguments, optional, path, several, whole
 from fringedic.metadata import NOISE_COLUMNS
 from fringedic.provenance import git_commit, software
 from fringedic.report.data import ReportData

@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from fringedic.arguments import check_arguments, optional
-from fringedic.arguments import path as file_path
 from fringedic.errors import DatasetError
+from fringedic.inputs.arguments import check_arguments, optional
+from fringedic.inputs.arguments import path as file_path
 from fringedic.recording.frames import RecordedMessage, events
 from fringedic.recording.reader import BagReader
 from fringedic.results.derived import Collected

@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from fringedic.arguments import array, check_arguments, number, optional
-from fringedic.arguments import dataset as dataset_of
 from fringedic.errors import DatasetError
+from fringedic.inputs.arguments import array, check_arguments, number, optional
+from fringedic.inputs.arguments import dataset as dataset_of
 from fringedic.results.step_maps import StepValues, values_by_step
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import xarray as xr
 
-from fringedic.arguments import check_arguments
-from fringedic.arguments import path as file_path
 from fringedic.errors import DatasetError, ErrorCode, RecordingError, optional_import
+from fringedic.inputs.arguments import check_arguments
+from fringedic.inputs.arguments import path as file_path
 from fringedic.metadata import translate_metadata
 from fringedic.results.millimetres import with_millimetres
 from fringedic.results.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE

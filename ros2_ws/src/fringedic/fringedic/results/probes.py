@@ -13,10 +13,10 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import map_coordinates
 
-from fringedic.arguments import check_arguments, number, of_type, optional, several, text, whole
-from fringedic.arguments import dataset as dataset_of
 from fringedic.errors import DatasetError
 from fringedic.frames.region import Point, Region
+from fringedic.inputs.arguments import check_arguments, number, of_type, optional, several, text, whole
+from fringedic.inputs.arguments import dataset as dataset_of
 from fringedic.results.step_maps import StepValues, maps_by_step, require_maps, values_by_step
 
 _POSITION, _DISPLACEMENT, _SIGMAS = ("x", "y", "z"), ("u", "v", "w"), ("sigma_u", "sigma_v", "sigma_w")

@@ -6,10 +6,10 @@ import numpy as np
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from fringedic.arguments import check_arguments, of_type, optional
-from fringedic.arguments import dataset as dataset_of
 from fringedic.errors import DatasetError
 from fringedic.frames.region import Region
+from fringedic.inputs.arguments import check_arguments, of_type, optional
+from fringedic.inputs.arguments import dataset as dataset_of
 from fringedic.results.probes import points_in
 from fringedic.results.step_maps import maps_by_step
 

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from fringedic.arguments import check_arguments, path
-from fringedic.arguments import dataset as dataset_of
 from fringedic.errors import DatasetError
+from fringedic.inputs.arguments import check_arguments, path
+from fringedic.inputs.arguments import dataset as dataset_of
 
 MICRO = 1e-6
 _LONGEST_CAUSE = 200  # characters; HDF5 appends the state of its reader

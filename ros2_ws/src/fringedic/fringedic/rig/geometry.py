@@ -17,9 +17,9 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fringedic.arguments import Check, check_value, several, text
 from fringedic.camera.distortion import DistortionMap
 from fringedic.errors import CalibrationError
+from fringedic.inputs.arguments import Check, check_value, several, text
 from fringedic.patterns.pattern import Orientation
 
 SIX_PARAMETER, GENERAL = "six_parameter", "general"

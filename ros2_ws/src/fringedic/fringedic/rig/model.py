@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from fringedic.arguments import array, check_arguments, number, optional
 from fringedic.errors import CalibrationError, GridError, ImageError
+from fringedic.inputs.arguments import array, check_arguments, number, optional
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.files import read_rig, write_rig
 from fringedic.rig.geometry import RigGeometry

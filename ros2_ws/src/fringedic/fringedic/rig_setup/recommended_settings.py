@@ -15,10 +15,10 @@ import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import correlate1d
 
-from fringedic.arguments import check_arguments, number, optional, whole
 from fringedic.correlation import Reference, measure_displacement
 from fringedic.correlation.transfer import shortest_period
 from fringedic.errors import CorrelationError, ErrorCode, RigSetupError
+from fringedic.inputs.arguments import check_arguments, number, optional, whole
 from fringedic.results.noise_floor import NoiseFloor, noise_floor
 from fringedic.rig_setup.advice import Advice
 from fringedic.rig_setup.settings_warnings import image_warnings

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.optimize import isotonic_regression
 
-from fringedic.arguments import array, check_arguments, number, of_type, optional, several
 from fringedic.errors import ImageError, PatternError
 from fringedic.frames.noise import saturation_level
+from fringedic.inputs.arguments import array, check_arguments, number, of_type, optional, several
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.patterns.response import FULL_SCALE, ResponseCurve
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from fringedic.arguments import check_arguments, dataset, either, number, of_type, optional
 from fringedic.errors import ImageError, SurfaceError
+from fringedic.inputs.arguments import check_arguments, dataset, either, number, of_type, optional
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.model import RigModel
 from fringedic.rig.reconstruction import pixel_positions

@@ -8,8 +8,8 @@ import numpy as np
 import xarray as xr
 from numba import njit, prange
 
-from fringedic.arguments import check_arguments, dataset, whole
 from fringedic.errors import SurfaceError
+from fringedic.inputs.arguments import check_arguments, dataset, whole
 from fringedic.surface.noise_correlation import height_correlation, height_gains
 from fringedic.surface.planes import WIDEST_WINDOW, Planes, fit_planes
 

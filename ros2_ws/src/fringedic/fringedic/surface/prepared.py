@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 from numba import njit, prange
 
-from fringedic.arguments import check_arguments, dataset, number, of_type, optional
 from fringedic.errors import CalibrationError, ImageError, SurfaceError
+from fringedic.inputs.arguments import check_arguments, dataset, number, of_type, optional
 from fringedic.rig.model import RigModel
 from fringedic.rig.reconstruction import pixel_positions
 from fringedic.surface.coupling_kernels import SurfaceArrays

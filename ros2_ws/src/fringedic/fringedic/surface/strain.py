@@ -9,8 +9,8 @@ import numpy as np
 import xarray as xr
 from numba import njit, prange
 
-from fringedic.arguments import check_arguments, dataset, several, text, whole
 from fringedic.errors import SurfaceError
+from fringedic.inputs.arguments import check_arguments, dataset, several, text, whole
 from fringedic.surface.discontinuities import find_discontinuities
 from fringedic.surface.noise_correlation import displacement_gains, height_gains
 from fringedic.surface.planes import WIDEST_WINDOW, Planes, fit_planes

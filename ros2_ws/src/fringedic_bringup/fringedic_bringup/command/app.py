@@ -13,7 +13,7 @@ import yaml
 from rich.console import Console
 
 from fringedic.errors import ConfigurationError, FringedicError, RecordingError
-from fringedic.yaml_text import load_yaml
+from fringedic.inputs.yaml_text import load_yaml
 
 app = typer.Typer(
     help="3D shape and displacement of surfaces, measured with one camera and one projector.",

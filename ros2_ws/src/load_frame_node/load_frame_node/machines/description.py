@@ -19,7 +19,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from fringedic.errors import ConfigurationError
-from fringedic.yaml_text import load_yaml
+from fringedic.inputs.yaml_text import load_yaml
 from load_frame_node.machines.machine import LoadMode
 
 ForceUnit = Literal["mN", "N", "kN"]

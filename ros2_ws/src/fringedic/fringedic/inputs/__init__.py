@@ -1,0 +1,1 @@
+"""What people give: arguments of public functions, text of YAML files, folders of a user; checked on arrival."""
