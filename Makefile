@@ -1,6 +1,6 @@
 # make demo   three virtual experiments through the real nodes, with a table of errors against the truth
-# make check  style, types, import contracts, unit tests of the library with their coverage
-# make test   make check, then tests of the nodes, the running system, the pages and the notebooks
+# make check  style, types, import contracts, unit tests of the library
+# make test   make check with coverage, then tests of the nodes, the running system, the pages and the notebooks
 # make test-hardware  the tests that need system packages for real devices
 # make docs   the documentation site in docs/_build/html; warnings are errors
 # make bench  measured figures with their targets

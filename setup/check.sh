@@ -1,7 +1,8 @@
 #!/usr/bin/env bash
 # Checks the project in the environment that set-up has made.
-#   check.sh library   style, types, import contracts, and the unit tests of the library with their coverage
-#   check.sh           the same, then tests of the nodes, of the running system, of the pages and notebooks
+#   check.sh library   style, types, import contracts, and the unit tests of the library
+#   check.sh           the same with the coverage of these tests, then tests of the nodes, of the running system, of the
+#                      pages and notebooks
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -14,10 +15,13 @@ lint-imports --no-logo
 types=$(mktemp)
 trap 'rm -f "$types"' EXIT
 mypy >"$types" 2>&1 &
-# Two processes, each file in one of them: most tests of nodes wait more than they compute.
-pytest=(python -m pytest -n 2 --dist loadfile)
+pytest=(python -m pytest --dist loadfile)
+coverage=(--cov --cov-report=term:skip-covered)
+if [ "${1:-}" = library ]; then
+    coverage=() # it costs a third of the time
+fi
 library=passed
-"${pytest[@]}" --doctest-modules --cov --cov-report=term:skip-covered ros2_ws/src/fringedic || library=failed
+"${pytest[@]}" -n "$(nproc)" --doctest-modules "${coverage[@]}" ros2_ws/src/fringedic || library=failed
 wait $! || library=failed
 cat "$types"
 [ $library = passed ]
@@ -28,9 +32,10 @@ rest=(tests)
 for package in ros2_ws/src/*/test; do
     [ "$package" = ros2_ws/src/fringedic/test ] || rest+=("$package")
 done
-if setup/hardware.sh; then
-    "${pytest[@]}" "${rest[@]}"
-else
+chosen=()
+if ! setup/hardware.sh; then
     echo "without these packages the tests of real devices are left out; make test-hardware runs them alone" >&2
-    "${pytest[@]}" -m "not hardware" "${rest[@]}"
+    chosen=(-m "not hardware")
 fi
+# Most tests of nodes wait more than they compute; more processes than these would take time from what is being timed.
+"${pytest[@]}" -n 3 "${chosen[@]}" "${rest[@]}"

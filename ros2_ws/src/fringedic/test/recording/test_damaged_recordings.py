@@ -12,7 +12,7 @@ from fringedic.errors import RecordingError
 from fringedic.recording import BagReader, BagWriter, Topic, recover
 
 IMAGE, FORCE, STEP = "/rig/camera/image_raw", "/rig/load_frame/state", "/rig/experiment/step"
-FLIPS = 300  # the long form is benchmarks/damaged_recordings.py
+FLIPS = 100  # the long form is benchmarks/damaged_recordings.py
 
 
 def write_bag(path, compression="none"):
