@@ -28,8 +28,10 @@ from fringedic.errors import NodeDiedError, ProcessError
 from fringedic_bringup.launch.graph import Graph, NodeEntry
 from fringedic_bringup.launch.lease import RigLease
 
-# Wait after each signal: a node finishes its current work, and a recorder closes its recording.
+# Wait after each signal, in which a node finishes its current work.
 GRACE_S = {signal.SIGINT: 15.0, signal.SIGTERM: 5.0, signal.SIGKILL: 5.0}
+# The recorder writes its backlog and closes the recording: half a gigabyte takes a slow disk two minutes.
+RECORDER_GRACE_S = GRACE_S | {signal.SIGINT: 120.0}
 SHARED_MEMORY = Path("/dev/shm")
 # Of each node, for the images that it sends. A container may have only 64 MB for all nodes of two runs.
 SEGMENT_BYTES = 16_000_000
@@ -154,8 +156,8 @@ class RunningGraph:
         chosen = [entry.name for entry in self.graph.nodes if names is None or entry.name in set(names)]
         running = {name: self._processes.pop(name) for name in chosen if name in self._processes}
         first = self.graph.nodes[0].name
-        _end([process for name, process in running.items() if name != first])
-        _end([process for name, process in running.items() if name == first])
+        _end([process for name, process in running.items() if name != first], GRACE_S)
+        _end([process for name, process in running.items() if name == first], RECORDER_GRACE_S)
         if running:
             remove_stale_segments()
 
@@ -315,8 +317,8 @@ def _executable(entry: NodeEntry) -> Path:
     return path
 
 
-def _end(processes: list[subprocess.Popen[bytes]]) -> None:
-    for number, grace in GRACE_S.items():
+def _end(processes: list[subprocess.Popen[bytes]], grace_s: Mapping[signal.Signals, float]) -> None:
+    for number, grace in grace_s.items():
         for process in processes:
             if process.poll() is None:
                 process.send_signal(number)
