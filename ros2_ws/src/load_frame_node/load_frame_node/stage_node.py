@@ -7,6 +7,7 @@ import math
 from builtin_interfaces.msg import Time
 from pydantic import Field
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
+from rclpy.duration import Duration
 
 from fringedic_msgs.msg import ReferencePlane
 from fringedic_msgs.srv import PlaceReferencePlane
@@ -15,6 +16,7 @@ from fringedic_ros.main import run
 from fringedic_ros.qos import LATCHED
 
 FRAME_ID = "reference_plane"
+ARRIVAL_S = 2  # a reader that has died does not confirm
 _KINDS = {
     ReferencePlane.GRID: "the grid",
     ReferencePlane.PLANE: "the plain plane",
@@ -80,10 +82,14 @@ class StageNode(HardwareNode[StageParameters]):
         return ""
 
     def _put(self, kind: int, angle: float, height: float) -> Time:
-        """Publish the new place of the plane and return its stamp."""
+        """Publish the new place of the plane and return its stamp when it has arrived.
+
+        A camera that exposes frames after the response must not see the object that was there before.
+        """
         state = ReferencePlane(kind=kind, angle=angle, height=height)
         state.header.stamp, state.header.frame_id = self.get_clock().now().to_msg(), FRAME_ID
         self._states.publish(state)
+        self._states.wait_for_all_acked(Duration(seconds=ARRIVAL_S))
         return state.header.stamp
 
 

@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -20,7 +21,7 @@ from fringedic.calibration.fit_results import GOOD
 from fringedic.calibration.planes import PlaneBlocks, reduce_plane, response_ripple
 from fringedic.camera.findings import Finding
 from fringedic.errors import CalibrationError, ImageError
-from fringedic.inputs.arguments import array, check_arguments, number, of_type, optional, several
+from fringedic.inputs.arguments import array, check_arguments, dataset, number, of_type, optional, several
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.model import RigModel
 
@@ -122,6 +123,10 @@ class RigCheck:
             yield Finding(CheckWarning.SCALE_NOT_CHECKED)
 
 
+def _phase_map(value: Any) -> Any:
+    return (dataset("phase", "sigma") if isinstance(value, xr.Dataset) else array(2))(value)
+
+
 @check_arguments(
     CalibrationError,
     rig=of_type(RigModel),
@@ -130,8 +135,8 @@ class RigCheck:
     pitch=number(1e-3, 1e5),
     marks=optional(several(several(number(), length=2), length=2)),
     distance=optional(number()),
-    lifted=optional(array(2)),
-    earlier=optional(array(2)),
+    lifted=optional(_phase_map),
+    earlier=optional(_phase_map),
 )
 def check_rig(  # noqa: PLR0913 - the public function: every keyword is one thing that a user may have measured
     rig: RigModel,
@@ -142,8 +147,8 @@ def check_rig(  # noqa: PLR0913 - the public function: every keyword is one thin
     orientation: Orientation = Orientation.VERTICAL,
     marks: tuple[tuple[float, float], tuple[float, float]] | None = None,
     distance: float | None = None,
-    lifted: np.ndarray | xr.DataArray | None = None,
-    earlier: np.ndarray | xr.DataArray | None = None,
+    lifted: np.ndarray | xr.DataArray | xr.Dataset | None = None,
+    earlier: np.ndarray | xr.DataArray | xr.Dataset | None = None,
     age: float = math.nan,
 ) -> RigCheck:
     """Check a rig by a flat plate and, if given, a known distance.
@@ -162,10 +167,11 @@ def check_rig(  # noqa: PLR0913 - the public function: every keyword is one thin
     distance
         Known distance [m]: of the marks, or by which the plate was lifted along its normal for `lifted`.
     lifted
-        Phase of the same plate lifted by `distance` [rad].
+        Phase of the same plate lifted by `distance` [rad]; a dataset with ``phase`` and its own ``sigma``, or the
+        phase alone, which has the sigma of the plate then.
     earlier
-        Phase of the plate at the same position some time before [rad]: gives the drift, for example of a projector that
-        warms up.
+        Phase of the plate at the same position some time before, as for `lifted`: gives the drift, for example of a
+        projector that warms up.
     age
         Of the calibration [s].
 
@@ -203,19 +209,26 @@ def check_rig(  # noqa: PLR0913 - the public function: every keyword is one thin
     if (distance is None) != (marks is None and lifted is None) or (marks is not None and lifted is not None):
         raise CalibrationError("a known distance needs either two marks or the phase of the lifted plate")
     for name, other in (("lifted", lifted), ("earlier", earlier), ("sigma", sigma)):
-        if other is not None and np.shape(other) != np.shape(phase):
-            raise ImageError(f"{name}: shape {np.shape(other)} for a phase of {np.shape(phase)}")
+        image = other.phase if isinstance(other, xr.Dataset) else other
+        if image is not None and np.shape(image) != np.shape(phase):
+            raise ImageError(f"{name}: shape {np.shape(image)} for a phase of {np.shape(phase)}")
     fringes = _Fringes(rig, pitch, orientation)
-    plate = fringes.measure(reduce_plane(phase, sigma, "the flat plate"))
+
+    def measure(plate: np.ndarray | xr.DataArray | xr.Dataset, name: str) -> _Plate:
+        if isinstance(plate, xr.Dataset):
+            return fringes.measure(reduce_plane(plate.phase, plate.sigma, name))
+        return fringes.measure(reduce_plane(plate, sigma, name))
+
+    plate = measure(phase, "the flat plate")
     measured = math.nan
     if marks is not None:
         seen = [_on_plane(rig, plate.plane, mark) for mark in marks]
         measured = float(np.linalg.norm(seen[1] - seen[0]))
     elif lifted is not None:
-        measured = plate.distance_to(fringes.measure(reduce_plane(lifted, sigma, "the lifted plate")))
+        measured = plate.distance_to(measure(lifted, "the lifted plate"))
     drift = math.nan
     if earlier is not None:
-        drift = plate.drift_since(fringes.measure(reduce_plane(earlier, sigma, "the earlier plate")))
+        drift = plate.drift_since(measure(earlier, "the earlier plate"))
     blocks, residual = plate.blocks, plate.residual
     return RigCheck(
         flatness=math.sqrt(float(np.nanmean(residual**2))),

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from fringedic.calibration import CheckVerdict, check_rig
 from fringedic.calibration.findings import CheckProblem, CheckWarning
@@ -49,6 +50,17 @@ def plate(seed: int, angle: float = 2.0, height: float = 1.0) -> np.ndarray:
 
 
 SIGMA = np.full(TWIN.shape, NOISE)
+
+
+def test_each_plate_is_measured_with_its_own_sigma() -> None:
+    """Every second column of the earlier plate was wrong, and its sigma says so; that of the last plate does not."""
+    phase, sigma = plate(2), SIGMA.copy()
+    phase[:, ::2] += 0.04
+    sigma[:, ::2] = 1.0
+    over = ("row", "column")
+    earlier = xr.Dataset({"phase": (over, phase), "sigma": (over, sigma)})
+    assert check_rig(RIG, plate(1), SIGMA, pitch=PITCH, earlier=earlier).drift < 3e-6
+    assert check_rig(RIG, plate(1), SIGMA, pitch=PITCH, earlier=phase).drift > 6e-6
 
 
 def test_a_rig_that_is_as_it_was_holds() -> None:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
+import xarray as xr
 
 from fringedic.calibration import RigCalibration, RigCheck, check_rig
 from fringedic.calibration.history import record_check
@@ -78,12 +78,12 @@ def check(
             stamps.append(to_nanoseconds(client.measure().stamp))
         client.place(PlaceReferencePlane.Request.SPECIMEN)
         client.wait_until_recorded()
-    first, lifted, last = _maps(folder / "bag", "phase/map", stamps)
+    first, lifted, last = _phase_maps(folder / "bag", stamps)
     finest = rig.patterns()[-1]
     result = check_rig(
         model,
-        last,
-        _maps(folder / "bag", "phase/sigma", stamps)[-1],
+        last.phase,
+        last.sigma,
         pitch=finest.pitch,
         orientation=finest.orientation,
         distance=distance,
@@ -116,7 +116,13 @@ def _age(rig: RigFile, rig_path: Path) -> float:
         return math.nan
 
 
-def _maps(bag: Path, topic: str, stamps: list[int]) -> list[np.ndarray]:
+def _phase_maps(bag: Path, stamps: list[int]) -> list[xr.Dataset]:
+    """Return the phase map of each stamp with its own sigma."""
     reader = BagReader(bag)
-    maps = {stamp_of(message): message for _, message, _ in reader.messages(reader.find(topic).values())}
-    return [image_array(maps[stamp]) for stamp in stamps]
+    names = {full: name for name, full in reader.find("phase/map", "phase/sigma").items()}
+    images = {(names[topic], stamp_of(each)): image_array(each) for topic, each, _ in reader.messages(names)}
+    over = ("row", "column")
+    return [
+        xr.Dataset({"phase": (over, images["phase/map", stamp]), "sigma": (over, images["phase/sigma", stamp])})
+        for stamp in stamps
+    ]
