@@ -28,7 +28,7 @@ def test_order_end_and_repeat(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("files", ["", "nowhere", "nowhere/*.png"])
 def test_no_images(files: str) -> None:
-    with pytest.raises(CameraError, match="no images"):
+    with pytest.raises(CameraError, match="folder of images"):
         FilesDriver(files, repeat=False)
 
 

@@ -1,7 +1,8 @@
-"""The methods of datasets: ``dataset.fringedic``, registered when the first public name is used."""
+"""The methods of datasets: ``dataset.fringedic``, registered as soon as xarray and a public name are loaded."""
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -118,7 +119,7 @@ class ExperimentAccessor:
         Returns
         -------
         Dataset
-            As of `fringedic.surface_strain`.
+            As of `fringedic.surface_strain`; of images alone as of `fringedic.surface.flat_strain`.
 
         Raises
         ------
@@ -127,9 +128,18 @@ class ExperimentAccessor:
         SurfaceError
             The dataset has no displacement, the window contains fewer than 3 x 3 points, or a measure is unknown.
         """
+        from fringedic.results.motion import motion_of
+        from fringedic.surface.flat import flat_strain
         from fringedic.surface.strain import surface_strain
 
-        return surface_strain(self._step(step), window=window, measures=measures)
+        one = self._step(step)
+        if motion_of(one).spatial:
+            return surface_strain(one, window=window, measures=measures)
+        if measures:
+            raise DatasetError(
+                f"measures is {list(measures)}: images alone give the von Mises strain only, which needs no measure"
+            )
+        return flat_strain(_field(one), window=window, pixel_size=one.attrs.get("pixel_size"))
 
     def remove_rigid_motion(self, region: Region | None = None) -> xr.Dataset:
         """Return the displacement without its rigid motion; see `fringedic.results.remove_rigid_motion`."""
@@ -186,3 +196,13 @@ class ExperimentAccessor:
 
 def _list(names: str | Sequence[str]) -> list[str]:
     return [names] if isinstance(names, str) else list(names)
+
+
+def _field(step: xr.Dataset) -> xr.Dataset:
+    """Return a step of a series of images as `fringedic.measure_displacement` returns it."""
+    if "displacement_sigma_x" not in step:
+        return step
+    window = json.loads(step.attrs.get("parameters", "[]"))
+    attributes = {"window_px": window[-1]["parameters"]["dic"]["window"]} if window else {}
+    names = {"displacement_sigma_x": "sigma_x", "displacement_sigma_y": "sigma_y"}
+    return step[["displacement_x", "displacement_y", *names]].rename(names).assign_attrs(attributes)

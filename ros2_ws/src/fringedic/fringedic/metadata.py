@@ -32,6 +32,7 @@ class Gauge(_Entries):
 
     first: ImagePosition = Field(description="Column and row of the first point [px].")
     second: ImagePosition = Field(description="Column and row of the second point [px].")
+    name: str = Field("", description="Name in the report; by default its number.")
 
 
 class SpecimenMetadata(_Entries):
@@ -127,6 +128,9 @@ NOISE_QUANTITIES = {
     "e_11": NoiseQuantity("e_11_ustrain", "strain e_11", "µstrain", 1e-6),
     "e_22": NoiseQuantity("e_22_ustrain", "strain e_22", "µstrain", 1e-6),
     "e_12": NoiseQuantity("e_12_ustrain", "strain e_12", "µstrain", 1e-6),
+    "e_xx": NoiseQuantity("e_xx_ustrain", "strain e_xx", "µstrain", 1e-6),
+    "e_yy": NoiseQuantity("e_yy_ustrain", "strain e_yy", "µstrain", 1e-6),
+    "e_xy": NoiseQuantity("e_xy_ustrain", "strain e_xy", "µstrain", 1e-6),
 }
 
 

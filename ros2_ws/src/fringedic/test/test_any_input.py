@@ -197,6 +197,14 @@ CALLS = {
     fringedic.export.export_dataset: {"dataset": EXPERIMENT, "folder": NOWHERE, "formats": ["csv"], "steps": [1]},
     fringedic.results.compare_with_truth: {"dataset": EXPERIMENT, "truth_path": NOWHERE},
     fringedic.open_experiment: {"path": NOWHERE},
+    fringedic.measure_images: {
+        "images": [NOWHERE, NOWHERE],
+        "output": NOWHERE,
+        "window": 16,
+        "spacing": 4,
+        "strain_window": 21,
+        "pixel_size": 1e-4,
+    },
     fringedic.process_bag: {"path": NOWHERE, "output": NOWHERE},
     fringedic.write_report: {"source": NOWHERE, "output": NOWHERE, "static_steps": [0]},
     fringedic.load_rig_file: {"path": NOWHERE},
@@ -205,6 +213,7 @@ CALLS = {
 FILES = {  # their call does not work, because there is no such file
     fringedic.results.compare_with_truth,
     fringedic.open_experiment,
+    fringedic.measure_images,
     fringedic.process_bag,
     fringedic.write_report,
     fringedic.load_rig_file,

@@ -27,9 +27,13 @@ def test_measuring_images_finds_their_shift(tmp_path: Path) -> None:
     done = CliRunner().invoke(main.app, ["measure", *words, *options])
     assert done.exit_code == 0, done.exception
     with xr.open_dataset(tmp_path / "out" / "displacement.nc", engine="h5netcdf") as field:
-        medians = [float(field.displacement_x.isel(step=step).median()) for step in (0, 1)]
-    assert np.allclose(medians, [2, 4], atol=0.02), medians
-    assert (tmp_path / "out" / "c.png").exists()
+        medians = [float(field.displacement_x.sel(step=step).median()) for step in (0, 1, 2)]
+        assert field.image.values.tolist() == ["a.png", "b.png", "c.png"]
+    assert np.allclose(medians, [0, 2, 4], atol=0.02), medians
+    written = {file.name for file in (tmp_path / "out").iterdir()}
+    assert written == {"displacement.nc", "report.html", "step_002.png", "step_002_strain.png", "step_002_sigma.png"}
+    assert "median x (right) 4, y (down)" in done.output.replace("\n", " ")
+    assert "reference: a.png for all images" in done.output
 
 
 @pytest.mark.parametrize(
@@ -40,10 +44,10 @@ def test_measuring_images_finds_their_shift(tmp_path: Path) -> None:
         ("replay nowhere", "no such recording"),
         ("replay . --calibration .", "no such calibration"),
         ("process nowhere", "no such recording"),
-        ("measure one.png", "at least one deformed image"),
+        ("measure one.png", "no such image or folder of images"),
         ("replay nowhere --set window", "node.parameter=value"),
         ("replay nowhere --set camera.gain=1", "a replay starts phase, dic, coupling, not camera"),
-        ("run open_hole_tension.yaml --images nowhere", "no images"),
+        ("run open_hole_tension.yaml --images nowhere", "no such image or folder of images"),
         ("calibrate", "give a rig file"),
         ("calibrate tiny --angles-deg 0,ten", "angles-deg"),
         ("live tiny --region 3,4,5", "such as 320,240,640,480"),

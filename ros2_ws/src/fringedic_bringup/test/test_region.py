@@ -168,7 +168,7 @@ def test_measure_takes_mask_and_polygons(tmp_path: Path) -> None:
         done = CliRunner().invoke(app, ["measure", *images, *options])
         assert done.exit_code == 0, done.exception
         with xr.open_dataset(folder / "displacement.nc", engine="h5netcdf") as dataset:
-            maps.append(dataset.displacement_x.values[0])
+            maps.append(dataset.displacement_x.values[1])
     measured = np.isfinite(maps[0])
     assert not measured[~REGION.mask()[::4, ::4]].any()
     assert measured[10:28, 14:34].all()

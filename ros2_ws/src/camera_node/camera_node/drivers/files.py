@@ -11,13 +11,13 @@ import numpy as np
 
 from camera_node.drivers.driver import Frame, LocalDriver, Scene
 from fringedic.errors import CameraError, ImageError
-from fringedic.frames.files import IMAGE_SUFFIXES, read_grey
+from fringedic.frames.files import image_files, read_grey
 
 _KEPT_IMAGES = 16  # of a source that repeats, so that a short series costs no reading
 
 
 class FilesDriver(LocalDriver):
-    """Camera that reads image files in the order of their names.
+    """Camera that reads image files in the order of the numbers in their names.
 
     Parameters
     ----------
@@ -33,11 +33,12 @@ class FilesDriver(LocalDriver):
     """
 
     def __init__(self, files: str, *, repeat: bool) -> None:
-        place = Path(files)
-        found = place.iterdir() if place.is_dir() else place.parent.glob(place.name)
-        self._paths = sorted(path for path in found if path.suffix.lower() in IMAGE_SUFFIXES)
-        if not files or not self._paths:
-            raise CameraError(f"no images ({', '.join(IMAGE_SUFFIXES)}) at '{files}'; set files to a folder of images")
+        try:
+            self._paths = image_files([Path(files)]) if files else []
+        except ImageError as error:
+            raise CameraError(f"{error}; set files to a folder of images") from error
+        if not self._paths:
+            raise CameraError("files is empty; set it to a folder of images")
         self._files = files
         self._repeat = repeat
         self._read: Callable[[Path], np.ndarray] = lru_cache(_KEPT_IMAGES)(_read) if repeat else _read

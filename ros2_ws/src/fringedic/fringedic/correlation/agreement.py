@@ -80,8 +80,7 @@ def check_agreement(agreed: int, offered: int) -> None:
     if agreed <= SMALLEST_AGREEMENT * offered:
         raise CorrelationError(
             f"the deformed image does not correlate with the reference: {agreed} of {offered} windows with texture "
-            "agree. Check that both show the same surface, in focus; give `initial` from the step before if the motion "
-            "between them is large",
+            "agree. Check that both show the same surface, in focus, and take more images in between if it moves far",
             code=ErrorCode.NO_CORRELATION,
         )
 

@@ -11,6 +11,7 @@ import xarray as xr
 
 from fringedic.errors import ExportError, optional_import
 from fringedic.results.attributes import experiment_name, map_names, origin_text, seconds, step_numbers
+from fringedic.results.motion import in_space
 from fringedic.results.quantities import people_unit
 
 MILLI = 1e-3
@@ -53,7 +54,7 @@ def measured_surface(step: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
 def _surfaces(dataset: xr.Dataset, skipped: list[str]) -> Iterator[tuple[xr.Dataset, np.ndarray, np.ndarray]]:
     """Iterate over steps with a surface, their `measured_surface`; the others are named in `skipped`."""
     for number in dataset["step"].values:
-        step = dataset.sel(step=number)
+        step = in_space(dataset.sel(step=number))
         try:
             surface = measured_surface(step)
         except ExportError as error:
@@ -61,7 +62,7 @@ def _surfaces(dataset: xr.Dataset, skipped: list[str]) -> Iterator[tuple[xr.Data
             continue
         yield step, *surface
     if len(skipped) == dataset.sizes["step"]:
-        raise ExportError("no step has a surface to export")
+        raise ExportError("no step has a surface to export; images alone need a scale: measure with --pixel-size-mm")
 
 
 def _maps(step: xr.Dataset, names: Iterable[str], valid: np.ndarray) -> dict[str, np.ndarray]:

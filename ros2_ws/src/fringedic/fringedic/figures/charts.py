@@ -17,11 +17,13 @@ MILLI, MICRO, MEGA = 1e-3, 1e-6, 1e6
 SURFACE_POINTS = 160  # along the longer side
 VECTORS = 22  # along the longer side
 _LONGEST_VECTOR = 0.12  # of the surface's longer side
-_STRAINS = ("e_11", "e_22", "e_12")
+_STRAINS = ("e_11", "e_22", "e_12", "e_xx", "e_yy", "e_xy")
 _LAYOUT: dict[str, Any] = {
     "template": "plotly_white",
     "margin": {"l": 60, "r": 20, "t": 50, "b": 50},
     "height": 380,
+    "xaxis": {"exponentformat": "none"},
+    "yaxis": {"exponentformat": "none"},
 }
 
 
@@ -99,14 +101,15 @@ def curve_charts(dataset: xr.Dataset, section: float | None) -> list[go.Figure]:
         Area that carries the force [m²], None when it is not known.
     """
     numbers = dataset["step"].values
-    figures = [
-        _over("Median displacement", "step", "displacement [µm]", numbers, _medians(dataset, "uvw", MICRO)),
-    ]
+    moved, unit = _medians(dataset, "uvw", MICRO), "µm"
+    if not moved:
+        moved, unit = _medians(dataset, ("displacement_x", "displacement_y"), 1.0), "px"
+    figures = [_over("Median displacement", "step", f"displacement [{unit}]", numbers, moved)]
     strains = _medians(dataset, _STRAINS, MICRO)
     if strains:
         figures.append(_over("Median strain", "step", "strain [µstrain]", numbers, strains))
-    force, position = dataset["force"].values, dataset["position"].values / MILLI
-    if np.isfinite(force).any():
+    if "force" in dataset and np.isfinite(dataset["force"].values).any():
+        force, position = dataset["force"].values, dataset["position"].values / MILLI
         if np.isfinite(position).any():
             curve = {"force": force}
             figures.append(_over("Force over crosshead position", "position [mm]", "force [N]", position, curve))
@@ -141,8 +144,8 @@ def extensometer_charts(
         if "sigma_strain" in each:
             trace.error_y = {"type": "data", "array": (each["sigma_strain"].values / MICRO).tolist()}
     figures = [over_steps]
-    force = dataset["force"].values
-    if np.isfinite(force).any():
+    if "force" in dataset and np.isfinite(dataset["force"].values).any():
+        force = dataset["force"].values
         title, label, load = "Force over their strain", "force [N]", force
         if section is not None:
             title, label, load = "Stress over their strain", "stress [MPa]", force / section / MEGA

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,12 +11,14 @@ import numpy as np
 import xarray as xr
 
 from fringedic.errors import DatasetError, optional_import
-from fringedic.figures.panels import ERRORS, IN_PLANE, SHAPE_AND_DISPLACEMENT, Panel
+from fringedic.figures.panels import ERRORS, Panel, pictures_of
 from fringedic.figures.previews import NOT_MEASURED
+from fringedic.frames.region import Point
 from fringedic.inputs.arguments import check_arguments, path
 from fringedic.inputs.arguments import dataset as dataset_of
 from fringedic.results.attributes import origin_text
 from fringedic.results.quantities import number_text, people_unit
+from fringedic.results.step_maps import with_principal_strains
 from fringedic.results.truth import truth_errors
 
 if TYPE_CHECKING:
@@ -33,7 +36,7 @@ Extent = tuple[float, float, float, float]
 
 @check_arguments(
     DatasetError,
-    dataset=dataset_of("displacement_x", "displacement_y", "w", over=("step", "row", "column")),
+    dataset=dataset_of("displacement_x", "displacement_y", over=("step", "row", "column")),
     folder=path,
 )
 def save_pictures(
@@ -46,14 +49,16 @@ def save_pictures(
     dataset
         From `fringedic.open_experiment`.
     folder
-        Folder of the pictures, ``step_003.png`` and ``step_003_errors.png``; made if it is missing.
+        Folder of the pictures, ``step_003.png``, ``step_003_strain.png``, ``step_003_sigma.png`` and, with a truth,
+        ``step_003_errors.png``; made if it is missing.
     truth
         From `fringedic.results.open_truth`.
 
     Returns
     -------
     list of Path
-        The pictures. Steps that failed have none; steps of one white frame show the in-plane displacement.
+        The pictures. Steps that failed have none; steps of one white frame, and images without a rig, show the
+        in-plane displacement.
 
     Raises
     ------
@@ -76,14 +81,14 @@ def save_pictures(
     files, origin = [], origin_text(dataset)
     for step in dataset.step.values:
         number = int(step)
-        measured = dataset.sel(step=step)
-        spatial, in_plane = (bool(np.isfinite(measured[name]).any()) for name in ("w", "displacement_x"))
-        if not in_plane:
+        measured = with_principal_strains(dataset.sel(step=step))
+        if not np.isfinite(measured["displacement_x"]).any():
             continue
-        panels = SHAPE_AND_DISPLACEMENT if spatial else IN_PLANE
         title = _title(measured, number)
-        files.append(_save(maps_figure(measured, panels, title=title), target / f"step_{number:03d}.png", origin))
-        if truth is not None and spatial:
+        for name, panels in pictures_of(measured).items():
+            figure = maps_figure(measured, panels, title=title)
+            files.append(_save(figure, target / f"step_{number:03d}{name and f'_{name}'}.png", origin))
+        if truth is not None and "w" in measured and np.isfinite(measured["w"]).any():
             errors = truth_errors(dataset, truth, number)
             figure = maps_figure(errors, ERRORS, title=f"{title}: measured minus true")
             files.append(_save(figure, target / f"step_{number:03d}_errors.png", origin))
@@ -118,6 +123,40 @@ def maps_figure(maps: xr.Dataset, panels: tuple[Panel, ...], *, title: str) -> F
     figure.suptitle(title)
     for place, panel in enumerate(panels):
         draw_map(figure.add_subplot(lines, 2, place + 1), maps, panel)
+    return figure
+
+
+def reference_figure(reference: xr.Dataset, measured: xr.Dataset, gauges: Mapping[str, tuple[Point, Point]]) -> Figure:
+    """Draw the reference image with the outline of what was measured, and virtual extensometers with their names.
+
+    Parameters
+    ----------
+    reference
+        The reference step, with its ``texture``.
+    measured
+        A measured step, with ``displacement_x``.
+    gauges
+        Gauge points (column, row) [px] by name.
+    """
+    with optional_import("figures"):
+        from matplotlib.figure import Figure
+    width, height = _panel_size(reference, 5.2)
+    figure = Figure(figsize=(width, height), dpi=100, layout="constrained")
+    axes = figure.add_subplot()
+    grey, extent = _thinned(reference["texture"].values), _extent(reference)
+    axes.imshow(grey, cmap="gray", extent=extent, origin="upper", interpolation="nearest")
+    inside = _thinned(np.isfinite(measured["displacement_x"].values).astype(float))
+    if 0 < inside.mean() < 1 and min(inside.shape) > 1:
+        axes.contour(inside, [0.5], colors="#ffb000", linewidths=1.5, extent=extent, origin="upper")
+    left, right, bottom, top = extent
+    columns, rows = (_edges(reference[name].values) for name in ("column", "row"))
+    for name, points in gauges.items():
+        x = np.interp([point[0] for point in points], columns, (left, right))
+        y = np.interp([point[1] for point in points], rows, (top, bottom))
+        axes.plot(x, y, "o-", color="#00c8ff", markersize=4, linewidth=1.5)
+        axes.annotate(name, (x.mean(), y.mean()), color="#00c8ff", xytext=(4, 4), textcoords="offset points")
+    across, down = ("x [mm]", "y [mm]") if "x_mm" in reference.coords else ("column [px]", "row [px]")
+    axes.set(xlabel=across, ylabel=down, title="reference image, outline of the measured surface")
     return figure
 
 
@@ -226,6 +265,8 @@ def _edges(positions: np.ndarray) -> tuple[float, float]:
 
 def _title(measured: xr.Dataset, step: int) -> str:
     words = [f"{measured.attrs.get('experiment', 'experiment')}, step {step}"]
+    if "image" in measured:
+        words.append(str(measured["image"].values))
     if "position" in measured and np.isfinite(measured["position"]):
         words.append(f"crosshead {float(measured['position']) * 1e3:.3f} mm")
     if "force" in measured and np.isfinite(measured["force"]):

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
+import xarray as xr
+
 
 class Panel(NamedTuple):
     """One map of a picture.
@@ -31,25 +34,60 @@ DISPLACEMENT = (
 )
 SHAPE_AND_DISPLACEMENT = (HEIGHT, *DISPLACEMENT)
 SIGMAS = tuple(Panel(f"sigma_{name}", f"standard deviation of {name}") for name in "uvw")
+PRINCIPAL = (Panel("e_1", "larger principal strain e_1"), Panel("e_2", "smaller principal strain e_2"))
 STRAIN = (
-    Panel("e_11", "strain e_11 along t1"),
-    Panel("e_22", "strain e_22 along t2"),
+    Panel("e_11", "strain e_11 along t1 (right)"),
+    Panel("e_22", "strain e_22 along t2 (up)"),
     Panel("e_12", "shear strain e_12 (tensor)"),
 )
+FLAT_STRAIN = (
+    Panel("e_xx", "strain e_xx along x (right)"),
+    Panel("e_yy", "strain e_yy along y (up)"),
+    Panel("e_xy", "shear strain e_xy (tensor)"),
+)
+VON_MISES = Panel("e_von_mises", "equivalent strain (von Mises)")
 DISPLACEMENT_IN_IMAGE = (
     Panel("displacement_x", "displacement x (right)"),
     Panel("displacement_y", "displacement y (down)"),
 )
-IN_PLANE = (
-    *DISPLACEMENT_IN_IMAGE,
+SIGMAS_IN_IMAGE = (
     Panel("displacement_sigma_x", "standard deviation of x"),
     Panel("displacement_sigma_y", "standard deviation of y"),
 )
+SIGMAS_OF_STRAIN = tuple(
+    Panel(f"sigma_{panel.name}", f"standard deviation of {panel.name}") for panel in (*STRAIN, *FLAT_STRAIN)
+)
 ERRORS = tuple(Panel(f"error_{name}", f"error of {name}", symmetric=True) for name in "zuvw")
-ANIMATED = (*DISPLACEMENT, *STRAIN[:2], *DISPLACEMENT_IN_IMAGE)
-_PANELS = {panel.name: panel for panel in (HEIGHT, *DISPLACEMENT, *SIGMAS, *STRAIN, *IN_PLANE, *ERRORS)}
+ANIMATED = (*DISPLACEMENT, *STRAIN[:2], *FLAT_STRAIN[:2], *DISPLACEMENT_IN_IMAGE)
+_PICTURES = {
+    "": ((HEIGHT, *DISPLACEMENT), DISPLACEMENT[:2], DISPLACEMENT_IN_IMAGE),
+    "strain": ((*STRAIN, *PRINCIPAL), STRAIN, (*FLAT_STRAIN, *PRINCIPAL, VON_MISES)),
+    "sigma": (
+        (*SIGMAS, *SIGMAS_OF_STRAIN[:3]),
+        SIGMAS,
+        (*SIGMAS[:2], *SIGMAS_OF_STRAIN[3:]),
+        (*SIGMAS_IN_IMAGE, *SIGMAS_OF_STRAIN[3:]),
+        SIGMAS_IN_IMAGE,
+    ),
+}
+_ALL = (HEIGHT, *DISPLACEMENT, *SIGMAS, *PRINCIPAL, *STRAIN, *FLAT_STRAIN, VON_MISES)
+_PANELS = {panel.name: panel for panel in (*_ALL, *DISPLACEMENT_IN_IMAGE, *SIGMAS_IN_IMAGE, *SIGMAS_OF_STRAIN, *ERRORS)}
 
 
 def panel_of(name: str) -> Panel:
     """Return the panel of a map; one with its name as title for a map that no picture shows."""
     return _PANELS.get(name, Panel(name, name))
+
+
+def pictures_of(step: xr.Dataset) -> dict[str, tuple[Panel, ...]]:
+    """Return the panels of each picture of a step by its name: displacement (""), strain and sigma, where measured."""
+    measured = {
+        str(name) for name, values in step.data_vars.items() if values.ndim == 2 and np.isfinite(values.values).any()
+    }
+    found = {}
+    for name, choices in _PICTURES.items():
+        for panels in choices:
+            if measured.issuperset(panel.name for panel in panels):
+                found[name] = panels
+                break
+    return found

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from pathlib import Path
 
 import cv2
@@ -57,3 +59,47 @@ def read_grey(path: Path) -> np.ndarray:
     if image.dtype not in (np.uint8, np.uint16):
         raise ImageError(f"{path} has pixels of type {image.dtype}; 8 or 16 bits are needed")
     return image if image.ndim == 2 else luminance(image)
+
+
+def image_files(places: Iterable[Path]) -> list[Path]:
+    """Return image files as given, and those of folders in the order in which people number them: 2 before 10.
+
+    Parameters
+    ----------
+    places
+        Files, folders, or patterns such as ``load_*.tif``.
+
+    Raises
+    ------
+    ImageError
+        A file or folder is missing, a folder contains no images, or a pattern matches none.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     for name in ("load_10.png", "load_2.png", "notes.txt"):
+    ...         _ = (Path(folder) / name).write_text("")
+    ...     [file.name for file in image_files([Path(folder)])]
+    ['load_2.png', 'load_10.png']
+    """
+    found: list[Path] = []
+    for place in places:
+        is_pattern = any(letter in place.name for letter in "*?[") and not place.exists()
+        if place.is_file():
+            found.append(place)
+            continue
+        if not place.is_dir() and not is_pattern:
+            raise ImageError(f"{place}: no such image or folder of images")
+        among = place.parent.glob(place.name) if is_pattern else place.iterdir()
+        images = sorted((file for file in among if file.suffix.lower() in IMAGE_SUFFIXES), key=_by_number)
+        if not images:
+            raise ImageError(f"{place}: contains no images; known are {', '.join(IMAGE_SUFFIXES)}")
+        found += images
+    return found
+
+
+def _by_number(file: Path) -> list[tuple[int, str]]:
+    """Return the numbers and texts of a name, so that numbers are compared as numbers."""
+    parts = re.split(r"(\d+)", file.name.lower())
+    return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts]

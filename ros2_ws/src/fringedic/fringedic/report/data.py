@@ -65,10 +65,29 @@ class ReportData:
         return None if square_millimetres is None else 1e-6 * square_millimetres
 
     @property
+    def images_alone(self) -> bool:
+        """Whether the dataset is that of a series of images without a rig."""
+        return "image" in self.dataset
+
+    @property
+    def image_size(self) -> tuple[int, int] | None:
+        """Width and height of the camera's images [px], None if they are not known."""
+        source, names = self.calibration, ("camera_width", "camera_height")
+        if not source:
+            source, names = dict(self.dataset.attrs), ("image_width", "image_height")
+        return (int(source[names[0]]), int(source[names[1]])) if names[0] in source else None
+
+    @property
+    def pixel_size(self) -> float | None:
+        """Size of a pixel on the specimen [m], None without a scale."""
+        size = self.calibration.get("pixel_size", self.dataset.attrs.get("pixel_size"))
+        return None if size is None else float(size)
+
+    @property
     def simulated(self) -> bool:
         """Whether a virtual rig replaced camera and projector."""
         return self.camera.get("source") == "virtual"
 
     def length(self, pixels: float) -> str:
-        """Return a length on the surface in brackets, for a text that follows pixels; empty without a calibration."""
-        return f" ({1e3 * self.calibration['pixel_size'] * pixels:.3g} mm)" if self.calibration else ""
+        """Return a length on the surface in brackets, for a text that follows pixels; empty without a scale."""
+        return "" if self.pixel_size is None else f" ({1e3 * self.pixel_size * pixels:.3g} mm)"

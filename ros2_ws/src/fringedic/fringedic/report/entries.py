@@ -68,10 +68,9 @@ def hardware_entries(data: ReportData) -> list[Entry]:
     """Return camera, lens, light, view, exposure, texture and calibration target."""
     hardware = data.metadata.hardware
     focal = hardware.focal_length_mm
-    rig = data.calibration
     return [
         entered("camera", hardware.camera or (VIRTUAL if data.simulated else ""), "hardware.camera"),
-        Entry("image resolution", f"{rig['camera_width']} x {rig['camera_height']} px" if rig else None),
+        Entry("image resolution", None if data.image_size is None else "{} x {} px".format(*data.image_size)),
         entered("lens", hardware.lens, "hardware.lens"),
         entered("focal length", None if focal is None else f"{focal:g} mm", "hardware.focal_length_mm"),
         entered("aperture", hardware.aperture, "hardware.aperture"),
@@ -85,15 +84,17 @@ def hardware_entries(data: ReportData) -> list[Entry]:
 
 
 def _view_entries(data: ReportData) -> list[Entry]:
-    rig = data.calibration
-    if not rig:
-        return without(("field of view", "image scale", "stand-off"), "no calibration")
-    scale = rig["pixel_size"]
-    width, height = 1e3 * scale / rig["pixel_aspect"] * rig["camera_width"], 1e3 * scale * rig["camera_height"]
+    rig, scale, size = data.calibration, data.pixel_size, data.image_size
+    if scale is None or size is None:
+        note = "give the scale by --pixel-size-mm" if data.images_alone else "no calibration"
+        return without(("field of view", "image scale", "stand-off"), note)
+    width, height = 1e3 * scale / rig.get("pixel_aspect", 1.0) * size[0], 1e3 * scale * size[1]
+    origin = "from the calibration" if rig else "as entered"
+    stand_off = f"{1e3 * rig['camera_distance']:.4g} mm" if rig else None
     return [
-        Entry("field of view", f"{width:.4g} x {height:.4g} mm", "on the reference plane, from the calibration"),
-        Entry("image scale", f"{1e-3 / scale:.4g} px/mm ({1e6 * scale:.4g} µm/px)", "from the calibration"),
-        Entry("stand-off", f"{1e3 * rig['camera_distance']:.4g} mm", "from the calibration"),
+        Entry("field of view", f"{width:.4g} x {height:.4g} mm", f"on the reference plane, {origin}"),
+        Entry("image scale", f"{1e-3 / scale:.4g} px/mm ({1e6 * scale:.4g} µm/px)", origin),
+        Entry("stand-off", stand_off, origin if rig else "not known of images alone"),
     ]
 
 

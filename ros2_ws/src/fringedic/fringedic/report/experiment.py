@@ -17,9 +17,9 @@ import xarray as xr
 from fringedic.errors import DatasetError, FringedicError
 from fringedic.figures.animation import animation
 from fringedic.figures.charts import curve_charts, extensometer_charts, surface_chart
-from fringedic.figures.maps import maps_figure
-from fringedic.figures.panels import DISPLACEMENT, DISPLACEMENT_IN_IMAGE, SHAPE_AND_DISPLACEMENT, STRAIN, Panel
-from fringedic.frames.region import Point
+from fringedic.figures.maps import maps_figure, reference_figure
+from fringedic.figures.panels import DISPLACEMENT, DISPLACEMENT_IN_IMAGE, FLAT_STRAIN, pictures_of
+from fringedic.frames.region import Point, Region
 from fringedic.inputs.arguments import check_arguments, optional, path, several, whole
 from fringedic.metadata import NOISE_COLUMNS
 from fringedic.provenance import git_commit, software
@@ -28,13 +28,14 @@ from fringedic.report.embedding import base64_png, base64_text, chart_html, char
 from fringedic.report.entries import MISSING, Entry, hardware_entries, specimen_entries
 from fringedic.report.processing_entries import analysis_entries, fringe_entries
 from fringedic.report.recorded_exposures import read_exposures, read_textures
-from fringedic.report.tables import gauge_rows, noise_floor_row, step_rows, truth_rows
+from fringedic.report.tables import gauge_rows, noise_floor_row, region_rows, step_columns, truth_rows
 from fringedic.report.templates import render_page
 from fringedic.report.warnings import warnings
 from fringedic.results.noise_floor import noise_floors
 from fringedic.results.noise_floor import static_steps as steps_at_rest
 from fringedic.results.opening import open_experiment
 from fringedic.results.probes import extensometer
+from fringedic.results.step_maps import with_principal_strains
 from fringedic.results.stores import SUFFIXES
 from fringedic.rig_setup.advice import Advice
 from fringedic.rig_setup.recommended_settings import advise_settings
@@ -64,7 +65,8 @@ def write_report(
     output: str | os.PathLike[str] | None = None,
     *,
     static_steps: Sequence[int] | None = None,
-    gauges: Sequence[GaugePoints] | None = None,
+    gauges: Mapping[str, GaugePoints] | None = None,
+    regions: Mapping[str, Region] | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Write the report of an experiment as one HTML file, which needs no other file and no network.
@@ -80,8 +82,10 @@ def write_report(
         Numbers of the steps at rest, from which the noise floor is taken; by default the steps before and after the
         reference step at the same crosshead position.
     gauges
-        Virtual extensometers, each the two positions (column, row) of its gauge points [px of the reference image]; by
-        default those of the specimen's metadata.
+        Virtual extensometers by name, each the two positions (column, row) of its gauge points [px of the reference
+        image]; by default those of the specimen's metadata.
+    regions
+        Regions by name, whose mean values the report lists.
     overwrite
         Replace an existing file.
 
@@ -101,7 +105,7 @@ def write_report(
 
     Examples
     --------
-    >>> write_report("recordings/plate-7/bag", gauges=[((200, 480), (1000, 480))])  # doctest: +SKIP
+    >>> write_report("recordings/plate-7/bag", gauges={"middle": ((200, 480), (1000, 480))})  # doctest: +SKIP
     PosixPath('recordings/plate-7/report.html')
     """
     with open_experiment(source) as dataset:
@@ -112,7 +116,7 @@ def write_report(
         with _write_errors_named(target):
             target.parent.mkdir(parents=True, exist_ok=True)
         static = steps_at_rest(dataset) if static_steps is None else list(static_steps)
-        page = render_page("experiment.html.j2", **_content(dataset, files, static, gauges))
+        page = render_page("experiment.html.j2", **_content(dataset, files, static, gauges, regions or {}))
     with _write_errors_named(target):
         temporary = target.with_name(f".{target.name}.writing")
         temporary.write_text(page, encoding="utf-8")
@@ -136,7 +140,11 @@ def _recording(source: Path, dataset: xr.Dataset) -> Path | None:
 
 
 def _content(
-    dataset: xr.Dataset, files: _Source, static: list[int], gauges: Sequence[GaugePoints] | None
+    dataset: xr.Dataset,
+    files: _Source,
+    static: list[int],
+    gauges: Mapping[str, GaugePoints] | None,
+    regions: Mapping[str, Region],
 ) -> dict[str, Any]:
     """Return the values of the template."""
     floors = noise_floors(dataset, static)
@@ -157,12 +165,14 @@ def _content(
         "floors": [noise_floor_row(floor) for floor in floors],
         "noise": data.metadata.noise,
         "noise_columns": NOISE_COLUMNS,
-        "steps": step_rows(dataset),
+        "images_alone": data.images_alone,
+        "steps": step_columns(dataset),
+        "regions": region_rows(dataset.sel(step=_last_measured(dataset)), regions),
         "truth": truth,
         "parameters": json.dumps(data.attribute("parameters"), indent=1),
         "calibration": json.dumps(data.calibration, indent=1),
         **_conditions(data),
-        **_pictures(data),
+        **_pictures(data, points),
         **_gauge_content(data, strains),
     }
 
@@ -180,21 +190,23 @@ def _conditions(data: ReportData) -> dict[str, Any]:
         "Specimen": specimen_entries(data),
         "Hardware": hardware_entries(data),
         "Analysis": analysis_entries(data),
-        "Fringes": fringe_entries(data),
     }
+    if not data.images_alone:
+        sections["Fringes"] = fringe_entries(data)
     missing: list[tuple[str, Entry]] = [
         (name, entry) for name, entries in sections.items() for entry in entries if entry.value is None
     ]
     return {"sections": sections, "missing": missing, "missing_word": MISSING}
 
 
-def _pictures(data: ReportData) -> dict[str, Any]:
+def _pictures(data: ReportData, gauges: Mapping[str, GaugePoints]) -> dict[str, Any]:
     shown = _last_measured(data.dataset)
-    last = data.dataset.sel(step=shown)
-    surface = bool(np.isfinite(last["w"].values).any())
+    last = with_principal_strains(data.dataset.sel(step=shown))
+    surface = "w" in last and bool(np.isfinite(last["w"].values).any())
     return {
         "shown": shown,
-        "maps": _maps(last, surface),
+        "reference": _reference(data.dataset, last, gauges),
+        "maps": [base64_png(maps_figure(last, panels, title=f"step {shown}")) for panels in pictures_of(last).values()],
         "animation": _animation(data.dataset),
         "surface": chart_html(surface_chart(last)) if surface else "",
         "curves": [chart_html(chart) for chart in curve_charts(data.dataset, data.section)],
@@ -211,16 +223,18 @@ def _gauge_content(data: ReportData, strains: Mapping[str, xr.Dataset]) -> dict[
     }
 
 
-def _entered_gauges(data: ReportData) -> list[GaugePoints]:
-    entered = data.metadata.specimen.gauges_px
-    return [((gauge.first[0], gauge.first[1]), (gauge.second[0], gauge.second[1])) for gauge in entered]
+def _entered_gauges(data: ReportData) -> dict[str, GaugePoints]:
+    return {
+        gauge.name or str(number): ((gauge.first[0], gauge.first[1]), (gauge.second[0], gauge.second[1]))
+        for number, gauge in enumerate(data.metadata.specimen.gauges_px, start=1)
+    }
 
 
-def _extensometers(dataset: xr.Dataset, gauges: Sequence[GaugePoints]) -> tuple[dict[str, xr.Dataset], list[str]]:
+def _extensometers(dataset: xr.Dataset, gauges: Mapping[str, GaugePoints]) -> tuple[dict[str, xr.Dataset], list[str]]:
     """Return the virtual extensometers by name, and a sentence about each that cannot be measured."""
     strains, failed = {}, []
-    for number, (first, second) in enumerate(gauges, start=1):
-        name = f"{number}: ({first[0]:g}, {first[1]:g}) to ({second[0]:g}, {second[1]:g})"
+    for title, (first, second) in gauges.items():
+        name = f"{title}: ({first[0]:g}, {first[1]:g}) to ({second[0]:g}, {second[1]:g})"
         try:
             strains[name] = extensometer(dataset, first, second, subset=GAUGE_SUBSET)
         except DatasetError as error:
@@ -245,7 +259,7 @@ def _advice(dataset: xr.Dataset, recording: Path | None, static: Sequence[int]) 
 
 
 def _last_measured(dataset: xr.Dataset) -> int:
-    for name in ("w", "displacement_x"):
+    for name in (name for name in ("w", "displacement_x") if name in dataset):
         for index in reversed(range(dataset.sizes["step"])):
             if np.isfinite(dataset[name].isel(step=index).values).any():
                 return int(dataset["step"].values[index])
@@ -253,20 +267,25 @@ def _last_measured(dataset: xr.Dataset) -> int:
 
 
 def _date(dataset: xr.Dataset) -> str:
+    """Return when the experiment began; empty for images, whose times are not known."""
+    if "time" not in dataset:
+        return ""
     return f"{np.datetime_as_string(dataset['time'].values.min(), unit='s')} UTC".replace("T", " ", 1)
 
 
-def _maps(step: xr.Dataset, surface: bool) -> list[str]:
-    groups: list[tuple[Panel, ...]] = [SHAPE_AND_DISPLACEMENT, STRAIN] if surface else [DISPLACEMENT_IN_IMAGE]
-    return [
-        base64_png(maps_figure(step, panels, title=f"step {int(step.step)}"))
-        for panels in groups
-        if all(panel.name in step and np.isfinite(step[panel.name].values).any() for panel in panels)
-    ]
+def _reference(dataset: xr.Dataset, measured: xr.Dataset, gauges: Mapping[str, GaugePoints]) -> str:
+    """Return the picture of the reference image; empty where it is not in the dataset."""
+    step = int(measured.get("reference_step", -1))
+    if "texture" not in dataset or step not in dataset["step"].values:
+        return ""
+    reference = dataset.sel(step=step)
+    if not np.isfinite(reference["texture"].values).any():
+        return ""
+    return base64_png(reference_figure(reference, measured, gauges))
 
 
 def _animation(dataset: xr.Dataset) -> str:
-    for panel in (DISPLACEMENT[-1], DISPLACEMENT_IN_IMAGE[-1]):
+    for panel in (DISPLACEMENT[-1], FLAT_STRAIN[1], DISPLACEMENT_IN_IMAGE[-1]):
         try:
             return base64_text(animation(dataset, panel))
         except DatasetError:

@@ -44,8 +44,10 @@ def analysis_entries(data: ReportData) -> list[Entry]:
         filtering = [Entry("filter of the heights before their difference", smoothed)]
     else:
         filtering = []
-    strain = _strain_entries(data, coupling.get("strain_window_px", 0), dic["spacing"], dic["window"])
-    return [*entries, *_correlation_entries(data, dic), *filtering, *strain, _camera_model(data.calibration)]
+    width = data.parameters.get("strain", coupling).get("strain_window_px", 0)
+    strain = _strain_entries(data, width, dic["spacing"], dic["window"])
+    model = [] if data.images_alone else [_camera_model(data.calibration)]
+    return [*entries, *_correlation_entries(data, dic), *filtering, *strain, *model]
 
 
 def _correlation_entries(data: ReportData, dic: dict[str, Any]) -> list[Entry]:
@@ -78,7 +80,11 @@ def _strain_entries(data: ReportData, width: int, spacing: int, window: int) -> 
     return [
         Entry("strain window", f"{points} points ({covered} px){data.length(covered)}"),
         Entry("virtual strain gauge", f"{gauge} px{data.length(gauge)}", "(L_window - 1) L_step + L_subset"),
-        Entry("strain formulation", "Green-Lagrange in the tangent plane of the surface, from least-squares planes"),
+        Entry(
+            "strain formulation",
+            f"Green-Lagrange in the {'image' if data.images_alone else 'tangent plane of the surface'}, from "
+            "least-squares planes",
+        ),
         Entry("strain post-filter", "none"),
     ]
 

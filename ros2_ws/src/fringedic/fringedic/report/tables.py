@@ -4,16 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
+from fringedic.frames.region import Region
 from fringedic.metadata import NOISE_QUANTITIES
+from fringedic.results.attributes import seconds
 from fringedic.results.noise_floor import NoiseFloor
-from fringedic.results.quantities import number_text
+from fringedic.results.probes import region_statistics
+from fringedic.results.quantities import number_text, people_unit
 from fringedic.results.truth import compare_with_truth
 
 MILLI, MICRO = 1e-3, 1e-6
+REGION_MAPS = ("u", "v", "w", "displacement_x", "displacement_y", "e_11", "e_22", "e_12", "e_xx", "e_yy", "e_xy")
+REGION_STATISTICS = ("mean", "standard_deviation", "minimum", "maximum")
+_STEP_VALUES = (  # factor 0: in the unit of people
+    ("force", "force [N]", 1.0),
+    ("position", "position [mm]", MILLI),
+    ("valid_fraction", "measured [%]", 0.01),
+    ("rms_displacement", "RMS displacement", 0.0),
+)
 
 
 def noise_floor_row(floor: NoiseFloor) -> list[str]:
@@ -24,27 +36,31 @@ def noise_floor_row(floor: NoiseFloor) -> list[str]:
     return [f"{floor.name} [{quantity.unit}]", *cells, str(floor.points)]
 
 
-def step_rows(dataset: xr.Dataset) -> list[list[str]]:
-    """Return a row per step: number, time, load, references, measured points, displacement and error."""
-    begin = dataset["time"].values.min()
-    rows = []
-    for index, step in enumerate(dataset["step"].values):
-        one = dataset.isel(step=index)
-        seconds = (one["time"].values - begin) / np.timedelta64(1, "s")
-        rows.append(
-            [
-                str(int(step)),
-                f"{seconds:.1f}",
-                number_text(float(one["force"])),
-                number_text(float(one["position"]) / MILLI),
-                _step_number(one, "reference_step"),
-                _step_number(one, "correlated_step"),
-                number_text(100 * float(one["valid_fraction"])),
-                number_text(float(one["rms_displacement"]) / MICRO),
-                str(one["error"].values),
-            ]
+class Column(NamedTuple):
+    """A column of the table of steps: its heading, its cells, and whether they are numbers."""
+
+    heading: str
+    cells: list[str]
+    is_number: bool = True
+
+
+def step_columns(dataset: xr.Dataset) -> list[Column]:
+    """Return the columns of the table of steps: number, image or time, load, references, displacement and error."""
+    columns = [Column("step", [str(int(step)) for step in dataset["step"].values])]
+    if "image" in dataset:
+        columns.append(Column("image", [str(name) for name in dataset["image"].values], False))
+    if "time" in dataset:
+        columns.append(Column("time [s]", [f"{value:.1f}" for value in seconds(dataset)]))
+    for name, heading, factor in _STEP_VALUES:
+        if name in dataset:
+            unit, in_dataset = people_unit(dataset[name]), dataset[name].values.astype(float)
+            factor, heading = (factor, heading) if factor else (unit.factor, f"{heading} [{unit.text}]")
+            columns.append(Column(heading, [number_text(value / factor) for value in in_dataset]))
+    for name, heading in (("reference_step", "reference step"), ("correlated_step", "compared with")):
+        columns.append(
+            Column(heading, [_step_number(dataset.isel(step=index), name) for index in range(dataset.sizes["step"])])
         )
-    return rows
+    return [*columns, Column("error", [str(error) for error in dataset["error"].values], False)]
 
 
 def _step_number(step: xr.Dataset, name: str) -> str:
@@ -83,4 +99,20 @@ def _gauge_cells(gauge: xr.Dataset) -> list[str]:
     elongation, strain = float(last["elongation"]), float(last["strain"])
     sigma = float(last.get("sigma_strain", np.nan))
     rest = float(last["length"]) - elongation
-    return [number_text(each) for each in (rest / MILLI, elongation / MICRO, strain / MICRO, sigma / MICRO)]
+    lengths = (f"{number_text(rest)} px", f"{number_text(elongation)} px")
+    if gauge["length"].attrs["units"] == "m":
+        lengths = (f"{number_text(rest / MILLI)} mm", f"{number_text(elongation / MICRO)} µm")
+    return [*lengths, number_text(strain / MICRO), number_text(sigma / MICRO)]
+
+
+def region_rows(dataset: xr.Dataset, regions: Mapping[str, Region]) -> list[list[str]]:
+    """Return a row per region and quantity of the last step: mean, standard deviation, least and largest value."""
+    present = [name for name in REGION_MAPS if name in dataset]
+    rows = []
+    for title, region in regions.items():
+        table = region_statistics(dataset, present, region)
+        for name in present:
+            unit = people_unit(dataset[name])
+            values = (float(table[name].sel(statistic=each)) / unit.factor for each in REGION_STATISTICS)
+            rows.append([title, f"{name} [{unit.text}]", *map(number_text, values)])
+    return rows

@@ -1,6 +1,9 @@
 from .datasets import dataset_from_derived as dataset_from_derived
 from .datasets import process_bag as process_bag
 from .force import force_curve as force_curve
+from .image_series import ImageSeries as ImageSeries
+from .image_series import MeasuredImage as MeasuredImage
+from .image_series import measure_images as measure_images
 from .opening import find_dataset as find_dataset
 from .opening import open_experiment as open_experiment
 from .probes import extensometer as extensometer

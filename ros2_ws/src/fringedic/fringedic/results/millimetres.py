@@ -11,17 +11,27 @@ import xarray as xr
 def with_millimetres(dataset: xr.Dataset) -> xr.Dataset:
     """Return a dataset with the coordinates ``x_mm`` (right) and ``y_mm`` (up) of its columns and rows.
 
-    They are positions on the reference plane: the model of the rig projects pixels on z = 0. Without a calibration the
-    dataset is returned as it is.
+    They are positions on the reference plane: the model of the rig projects pixels on z = 0. Of images alone the origin
+    is the middle of the image. Without a scale the dataset is returned as it is.
 
     Parameters
     ----------
     dataset
-        With the coordinates ``row`` and ``column`` [px]; the attribute ``calibration`` contains the scale.
+        With the coordinates ``row`` and ``column`` [px]; the scale is that of the attribute ``calibration``, or
+        ``pixel_size`` [m].
     """
-    if "calibration" not in dataset.attrs:
+    attributes = dataset.attrs
+    if "calibration" in attributes:
+        rig: Mapping[str, float] = json.loads(attributes["calibration"])
+    elif {"pixel_size", "image_width", "image_height"} <= attributes.keys():
+        rig = {
+            "pixel_size": float(attributes["pixel_size"]),
+            "pixel_aspect": 1.0,
+            "principal_column": 0.5 * (float(attributes["image_width"]) - 1),
+            "principal_row": 0.5 * (float(attributes["image_height"]) - 1),
+        }
+    else:
         return dataset
-    rig: Mapping[str, float] = json.loads(dataset.attrs["calibration"])
     scale = 1e3 * rig["pixel_size"]
     x = scale / rig["pixel_aspect"] * (dataset["column"].values - rig["principal_column"])
     y = -scale * (dataset["row"].values - rig["principal_row"])

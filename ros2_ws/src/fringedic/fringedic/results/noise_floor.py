@@ -22,7 +22,7 @@ POSITION_TOLERANCE = 1e-6  # [m], crosshead positions that count as the same: th
 SIGMAS = {
     "displacement_x": "displacement_sigma_x",
     "displacement_y": "displacement_sigma_y",
-    **{name: f"sigma_{name}" for name in ("u", "v", "w", "e_11", "e_22", "e_12")},
+    **{name: f"sigma_{name}" for name in ("u", "v", "w", "e_11", "e_22", "e_12", "e_xx", "e_yy", "e_xy")},
 }
 """Maps of a dataset that have a noise floor, and the maps of their stated standard deviations."""
 
@@ -157,6 +157,8 @@ def static_steps(dataset: xr.Dataset) -> list[int]:
     specimen may have changed. A step that was compared with itself, because the step before it failed, does not count
     either.
     """
+    if "position" not in dataset:
+        return []
     numbers, positions = dataset["step"].values, dataset["position"].values
     moved = dataset["rms_displacement"].values
     references = [int(number) for number in dataset["reference_step"].values if number >= 0]

@@ -16,7 +16,7 @@ from fringedic.results.millimetres import with_millimetres
 from fringedic.results.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE
 from fringedic.results.stores import SUFFIXES, dataset_path
 
-_OF_EVERY_EXPERIMENT = ("step", "time", "error")  # variables
+_OF_EVERY_EXPERIMENT = ("step", "error")  # variables
 _OF_A_RUN = ("results.nc", "results.zarr")
 
 

@@ -17,16 +17,16 @@ from fringedic.errors import DatasetError
 from fringedic.frames.region import Point, Region
 from fringedic.inputs.arguments import check_arguments, number, of_type, optional, several, text, whole
 from fringedic.inputs.arguments import dataset as dataset_of
+from fringedic.results.motion import motion_of
 from fringedic.results.step_maps import StepValues, maps_by_step, require_maps, values_by_step
 
-_POSITION, _DISPLACEMENT, _SIGMAS = ("x", "y", "z"), ("u", "v", "w"), ("sigma_u", "sigma_v", "sigma_w")
 MOST_POINTS = 1_000_000  # of a profile
 _STATISTICS = ("mean", "standard_deviation", "minimum", "median", "maximum")
 
 
 @check_arguments(
     DatasetError,
-    dataset=dataset_of("x", "y", "z", "u", "v", "w"),
+    dataset=dataset_of(),
     first=several(number(), length=2),
     second=several(number(), length=2),
     subset=number(),
@@ -37,7 +37,7 @@ def extensometer(dataset: xr.Dataset, first: Point, second: Point, *, subset: fl
     Parameters
     ----------
     dataset
-        From `open_experiment` or `couple`.
+        From `open_experiment` or `couple`; of images alone also from `fringedic.measure_displacement`.
     first, second
         (column, row) of the gauge points [px of the reference image].
     subset
@@ -46,15 +46,16 @@ def extensometer(dataset: xr.Dataset, first: Point, second: Point, *, subset: fl
     Returns
     -------
     Dataset
-        Over ``step``: ``length`` and ``elongation`` [m], ``strain`` (elongation over the length in the reference [1],
-        positive in tension), and ``sigma_elongation`` [m], ``sigma_strain`` [1] if the dataset contains standard
-        deviations: those of two points, because errors are correlated within a gauge subset. NaN where nothing of a
-        gauge subset is measured.
+        Over ``step``: ``length`` and ``elongation`` [m; px for images without a scale], ``strain`` (elongation over the
+        length in the reference [1], positive in tension), and ``sigma_elongation``, ``sigma_strain`` [1] if the dataset
+        contains standard deviations: those of two points, because errors are correlated within a gauge subset. NaN
+        where nothing of a gauge subset is measured.
 
     Raises
     ------
     DatasetError
-        A gauge subset contains no point of the result, both contain the same points, or `subset` is not above 0.
+        The dataset has no displacement, a gauge subset contains no point of the result, both contain the same points,
+        or `subset` is not above 0.
 
     Examples
     --------
@@ -71,25 +72,24 @@ def extensometer(dataset: xr.Dataset, first: Point, second: Point, *, subset: fl
     >>> round(float(gauge.strain), 6), round(float(gauge.length), 6)
     (0.01, 0.00606)
     """
+    motion = motion_of(dataset)
     if not subset > 0:
         raise DatasetError(f"subset is {subset} px: the side of a gauge subset has to be above 0")
     ends = [_gauge_subset(dataset, point, subset) for point in (first, second)]
     if all(np.array_equal(*each) for each in zip(*ends, strict=True)):
         raise DatasetError(f"both gauge subsets, at {first} and {second} px, contain the same points: move them apart")
-    with_sigmas = all(name in dataset for name in _SIGMAS)
-    names = (*_POSITION, *_DISPLACEMENT, *(_SIGMAS if with_sigmas else ()))
     readings = [
-        _gauge_reading(*(_mean(maps[:, rows[:, None], columns]) for columns, rows in ends))
-        for maps in maps_by_step(dataset, names)
+        _gauge_reading(*(_mean(maps[:, rows[:, None], columns]) for columns, rows in ends)) for maps in motion.by_step()
     ]
     length, elongation, strain, sigma_elongation, sigma_strain = np.array(readings).T
     quantities = {
-        "length": StepValues(length, "m", "distance of the two points"),
-        "elongation": StepValues(elongation, "m", "change of the distance"),
+        "length": StepValues(length, motion.unit, "distance of the two points"),
+        "elongation": StepValues(elongation, motion.unit, "change of the distance"),
         "strain": StepValues(strain, "1", "elongation over the length in the reference"),
     }
-    if with_sigmas:
-        quantities["sigma_elongation"] = StepValues(sigma_elongation, "m", "standard deviation of the elongation")
+    if motion.sigmas:
+        unit = motion.unit
+        quantities["sigma_elongation"] = StepValues(sigma_elongation, unit, "standard deviation of the elongation")
         quantities["sigma_strain"] = StepValues(sigma_strain, "1", "standard deviation of the strain")
     return values_by_step(dataset, quantities)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -61,6 +62,46 @@ STEP_NUMBERS: dict[str, str] = {  # -1 without a displacement, or if a recording
     "correlated_step": "step whose images this one's were compared with",
     "increments_summed": "1 when the displacement is composed with that of correlated_step, else 0",
 }
+TEXTS: dict[str, str] = {"error": "reason of the failure, empty for a measured step"}
+
+
+class Layout(NamedTuple):
+    """Variables of a kind of dataset: maps, values and texts of each step, and whether the steps have times."""
+
+    maps: Mapping[str, Quantity]
+    scalars: Mapping[str, Quantity]
+    texts: Mapping[str, str]
+    timed: bool
+
+
+RECORDING = Layout(MAPS, SCALARS, TEXTS, timed=True)
+_FLAT_STRAIN = {
+    "e_xx": Quantity("1", "strain along x (right)"),
+    "e_yy": Quantity("1", "strain along y (up)"),
+    "e_xy": Quantity("1", "tensor shear strain of x (right) and y (up)"),
+    "e_1": Quantity("1", "larger principal strain"),
+    "e_2": Quantity("1", "smaller principal strain"),
+    "e_von_mises": Quantity("1", "equivalent strain (von Mises)"),
+    "sigma_e_xx": Quantity("1", "standard deviation of e_xx"),
+    "sigma_e_yy": Quantity("1", "standard deviation of e_yy"),
+    "sigma_e_xy": Quantity("1", "standard deviation of e_xy"),
+}
+_IN_IMAGE = ("texture", "displacement_x", "displacement_y", "displacement_sigma_x", "displacement_sigma_y")
+
+
+def layout_of_images(scaled: bool) -> Layout:
+    """Return the variables of a series of images; lengths in metres only where the scale is known."""
+    maps = {name: MAPS[name] for name in _IN_IMAGE}
+    if scaled:
+        maps |= {name: MAPS[name] for name in ("u", "v", "sigma_u", "sigma_v")}
+    scalars = {
+        "valid_fraction": SCALARS["valid_fraction"],
+        "rms_displacement": Quantity("m" if scaled else "px", "root mean square length of the displacement"),
+    }
+    texts = {**TEXTS, "image": "name of the image"}
+    return Layout({**maps, **_FLAT_STRAIN}, scalars, texts, timed=False)
+
+
 POSITIONS = {"x", "y", "z", "shape_x", "shape_y", "shape_z"}
 PHASE_TOPICS = {"map": "phase", "sigma": "phase_sigma", "modulation": "modulation", "texture": "texture"}
 

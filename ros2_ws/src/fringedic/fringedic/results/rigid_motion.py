@@ -10,13 +10,14 @@ from fringedic.errors import DatasetError
 from fringedic.frames.region import Region
 from fringedic.inputs.arguments import check_arguments, of_type, optional
 from fringedic.inputs.arguments import dataset as dataset_of
+from fringedic.results.motion import Motion, motion_of
 from fringedic.results.probes import points_in
-from fringedic.results.step_maps import maps_by_step
 
 _POSITION, _DISPLACEMENT = ("x", "y", "z"), ("u", "v", "w")
+_IN_IMAGE = {"displacement_x": 1, "displacement_y": -1}  # y of the image points downwards
 
 
-@check_arguments(DatasetError, dataset=dataset_of("x", "y", "z", "u", "v", "w"), region=optional(of_type(Region)))
+@check_arguments(DatasetError, dataset=dataset_of(), region=optional(of_type(Region)))
 def remove_rigid_motion(dataset: xr.Dataset, region: Region | None = None) -> xr.Dataset:
     """Remove the best-fitting rigid motion from the displacement of each step.
 
@@ -26,7 +27,7 @@ def remove_rigid_motion(dataset: xr.Dataset, region: Region | None = None) -> xr
     Parameters
     ----------
     dataset
-        From `open_experiment` or `couple`; it is not changed.
+        From `open_experiment` or `couple`; of images also from `fringedic.measure_displacement`; it is not changed.
     region
         The points that the motion is fitted to; by default all that are measured.
 
@@ -35,12 +36,15 @@ def remove_rigid_motion(dataset: xr.Dataset, region: Region | None = None) -> xr
     Dataset
         ``x``, ``y``, ``z`` and the remaining ``u``, ``v``, ``w`` [m], float32, over the dimensions of the dataset, with
         ``rotation`` (rotation vector [rad]) and ``translation`` [m] over (step, axis): a reference point X moved to
-        rotation X + translation, plus the remaining displacement turned by the rotation.
+        rotation X + translation, plus the remaining displacement turned by the rotation. Of images alone it contains
+        the remaining ``displacement_x``, ``displacement_y`` [px]; the motion is that of the image with x to the right
+        and y upwards, in px without a scale.
 
     Raises
     ------
     DatasetError
-        Fewer than three points are measured in a step, or no point of the result lies in the region.
+        The dataset has no displacement, fewer than three points are measured in a step, or no point of the result lies
+        in the region.
 
     References
     ----------
@@ -60,11 +64,12 @@ def remove_rigid_motion(dataset: xr.Dataset, region: Region | None = None) -> xr
     >>> bool(abs(still.w).max() < 1e-9), still.translation.values.round(6).tolist()
     (True, [0.0, 0.0, 0.002])
     """
+    motion = motion_of(dataset)
     inside = None if region is None else points_in(region, dataset)
     remaining, rotations, translations = [], [], []
-    for maps in maps_by_step(dataset, (*_POSITION, *_DISPLACEMENT)):
+    for maps in motion.by_step():
         before = maps[:3].astype(float)
-        after = before + maps[3:]
+        after = before + maps[3:6]
         measured = np.isfinite(after).all(axis=0)
         chosen = measured if inside is None else measured & inside
         if np.count_nonzero(chosen) < 3:
@@ -75,7 +80,7 @@ def remove_rigid_motion(dataset: xr.Dataset, region: Region | None = None) -> xr
         remaining.append((back - before).astype(np.float32))
         rotations.append(Rotation.from_matrix(rotation).as_rotvec())
         translations.append(translation)
-    return _result(dataset, np.array(remaining), np.array(rotations), np.array(translations))
+    return _result(motion, np.array(remaining), np.array(rotations), np.array(translations))
 
 
 def _fit_motion(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -88,13 +93,22 @@ def _fit_motion(before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.n
     return rotation, goal - rotation @ centre
 
 
-def _result(dataset: xr.Dataset, remaining: np.ndarray, rotations: np.ndarray, translations: np.ndarray) -> xr.Dataset:
+def _result(motion: Motion, remaining: np.ndarray, rotations: np.ndarray, translations: np.ndarray) -> xr.Dataset:
+    dataset = motion.dataset
     stepwise = "step" in dataset.dims
-    fields: dict[str, object] = {name: dataset[name] for name in _POSITION}
-    for place, name in enumerate(_DISPLACEMENT):
-        values = remaining[:, place] if stepwise else remaining[0, place]
-        fields[name] = (tuple(dataset["u"].dims), values, dict(dataset[name].attrs))
+    if motion.spatial:
+        fields: dict[str, object] = {name: dataset[name] for name in _POSITION}
+        moved = dict(zip(_DISPLACEMENT, remaining.swapaxes(0, 1), strict=True))
+    else:
+        fields = {}
+        moved = {
+            name: sign * remaining[:, place] / motion.scale for place, (name, sign) in enumerate(_IN_IMAGE.items())
+        }
+    shape = tuple(dataset[next(iter(moved))].dims)
+    for name, values in moved.items():
+        fields[name] = (shape, values if stepwise else values[0], dict(dataset[name].attrs))
     axes = ("step", "axis") if stepwise else ("axis",)
-    for name, unit, table in (("rotation", "rad", rotations), ("translation", "m", translations)):
+    for name, unit, table in (("rotation", "rad", rotations), ("translation", motion.unit, translations)):
         fields[name] = (axes, table if stepwise else table[0], {"units": unit})
-    return xr.Dataset(fields, {**dataset[["u"]].coords, "axis": list("xyz")}, dataset.attrs)
+    coordinates = dataset[[next(iter(moved))]].coords
+    return xr.Dataset(fields, {**coordinates, "axis": list("xyz")}, dataset.attrs)

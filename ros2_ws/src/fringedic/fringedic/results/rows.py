@@ -13,7 +13,7 @@ from fringedic.steps.pipeline import MeasuredStep
 
 @dataclass
 class Row:
-    """One step on its way into the dataset; the stamp is None when its last frame never came."""
+    """One step on its way into the dataset; the stamp is None when its last frame never came, or there are no times."""
 
     step: int
     stamp: int | None = None
@@ -25,6 +25,7 @@ class Row:
     valid_fraction: float = float("nan")
     rms_displacement: float = float("nan")
     maps: dict[str, np.ndarray] = field(default_factory=dict)
+    image: str = ""
 
 
 def row_of(measured: MeasuredStep) -> Row:

@@ -54,3 +54,13 @@ def values_by_step(dataset: xr.Dataset, quantities: Mapping[str, StepValues]) ->
         },
         {"step": dataset.step} if stepwise else {},
     )
+
+
+def with_principal_strains(step: xr.Dataset) -> xr.Dataset:
+    """Return a step with the principal strains ``e_1`` >= ``e_2`` of its strain in the tangent plane, if it has one."""
+    if "e_1" in step or not all(name in step for name in ("e_11", "e_22", "e_12")):
+        return step
+    centre = 0.5 * (step["e_11"] + step["e_22"])
+    radius = np.hypot(0.5 * (step["e_11"] - step["e_22"]), step["e_12"])
+    units = {"units": "1"}
+    return step.assign(e_1=(centre + radius).assign_attrs(units), e_2=(centre - radius).assign_attrs(units))

@@ -13,7 +13,7 @@ import numpy as np
 
 from fringedic.errors import DatasetError, ErrorCode
 from fringedic.provenance import git_commit, software
-from fringedic.results.quantities import MAP_DIMENSIONS, MAPS, SCALARS, STEP_NUMBERS
+from fringedic.results.quantities import MAP_DIMENSIONS, RECORDING, STEP_NUMBERS, Layout
 from fringedic.results.rows import Row
 from fringedic.results.stores import TEXT, Store, Variable, create_store
 from fringedic.steps.recorded_parameters import StepSettings
@@ -30,13 +30,16 @@ class DatasetWriter:
         The dataset.
     attributes
         Of the dataset, beside software, commit, settings and conventions.
+    layout
+        Its variables.
     """
 
-    def __init__(self, target: Path, attributes: Mapping[str, str]) -> None:
+    def __init__(self, target: Path, attributes: Mapping[str, Any], layout: Layout = RECORDING) -> None:
         self._target = target
+        self._layout = layout
         self._store: Store
         self._settings: list[dict[str, Any]] = []
-        self._attributes = {
+        self._attributes: dict[str, Any] = {
             **attributes,
             "software": software(),
             "commit": git_commit(),
@@ -49,11 +52,13 @@ class DatasetWriter:
     def __enter__(self) -> DatasetWriter:
         self._store = create_store(self._target)
         self._variable("step", ("step",), "i8", "1", "load step")
-        self._variable("time", ("step",), "i8", "nanoseconds since 1970-01-01", "stamp of the last exposure")
+        if self._layout.timed:
+            self._variable("time", ("step",), "i8", "nanoseconds since 1970-01-01", "stamp of the last exposure")
         for name, meaning in STEP_NUMBERS.items():
             self._variable(name, ("step",), "i8", "1", meaning)
-        self._variable("error", ("step",), TEXT, "", "reason of the failure, empty for a measured step")
-        for name, quantity in SCALARS.items():
+        for name, meaning in self._layout.texts.items():
+            self._variable(name, ("step",), TEXT, "", meaning)
+        for name, quantity in self._layout.scalars.items():
             self._variable(name, ("step",), "f8", *quantity)
         return self
 
@@ -75,14 +80,13 @@ class DatasetWriter:
         self._store.grow(self._count)
         values: dict[str, Any] = {
             "step": row.step,
-            "time": row.stamp,
+            **({"time": row.stamp} if self._layout.timed else {}),
             "reference_step": row.reference_step,
             "correlated_step": row.correlated_step,
             "increments_summed": None if row.correlated_step is None else row.correlated_step != row.reference_step,
-            "error": row.error,
         }
         values |= {name: -1 if values[name] is None else int(values[name]) for name in STEP_NUMBERS}
-        values |= {name: getattr(row, name) for name in SCALARS}
+        values |= {name: getattr(row, name) for name in (*self._layout.texts, *self._layout.scalars)}
         for name, value in values.items():
             self._store.put(name, index, value)
         if row.maps:
@@ -111,7 +115,7 @@ class DatasetWriter:
                 f"steps before have {self._grid[1]}x{self._grid[0]} at {self._grid[2]} px; process them separately"
             )
         for name, values in row.maps.items():
-            if name in MAPS:
+            if name in self._layout.maps:
                 sampled = values if values.shape == grid[:2] else _sampled(values, spacing)
                 self._store.put(name, index, sampled)
 
@@ -121,7 +125,7 @@ class DatasetWriter:
         for name, number in sizes.items():
             self._variable(name, (name,), "i8", "px", f"{name} in the reference image", sizes)
             self._store.put(name, slice(None), spacing * np.arange(number))
-        for name, quantity in MAPS.items():
+        for name, quantity in self._layout.maps.items():
             self._variable(name, MAP_DIMENSIONS, "f4", *quantity, sizes)
 
     def _variable(

@@ -1,4 +1,5 @@
 from .coupling import couple as couple
+from .flat import flat_strain as flat_strain
 from .local_frame import to_local_frame as to_local_frame
 from .prepared import PreparedShape as PreparedShape
 from .specimen_frames import CylinderFrame as CylinderFrame

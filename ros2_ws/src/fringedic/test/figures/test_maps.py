@@ -90,7 +90,7 @@ def test_errors_have_a_scale_that_is_symmetric_about_zero():
 def test_every_measured_step_has_its_pictures(tmp_path):
     dataset = experiment(white=(1,))
     files = save_pictures(dataset, tmp_path / "maps")
-    assert [file.name for file in files] == ["step_000.png", "step_001.png"]
+    assert [file.name for file in files] == ["step_000.png", "step_000_sigma.png", "step_001.png", "step_001_sigma.png"]
     pictures = [cv2.imread(str(file)) for file in files]
     assert all(picture.shape[1] == 1250 and picture.std() > 10 for picture in pictures)
 
@@ -101,7 +101,7 @@ def test_errors_are_drawn_where_the_truth_is_known(tmp_path):
         z_deformed=dataset.shape_z, valid=(("step", "row", "column"), np.ones((3, 30, 40), bool))
     )
     files = save_pictures(dataset.isel(step=[1, 2]), tmp_path, truth=exact)
-    assert [file.name for file in files] == ["step_001.png", "step_001_errors.png"]
+    assert [file.name for file in files] == ["step_001.png", "step_001_sigma.png", "step_001_errors.png"]
 
 
 def test_a_map_that_is_not_there_is_named():

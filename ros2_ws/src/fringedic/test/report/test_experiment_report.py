@@ -101,7 +101,7 @@ def dataset(path):
 
 @pytest.fixture(scope="module")
 def page(path):
-    gauges = [((60, 20), (60, 60)), ((60, 20), (500, 20))]
+    gauges = {"1": ((60, 20), (60, 60)), "far": ((60, 20), (500, 20))}
     return write_report(path, gauges=gauges).read_text("utf-8")
 
 
@@ -109,12 +109,12 @@ def test_extensometers(page):
     """v = 3e-3 (y + 4 mm) per step of load along y, and along z as much as w is uneven there: not at all."""
     assert "Stress over their strain" in page
     row = re.search(r"<td>1: \(60, 20\) to \(60, 60\)</td>(.*?)</tr>", page).group(1)
-    length, _, strain, sigma = (float(each) for each in re.findall(r">([-\d.e]+)<", row))
+    length, _, strain, sigma = (float(each) for each in re.findall(r">([-\d.e]+)(?: mm| µm)?<", row))
     # the centres of the gauge subsets are 40 px apart
     assert length == pytest.approx(4.0, abs=0.01)
     assert abs(strain - 6000) < 5 * sigma, f"{strain} +- {sigma} µm/m, 6000 are true"
     assert 0 < sigma < 300
-    assert "extensometer 2: (60, 20) to (500, 20) px: the point" in page
+    assert "extensometer far: (60, 20) to (500, 20) px: the point" in page
 
 
 def test_steps_at_rest_are_those_beside_the_reference(dataset):
@@ -205,13 +205,13 @@ def test_the_page_says_everything_and_needs_no_network(page):
     assert "<li>step 5: frame 3 of 8 &lt;never&gt; arrived</li>" in page
     assert "step 4 could not be compared with the reference step; increments were summed" in page
     cells = [re.findall("<td[^>]*>([^<]*)</td>", row) for row in page.split('id="steps"')[1].splitlines()]
-    assert [row[4:6] for row in cells if len(row) == 9] == [["0", "0"]] * 4 + [["0", "3"], ["-", "-"]]
+    assert [row[6:8] for row in cells if len(row) == 9] == [["0", "0"]] * 4 + [["0", "3"], ["-", "-"]]
     assert "10.58720/idics/gpg.ed2" in page
     assert "Conformity is not claimed" in page
     assert "simulated" not in page.split("</style>")[1].split("<script")[0]
     text = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
     assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)=[\"']?(https?:)?//", page), "loads from the network"
-    assert re.findall(r"<img[^>]+src=\"(data:image/\w+);base64", text) == ["data:image/png"] * 2 + ["data:image/gif"]
+    assert re.findall(r"<img[^>]+src=\"(data:image/\w+);base64", text) == ["data:image/png"] * 4 + ["data:image/gif"]
     assert len(page) < 15e6
     assert (
         page.count('class="plotly-graph-div"') == 7

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 import yaml
@@ -14,6 +15,10 @@ from rich.console import Console
 
 from fringedic.errors import ConfigurationError, FringedicError, RecordingError
 from fringedic.inputs.yaml_text import load_yaml
+
+if TYPE_CHECKING:
+    from fringedic.frames.region import Region
+    from fringedic.report.experiment import GaugePoints
 
 app = typer.Typer(
     help="3D shape and displacement of surfaces, measured with one camera and one projector.",
@@ -99,6 +104,47 @@ def parameter_values(settings: Iterable[str] | None) -> dict[str, Any]:
         except yaml.YAMLError as error:
             raise ConfigurationError(f"--set {name}: {error}") from error
     return values
+
+
+def named_gauges(texts: Iterable[str] | None) -> dict[str, GaugePoints]:
+    """Return virtual extensometers by name from ``["edge=200,480,1000,480"]``; without a name they are numbered.
+
+    Raises
+    ------
+    ConfigurationError
+        A text has another form.
+    """
+    gauges: dict[str, GaugePoints] = {}
+    for number, text in enumerate(texts or [], start=1):
+        name, _, positions = text.rpartition("=")
+        try:
+            values = [float(part) for part in positions.split(",")]
+            if len(values) != 4 or not all(map(math.isfinite, values)):
+                raise ValueError
+        except ValueError as error:
+            raise ConfigurationError(
+                f"--extensometer {text}: give COLUMN,ROW,COLUMN,ROW in pixels, such as 200,480,1000,480, or with a "
+                "name edge=200,480,1000,480"
+            ) from error
+        gauges[name or str(number)] = ((values[0], values[1]), (values[2], values[3]))
+    return gauges
+
+
+def named_regions(texts: Iterable[str] | None) -> dict[str, Region]:
+    """Return regions by name from ``["hole=hole.yaml"]``, files of `fringedic region`; without a name that of the file.
+
+    Raises
+    ------
+    ImageError
+        A file cannot be read or contains no region.
+    """
+    from fringedic.frames.region import Region
+
+    regions = {}
+    for text in texts or []:
+        name, _, file = text.rpartition("=")
+        regions[name or Path(file).stem] = Region.load(file)
+    return regions
 
 
 def for_each(bags: list[Path], work: Callable[[Path], None]) -> None:

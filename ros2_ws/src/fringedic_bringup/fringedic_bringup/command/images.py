@@ -3,32 +3,101 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fringedic_bringup.command.app import Overwrite, app, console, output_file, say
+from fringedic.errors import ConfigurationError, StepFailedError
+from fringedic_bringup.command.app import Overwrite, app, console, named_gauges, named_regions, output_file, say
 from fringedic_bringup.display.progress import LiveProgress
 
+if TYPE_CHECKING:
+    from fringedic.results import MeasuredImage
 
-@app.command(epilog="Example: fringedic measure reference.tif loaded-1.tif loaded-2.tif --window 24 --output measured")
-def measure(
-    images: Annotated[list[Path], typer.Argument(help="The reference image, then the deformed images in order.")],
-    window: Annotated[int, typer.Option(min=8, max=256, help="Width of the correlation window [px].")] = 32,
-    spacing: Annotated[int, typer.Option(min=1, max=256, help="Distance of the measured points [px].")] = 1,
+DATASET = "displacement.nc"
+REPORT = "report.html"
+
+
+@app.command(epilog="Example: fringedic measure reference.tif loaded-1.tif loaded-2.tif --pixel-size-mm 0.05")
+def measure(  # noqa: PLR0913 (options of a command)
+    images: Annotated[
+        list[Path], typer.Argument(help="The reference image, then the deformed images in order; or their folder.")
+    ],
+    window: Annotated[int, typer.Option(min=8, max=256, help="Width of the subset in px.")] = 32,
+    spacing: Annotated[int, typer.Option(min=1, max=256, help="Distance of the measured points in px.")] = 4,
+    strain_window: Annotated[
+        int,
+        typer.Option(
+            min=3,
+            max=1001,
+            help="Width of the window of the strain in px; it and the subset form the virtual strain gauge.",
+        ),
+    ] = 41,
+    pixel_size_mm: Annotated[float | None, typer.Option(help="Size of a pixel on the specimen in mm.")] = None,
+    scale_length_mm: Annotated[
+        float | None, typer.Option(help="A known length in mm, whose two ends are clicked in a window.")
+    ] = None,
     mask: Annotated[
         Path | None, typer.Option(help="Region to measure: a mask image or polygons, as fringedic region writes them.")
     ] = None,
-    output: Annotated[Path, typer.Option(help="Folder for dataset and pictures.")] = Path("measured"),
+    extensometer: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=COLUMN,ROW,COLUMN,ROW", help="Virtual extensometer of the report.")
+    ] = None,
+    region: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=POLYGONS.yaml", help="Region whose mean values the report lists.")
+    ] = None,
+    output: Annotated[Path, typer.Option(help="Folder for dataset, report and pictures.")] = Path("measured"),
     overwrite: Overwrite = False,
 ) -> None:
-    """Measure the in-plane displacement between images and write it as NetCDF and PNG."""
-    from fringedic_bringup.procedures.images import DATASET, measure_images
+    """Measure displacement and strain of images of a flat specimen; write dataset, report and pictures."""
+    target = output_file(output / DATASET, overwrite)
+    gauges, regions = named_gauges(extensometer), named_regions(region)
+    if pixel_size_mm is not None and not 0 < pixel_size_mm < 1000:
+        raise ConfigurationError(f"--pixel-size-mm {pixel_size_mm:g}: give the size of a pixel in mm, such as 0.05")
+    say(f"reading {images[0]}")
+    from fringedic.figures import save_pictures
+    from fringedic.frames.files import image_files, read_grey
+    from fringedic.report import write_report
+    from fringedic.report.image_series import failure_sentences, series_sentences
+    from fringedic.results import measure_images, open_experiment
+    from fringedic_bringup.display.region_window import draw_scale
+    from fringedic_bringup.procedures.region import mask_of
 
-    output_file(output / DATASET, overwrite)
+    files = image_files(images)
+    pixel_size = None if pixel_size_mm is None else 1e-3 * pixel_size_mm
+    if scale_length_mm is not None:
+        pixel_size = draw_scale(read_grey(files[0]), 1e-3 * scale_length_mm)
+    output.mkdir(parents=True, exist_ok=True)
     with LiveProgress(console) as progress:
-        dataset, pictures = measure_images(images, output, progress, window=window, spacing=spacing, mask=mask)
-    say(f"dataset: {dataset}", f"pictures: {len(pictures)} in {output}")
+
+        def tell(image: MeasuredImage, count: int) -> None:
+            progress.step(image.step, count - 1, image.name)
+
+        series = measure_images(
+            files,
+            target,
+            window=window,
+            spacing=spacing,
+            strain_window=strain_window,
+            pixel_size=pixel_size,
+            mask=None if mask is None else mask_of(mask, read_grey(files[0]).shape),
+            overwrite=overwrite,
+            progress=tell,
+        )
+        progress.stage("writing report and pictures")
+        with open_experiment(series.dataset) as dataset:
+            last = [image.step for image in series.images if not image.error][-1]
+            save_pictures(dataset.sel(step=[last]), output)
+            words = list(series_sentences(series, dataset))
+        report = write_report(target, output / REPORT, gauges=gauges, regions=regions, overwrite=True)
+    say(*failure_sentences(series), *words)
+    say(f"dataset: {target}", f"report and pictures of the last image: {report}")
+    say(f"pictures of all images: fringedic export {target} --to png")
+    if series.interrupted:
+        say(f"interrupted: {len(series.images)} of {len(files)} images are saved; --overwrite measures all of them")
+        raise typer.Exit(130)
+    if series.failed:
+        raise StepFailedError(f"{len(series.failed)} of {len(files)} images were not measured, see above")
 
 
 @app.command(epilog="Example: fringedic advise reference.tif static-1.tif static-2.tif --wanted-noise-px 0.005")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.table import Table
@@ -23,14 +23,13 @@ from fringedic_bringup.command.app import (
     calibration_file,
     console,
     for_each,
+    named_gauges,
+    named_regions,
     parameter_values,
     say,
     title_of,
 )
 from fringedic_bringup.display.progress import LiveProgress
-
-if TYPE_CHECKING:
-    from fringedic.report.experiment import GaugePoints
 
 
 @app.command(epilog="Example: fringedic process recordings/plate-7/bag --set coupling.z_filter_px=4 --output new.nc")
@@ -165,9 +164,12 @@ def report(
     extensometer: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="COLUMN,ROW,COLUMN,ROW",
+            metavar="NAME=COLUMN,ROW,COLUMN,ROW",
             help="Virtual extensometer between two pixels; by default those of the rig file.",
         ),
+    ] = None,
+    region: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=POLYGONS.yaml", help="Region whose mean values are listed.")
     ] = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -177,17 +179,12 @@ def report(
     """
     from fringedic.report import write_report
 
-    gauges = [_two_pixels(each) for each in extensometer] if extensometer else None
-    written = write_report(source, output, static_steps=static or None, gauges=gauges, overwrite=overwrite)
+    written = write_report(
+        source,
+        output,
+        static_steps=static or None,
+        gauges=named_gauges(extensometer) or None,
+        regions=named_regions(region),
+        overwrite=overwrite,
+    )
     say(f"report: {written}")
-
-
-def _two_pixels(text: str) -> GaugePoints:
-    """Return the positions (column, row) of the two gauge points of a virtual extensometer."""
-    try:
-        first_column, first_row, second_column, second_row = (float(part) for part in text.split(","))
-    except ValueError as error:
-        raise typer.BadParameter(
-            f"--extensometer {text}: give COLUMN,ROW,COLUMN,ROW in pixels, such as 200,480,1000,480"
-        ) from error
-    return (first_column, first_row), (second_column, second_row)

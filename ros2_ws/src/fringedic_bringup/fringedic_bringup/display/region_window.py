@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -23,9 +23,11 @@ SHADE = 0.45  # brightness outside the region
 GREEN, RED, WHITE, GREY, DARK = (60, 220, 90), (255, 80, 70), (255, 255, 255), (70, 70, 76), (24, 24, 28)
 TOO_FEW = "a polygon needs at least three corners"
 BUTTONS = ("undo", "next part", "hole", "done", "cancel")
+SCALE_HELP = "click the two ends of the known length   drag: move   right click: undo   Enter: done   Esc: cancel"
 HELP = "click: corner   drag: move it   right click: undo   N: next part   H: hole   Enter: done   Esc: cancel"
 
 Point = tuple[float, float]
+Drawn = TypeVar("Drawn")
 
 
 @dataclass
@@ -96,6 +98,18 @@ class Drawing:
         region.mask_for((self.height, self.width))
         return region
 
+    def two_points(self) -> tuple[Point, Point]:
+        """Return the two points of a length.
+
+        Raises
+        ------
+        ImageError
+            There are not two different points.
+        """
+        if len(self.points) != 2 or self.points[0] == self.points[1]:
+            raise ImageError("click two different points, the ends of the known length")
+        return self.points[0], self.points[1]
+
     def nearest(self, point: Point, reach: float) -> int | None:
         """Return the number of the nearest corner of the open polygon; None when none is within `reach` [px]."""
         distances = [math.dist(point, corner) for corner in self.points]
@@ -124,7 +138,28 @@ def draw_region(image: np.ndarray) -> Region | None:
     ImageError
         There is no display.
     """
-    return _Window(image).run()
+    return _Window(image, Drawing.region, HELP).run()
+
+
+def draw_scale(image: np.ndarray, length: float) -> float:
+    """Open a window in which a person clicks the two ends of a known length; return the size of a pixel [m].
+
+    Parameters
+    ----------
+    image
+        Grey levels, unsigned integers of shape (row, column).
+    length
+        The known length [m].
+
+    Raises
+    ------
+    ImageError
+        There is no display, the person cancels, or the two points are the same.
+    """
+    points = _Window(image, Drawing.two_points, SCALE_HELP).run()
+    if points is None:
+        raise ImageError("no length was clicked; give the scale as --pixel-size-mm")
+    return length / math.dist(*points)
 
 
 class _Outline(NamedTuple):
@@ -138,17 +173,28 @@ class _Outline(NamedTuple):
         return len(self.points) > 2
 
 
-class _Window:
-    """The window: turns the events of pygame into calls of `Drawing` and draws the polygons."""
+class _Window(Generic[Drawn]):
+    """The window: turns the events of pygame into calls of `Drawing` and draws the polygons.
 
-    def __init__(self, image: np.ndarray) -> None:
+    Parameters
+    ----------
+    image
+        Grey levels, unsigned integers of shape (row, column).
+    finish
+        Returns the result of the drawing; raises ImageError while it is not complete.
+    words
+        Help below the image.
+    """
+
+    def __init__(self, image: np.ndarray, finish: Callable[[Drawing], Drawn], words: str) -> None:
         os.environ["PYGAME_HIDE_SUPPORT_PROMPT"] = "1"
         import pygame
 
         self._pygame: Any = pygame
         rows, columns = image.shape
         self._drawing = Drawing(columns, rows)
-        self._words = HELP
+        self._finish, self._help = finish, words
+        self._words = words
         self._dragged: int | None = None
         if not os.environ.get("DISPLAY") and not os.environ.get("WAYLAND_DISPLAY"):
             raise ImageError("no display: neither DISPLAY nor WAYLAND_DISPLAY is set; start the command on a desktop")
@@ -171,7 +217,7 @@ class _Window:
         self._picture = pygame.transform.smoothscale(whole, size)
         self._size = size
 
-    def run(self) -> Region | None:
+    def run(self) -> Drawn | None:
         """Handle events until the person is done."""
         pygame = self._pygame
         clock = pygame.time.Clock()
@@ -183,7 +229,7 @@ class _Window:
                         return None
                     if command == "done":
                         try:
-                            return self._drawing.region()
+                            return self._finish(self._drawing)
                         except ImageError as error:
                             self._words = str(error)
                     elif command is not None:
@@ -233,15 +279,15 @@ class _Window:
         if self._dragged is None:
             self._drawing.add(point)
             self._dragged = len(self._drawing.points) - 1
-        self._words = HELP
+        self._words = self._help
         return None
 
     def _do(self, command: str) -> None:
         if command == "undo":
             self._drawing.undo()
-            self._words = HELP
+            self._words = self._help
         else:
-            self._words = self._drawing.begin(hole=command == "hole") or HELP
+            self._words = self._drawing.begin(hole=command == "hole") or self._help
 
     def _pixel(self, position: tuple[int, int]) -> Point:
         return (position[0] + 0.5) / self._scale - 0.5, (position[1] + 0.5) / self._scale - 0.5

@@ -15,9 +15,9 @@ from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_programme, load_rig_file
 from fringedic.configuration.sections import VIRTUAL_RIG
 from fringedic.configuration.virtual_calibration import calibration_of
-from fringedic.errors import ConfigurationError, DatasetError
+from fringedic.errors import ConfigurationError, DatasetError, ImageError
 from fringedic.figures.maps import save_pictures
-from fringedic.frames.files import IMAGE_SUFFIXES
+from fringedic.frames.files import image_files
 from fringedic.frames.records import frame_record, stamp_of
 from fringedic.recording.reader import BagReader
 from fringedic.recording.repair import join
@@ -58,10 +58,10 @@ def load_rig(rig_path: Path, programme_path: Path | None, images: Path | None) -
     programme = load_programme(programme_path) if programme_path is not None else rig.programme
     if rig.camera.files is not None:
         place = rig_path.parent / rig.camera.files
-        found = place.iterdir() if place.is_dir() else place.parent.glob(place.name)
-        count = sum(path.suffix.lower() in IMAGE_SUFFIXES for path in found)
-        if not count:
-            raise ConfigurationError(f"{place}: contains no images; give their folder with --images")
+        try:
+            count = len(image_files([place]))
+        except ImageError as error:
+            raise ConfigurationError(f"{error}; give their folder with --images") from error
         if programme is None:
             programme = Programme.model_validate({"experiment": rig_path.stem, "steps": [{"mode": "white"}] * count})
     if programme is None:

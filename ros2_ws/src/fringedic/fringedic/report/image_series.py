@@ -1,0 +1,86 @@
+"""Sentences about a series of images for the terminal."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+
+import numpy as np
+import xarray as xr
+
+from fringedic.results.image_series import ImageSeries
+from fringedic.results.quantities import number_text, people_unit
+
+_DISPLACEMENTS = (("u", "v"), ("displacement_x", "displacement_y"))
+_STRAINS = ("e_xx", "e_yy", "e_xy")
+
+
+def series_sentences(series: ImageSeries, dataset: xr.Dataset) -> Iterator[str]:
+    """Yield points, displacement, strain and reference of a series, each with its uncertainty, and the time.
+
+    Parameters
+    ----------
+    series
+        From `fringedic.measure_images`.
+    dataset
+        Its dataset.
+    """
+    measured = [index for index, image in enumerate(series.images) if index and not image.error]
+    fractions = dataset["valid_fraction"].values
+    worst = min(measured, key=lambda index: float(fractions[index]))
+    points = int(dataset.sizes["row"] * dataset.sizes["column"])
+    yield (
+        f"points: {points} at {len(measured)} images, {100 * float(np.mean(fractions[measured])):.1f} % measured; "
+        f"worst: {series.images[worst].name}, {100 * float(fractions[worst]):.1f} %"
+    )
+    last = dataset.isel(step=measured[-1])
+    name = series.images[measured[-1]].name
+    moved = next(names for names in _DISPLACEMENTS if names[0] in dataset)
+    yield f"displacement of {name}: {_medians(last, moved)}"
+    parameters = json.loads(dataset.attrs["parameters"])[-1]["parameters"]["strain"]
+    gauge = parameters["virtual_strain_gauge_px"]
+    length = f"{gauge:g} px"
+    if "pixel_size" in dataset.attrs:
+        length += f" ({number_text(1e3 * gauge * float(dataset.attrs['pixel_size']))} mm)"
+    yield f"strain of {name}: {_medians(last, _STRAINS)}; virtual strain gauge {length}"
+    yield _reference(series)
+    yield f"time: {series.seconds:.1f} s, {series.seconds / len(series.images):.2f} s per image"
+
+
+def failure_sentences(series: ImageSeries) -> Iterator[str]:
+    """Yield which images have no result, and how many were left when a person stopped the measurement."""
+    for image in series.failed:
+        yield f"not measured: {image.error}"
+
+
+def _medians(step: xr.Dataset, names: tuple[str, ...]) -> str:
+    unit = people_unit(step[names[0]])
+    values = ", ".join(f"{_word(name)} {number_text(_median(step, name) / unit.factor)}" for name in names)
+    sigmas = [name for name in (_sigma(name) for name in names) if name in step]
+    sigma = max(_median(step, name) for name in sigmas) / unit.factor
+    return f"median {values} {unit.text}; 1 sigma of a point {number_text(sigma)} {unit.text}"
+
+
+def _word(name: str) -> str:
+    return {"displacement_x": "x (right)", "displacement_y": "y (down)", "u": "u (right)", "v": "v (up)"}.get(
+        name, name
+    )
+
+
+def _sigma(name: str) -> str:
+    return name.replace("displacement_", "displacement_sigma_") if "displacement" in name else f"sigma_{name}"
+
+
+def _median(step: xr.Dataset, name: str) -> float:
+    return float(np.nanmedian(step[name].values))
+
+
+def _reference(series: ImageSeries) -> str:
+    first = series.images[0].name
+    summed = [image for image in series.images if image.increment_from]
+    if not summed:
+        return f"reference: {first} for all images"
+    return (
+        f"reference: {first}; from {summed[0].name} on the surface has changed too much, so that increments from "
+        f"{', '.join(dict.fromkeys(image.increment_from for image in summed))} were summed"
+    )

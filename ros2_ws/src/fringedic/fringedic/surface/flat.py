@@ -1,0 +1,104 @@
+"""Strain of a flat specimen from its displacement in the image alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from fringedic.errors import SurfaceError
+from fringedic.inputs.arguments import check_arguments, dataset, number, optional, whole
+from fringedic.surface.planes import WIDEST_WINDOW
+from fringedic.surface.strain import surface_strain
+
+_FAR = 1e6  # distance of the camera [px]: its lines of sight are parallel, as the evaluation of a flat specimen assumes
+_NAMES = {
+    "e_11": ("e_xx", "strain along x (right)"),
+    "e_22": ("e_yy", "strain along y (up)"),
+    "e_12": ("e_xy", "tensor shear strain of x (right) and y (up)"),
+    "e_1": ("e_1", "larger principal strain"),
+    "e_2": ("e_2", "smaller principal strain"),
+    "e_von_mises": ("e_von_mises", "equivalent strain (von Mises)"),
+    "sigma_e_11": ("sigma_e_xx", "standard deviation of e_xx"),
+    "sigma_e_22": ("sigma_e_yy", "standard deviation of e_yy"),
+    "sigma_e_12": ("sigma_e_xy", "standard deviation of e_xy"),
+}
+
+
+@check_arguments(
+    SurfaceError,
+    displacement=dataset("displacement_x", "displacement_y", "sigma_x", "sigma_y"),
+    window=whole(high=WIDEST_WINDOW),
+    pixel_size=optional(number(1e-12)),
+)
+def flat_strain(displacement: xr.Dataset, *, window: int, pixel_size: float | None = None) -> xr.Dataset:
+    """Return the Green-Lagrange strain of a flat specimen that the camera sees perpendicularly.
+
+    It is that of `surface_strain` for a flat surface and parallel lines of sight. A motion towards the camera magnifies
+    the image and appears as a strain of the same size in all directions; only the shape tells both apart.
+
+    Parameters
+    ----------
+    displacement
+        From `fringedic.measure_displacement`, with its uncertainties.
+    window
+        Width of the window of the slopes [px].
+    pixel_size
+        Size of a pixel on the specimen [m], for the length of the virtual strain gauge in mm; the strain needs none.
+
+    Returns
+    -------
+    Dataset
+        Over (row, column): ``e_xx`` (x to the right), ``e_yy`` (y upwards), ``e_xy`` (tensor shear), principal strains
+        ``e_1`` >= ``e_2``, ``e_von_mises`` and the standard deviations ``sigma_e_xx``, ``sigma_e_yy``, ``sigma_e_xy``,
+        all [1]. The attribute ``virtual_strain_gauge_px`` is the length that a value is measured over,
+        ``virtual_strain_gauge_mm`` the same with a known scale.
+
+    Raises
+    ------
+    SurfaceError
+        The window contains fewer than 3 x 3 points, or the displacement has no uncertainties.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fringedic
+    >>> texture = np.random.default_rng(1).normal(size=(64, 64)).astype(np.float32)
+    >>> field = fringedic.measure_displacement(texture, np.roll(texture, 1, axis=0), window=16)
+    >>> strain = flat_strain(field, window=21)
+    >>> bool(abs(strain.e_yy.median()) < 1e-3)
+    True
+    """
+    strain = surface_strain(_flat_surface(displacement), window=window, measures=["von_mises"])
+    found = strain[[name for name in _NAMES if name in strain]].rename({old: new for old, (new, _) in _NAMES.items()})
+    for new, meaning in _NAMES.values():
+        found[new].attrs["long_name"] = meaning
+    gauge = float(strain.attrs["virtual_strain_gauge_px"])
+    found.attrs = {"window_px": window, "virtual_strain_gauge_px": gauge}
+    if pixel_size is not None:
+        found.attrs["virtual_strain_gauge_mm"] = 1e3 * pixel_size * gauge
+    return found
+
+
+def _flat_surface(displacement: xr.Dataset) -> xr.Dataset:
+    """Return the points of the image as a surface at z = 0 [px], x to the right and y upwards."""
+    column, row = np.meshgrid(displacement["column"].values, displacement["row"].values)
+    zero = np.zeros(column.shape, np.float32)
+    x, y, sigma_x, sigma_y = (
+        displacement[name].values for name in ("displacement_x", "displacement_y", "sigma_x", "sigma_y")
+    )
+    fields = {"x": column.astype(np.float32), "y": -row.astype(np.float32), "z": zero}
+    fields |= {"u": x, "v": -y, "w": zero}
+    fields |= {"sigma_u": sigma_x, "sigma_v": sigma_y, "sigma_w": zero}
+    fields |= {"displacement_sigma_x": sigma_x, "displacement_sigma_y": sigma_y}
+    fields |= {"noise_z": zero, "noise_z_deformed": zero}
+    attributes = displacement.attrs
+    return xr.Dataset(
+        {name: (("row", "column"), values) for name, values in fields.items()},
+        {name: displacement[name] for name in ("row", "column")},
+        {
+            "displacement_window_px": attributes.get("window_px", 1),
+            "displacement_method": attributes.get("method", "dense"),
+            "z_filter_px": 0.0,
+            "camera_distance": _FAR,
+        },
+    )
