@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-import rclpy
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from fringedic.frames.collector import FrameCollector
@@ -26,7 +25,7 @@ from fringedic_ros.images import image_message
 from fringedic_ros.qos import DERIVED, EVENTS, LATCHED
 from fringedic_ros.records import calibration_message, exposure_message
 from fringedic_ros.stamps import to_msg, to_nanoseconds
-from fringedic_ros.testing import Bench, NodeProcess, fringe_step, of_stamp, white_step
+from fringedic_ros.testing import Bench, connected_bench, fringe_step, of_stamp, white_step
 
 POSITIONS = (0.0, 1.0e-4, 2.0e-4)  # crosshead of each step [m]
 SPACING = 2
@@ -133,13 +132,8 @@ class CouplingBench(Bench):
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CouplingBench]:
-    rclpy.init()
-    bench = CouplingBench()
-    with NodeProcess("coupling_node.coupling_node", tmp_path_factory.mktemp("coupling")):
-        bench.connect()
+    with connected_bench(CouplingBench, "coupling_node.coupling_node", tmp_path_factory.mktemp("coupling")) as bench:
         yield bench
-    bench.destroy_node()
-    rclpy.try_shutdown()
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-import rclpy
 from sensor_msgs.msg import CameraInfo, Image
 
 from fringedic.figures.previews import displacement_preview
@@ -19,7 +18,7 @@ from fringedic_msgs.msg import NodeStatus, Reference
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.qos import DERIVED, EVENTS, LATCHED
 from fringedic_ros.stamps import to_msg, to_nanoseconds
-from fringedic_ros.testing import Bench, NodeProcess, of_stamp, white_step
+from fringedic_ros.testing import Bench, connected_bench, of_stamp, white_step
 
 POSITIONS = (0.0, 1.0e-4, 2.0e-4, 3.0e-4)  # crosshead of each step [m]
 
@@ -70,13 +69,8 @@ class DicBench(Bench):
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DicBench]:
-    rclpy.init()
-    bench = DicBench()
-    with NodeProcess("dic_node.dic_node", tmp_path_factory.mktemp("dic")):
-        bench.connect()
+    with connected_bench(DicBench, "dic_node.dic_node", tmp_path_factory.mktemp("dic")) as bench:
         yield bench
-    bench.destroy_node()
-    rclpy.try_shutdown()
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from aligned_rig import aligned_rig
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
@@ -27,21 +28,7 @@ from fringedic.rig_setup.response import response_patterns
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore:Degrees of freedom")
 SHAPE = (20, 24)
 IMAGE = ("row", "column")
-RIG = fringedic.RigModel(
-    camera_width=24,
-    camera_height=20,
-    camera_distance=0.4,
-    pixel_size=6e-4,
-    pixel_aspect=1.0,
-    principal_column=11.5,
-    principal_row=9.5,
-    projector_width=80,
-    projector_height=60,
-    projector_position=(0.15, 0.0, 0.38),
-    projector_focal_length=900.0,
-    projector_principal_column=39.5,
-    projector_principal_row=29.5,
-)
+RIG = aligned_rig((24, 20), 6e-4, (80, 60), 900.0, projector_position=(0.15, 0.0, 0.38))
 PITCH = 10.0
 NOWHERE = Path("nowhere")
 

@@ -7,13 +7,15 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 import numpy as np
+import rclpy
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.client import Client
 from rclpy.executors import SingleThreadedExecutor
@@ -261,6 +263,21 @@ class Bench(Peer):
         changes = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         response = self.ask(self._set_parameters, SetParameters.Request(parameters=changes), "the change of parameters")
         assert all(result.successful for result in response.results), response
+
+
+AnyBench = TypeVar("AnyBench", bound=Bench)
+
+
+@contextmanager
+def connected_bench(make_bench: Callable[[], AnyBench], module: str, folder: Path) -> Iterator[AnyBench]:
+    """Run the node of a module, with its log in a folder, and provide a bench that is connected to it."""
+    rclpy.init()
+    bench = make_bench()
+    with NodeProcess(module, folder):
+        bench.connect()
+        yield bench
+    bench.destroy_node()
+    rclpy.try_shutdown()
 
 
 def of_stamp(messages: list[Any], stamp: int) -> list[Any]:

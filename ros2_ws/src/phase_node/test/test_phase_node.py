@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import rclpy
 from sensor_msgs.msg import Image
 
 from fringedic.figures.previews import phase_preview
@@ -23,7 +22,7 @@ from fringedic_ros.images import image_array, image_message
 from fringedic_ros.processing import JOINED_STEPS
 from fringedic_ros.qos import DERIVED
 from fringedic_ros.stamps import to_nanoseconds
-from fringedic_ros.testing import Bench, Frame, NodeProcess, fringe_step, of_stamp, white_step
+from fringedic_ros.testing import Bench, Frame, connected_bench, fringe_step, of_stamp, white_step
 
 MAPS = ("map", "sigma", "modulation", "texture")
 Frames = list[Frame]
@@ -57,13 +56,8 @@ def assert_identical(bench: PhaseBench, result: PhaseResult) -> None:
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[PhaseBench]:
-    rclpy.init()
-    bench = PhaseBench()
-    with NodeProcess("phase_node.phase_node", tmp_path_factory.mktemp("phase")):
-        bench.connect()
+    with connected_bench(PhaseBench, "phase_node.phase_node", tmp_path_factory.mktemp("phase")) as bench:
         yield bench
-    bench.destroy_node()
-    rclpy.try_shutdown()
 
 
 @pytest.fixture

@@ -4,30 +4,16 @@ import math
 from dataclasses import replace
 
 import pytest
+from aligned_rig import aligned_rig
 
 from fringedic.configuration.virtual_calibration import calibration_of
 from fringedic.errors import CalibrationError, ErrorCode, PatternError
 from fringedic.patterns.sequences import fringe_sequence, gray_code_sequence, one_image_sequence
 from fringedic.rig.compatibility import RigSetup, check_calibration, needed_pitch
-from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRigConfiguration
 from fringedic.virtual_rig.configuration import SIZES
 
-TINY = RigModel(
-    camera_width=160,
-    camera_height=120,
-    camera_distance=0.4,
-    pixel_size=4e-4,
-    pixel_aspect=1.0,
-    principal_column=79.5,
-    principal_row=59.5,
-    projector_width=200,
-    projector_height=150,
-    projector_position=(0.18, 0.0, 0.38),
-    projector_focal_length=850.0,
-    projector_principal_column=99.5,
-    projector_principal_row=74.5,
-)
+TINY = aligned_rig((160, 120), 4e-4, (200, 150), 850.0)
 
 
 @pytest.mark.parametrize("name", ["plate", "skin", "leather"])

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from aligned_rig import aligned_rig
 from numba import get_num_threads, set_num_threads
 
 from fringedic.errors import CalibrationError, ImageError
@@ -14,22 +15,18 @@ from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration, preset
 
 PITCH = 10.0
-IDEAL = RigModel(
+IDEAL = aligned_rig(
+    (128, 96),
+    0.5e-3,
+    (800, 600),
+    5000.0,
     identifier="ideal",
     model="six_parameter",
-    camera_width=128,
-    camera_height=96,
     camera_distance=0.6,
-    pixel_size=0.5e-3,
     pixel_aspect=1.02,
     principal_column=60.0,
     principal_row=50.0,
-    projector_width=800,
-    projector_height=600,
     projector_position=(0.2, 0.0, 0.55),
-    projector_focal_length=5000.0,
-    projector_principal_column=399.5,
-    projector_principal_row=299.5,
 )
 MISALIGNED = dataclasses.replace(
     IDEAL,

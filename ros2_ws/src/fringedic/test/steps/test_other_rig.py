@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
+from aligned_rig import aligned_rig
 
 from fringedic.errors import CalibrationError, ErrorCode, StepError
-from fringedic.rig.model import RigModel
 from fringedic.steps.parameters import CouplingParameters
 from fringedic.steps.pipeline import OfflinePipeline
 from fringedic.steps.shape_tracker import ShapeTracker
@@ -15,21 +15,7 @@ from fringedic.steps.step_results import DicResult, PhaseResult, displacement_fi
 
 SHAPE = (60, 72)
 PITCH = 20.0
-RIG = RigModel(
-    camera_width=72,
-    camera_height=60,
-    camera_distance=0.4,
-    pixel_size=2e-4,
-    pixel_aspect=1.0,
-    principal_column=35.5,
-    principal_row=29.5,
-    projector_width=80,
-    projector_height=60,
-    projector_position=(0.15, 0.0, 0.38),
-    projector_focal_length=900.0,
-    projector_principal_column=39.5,
-    projector_principal_row=29.5,
-)
+RIG = aligned_rig((72, 60), 2e-4, (80, 60), 900.0, projector_position=(0.15, 0.0, 0.38))
 
 
 def plane_step(offset=0.0):
