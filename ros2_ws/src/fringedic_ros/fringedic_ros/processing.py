@@ -259,7 +259,7 @@ class ProcessingNode(Node, Generic[ModelT]):
             if message:
                 self.get_logger().warning(f"{step}: {message}")
         else:
-            self.get_logger().error(f"{step}: {message}")
+            self.get_logger().error(f"{step}: {message.removeprefix(f'{step}: ')}")
             self.diagnostics.failure(message)
         self._statuses.publish(status)
 

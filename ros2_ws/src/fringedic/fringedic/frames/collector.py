@@ -16,6 +16,8 @@ from fringedic.frames.exposure_groups import exposure_groups
 from fringedic.frames.records import FrameRecord
 from fringedic.patterns.pattern import PHASE_KINDS, Orientation, PatternKind, ProjectedPattern
 
+MOST_FRAMES = 1000  # of a step, which are in memory together; far more than a sequence has
+
 
 @dataclass
 class Stack:
@@ -135,9 +137,9 @@ class FrameCollector:
         if problem:
             self._fail(key, record)
             raise StepError(f"{where}: frame {record.index} {problem}", **identity, code=ErrorCode.FRAME_MISMATCH)
-        step = self._open.setdefault(key, _OpenStep(np.empty((0,))))
-        if not step.records:
-            step.frames = np.empty((record.count, *image.shape), image.dtype)
+        if key not in self._open:
+            self._open[key] = _OpenStep(np.empty((record.count, *image.shape), image.dtype))
+        step = self._open[key]
         if record.index in step.records:
             self._fail(key, record)
             raise StepError(f"{where}: frame {record.index} arrived twice", **identity, code=ErrorCode.FRAME_DOUBLED)
@@ -179,6 +181,8 @@ class FrameCollector:
         """Return how a frame contradicts itself or the others of its step; empty when it does not."""
         if not 0 <= record.index < record.count:
             return f"has an index outside 0 to {record.count - 1}"
+        if record.count > MOST_FRAMES:
+            return f"belongs to a sequence of {record.count} frames, {MOST_FRAMES} are possible"
         if image.ndim != 2:
             return f"has the shape {image.shape}, not (row, column)"
         opened = self._open.get((record.experiment, record.step))

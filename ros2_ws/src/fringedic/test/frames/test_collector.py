@@ -90,6 +90,7 @@ def test_a_late_frame_of_a_finished_step_is_refused_and_the_open_step_stays():
         ({}, np.zeros((3, 4), np.uint16), "pixels of type uint16, the step began with uint8"),
         ({}, np.zeros((3, 4, 3), np.uint8), r"has the shape \(3, 4, 3\)"),
         ({"count": 9}, np.zeros((3, 4), np.uint8), "sequence of 9 frames, the step began with 8"),
+        ({"count": 2**31}, np.zeros((3, 4), np.uint8), "sequence of 2147483648 frames, 1000 are possible"),
         ({"index": 8}, np.zeros((3, 4), np.uint8), "index outside 0 to 7"),
         ({"pattern": ProjectedPattern(PatternKind.WHITE)}, np.zeros((3, 4), np.uint8), "shows WHITE"),
     ],
