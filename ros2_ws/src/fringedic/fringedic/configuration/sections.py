@@ -183,6 +183,12 @@ class ReferencePlaneSection(Section):
             raise ValueError(f"{count} angles_degree and {len(self.heights_mm)} heights_mm: give one of each per plane")
         if any(number > count for number in self.held_out):
             raise ValueError(f"held_out names planes {self.held_out}, but there are {count}")
+        turned = max(self.angles_degree) - min(self.angles_degree)
+        if count > 1 and self.heights_mm is None and turned < 2 * _LEAST_TURN:
+            raise ValueError(
+                f"angles_degree differ by {turned:g} degree, and planes at one height need at least "
+                f"{2 * _LEAST_TURN:g}: use angles on both sides, such as 0,-15,-10,-5,5,10,15"
+            )
         grid = self.grid_angles_degree
         if grid and not min(grid) <= -_LEAST_TURN < _LEAST_TURN <= max(grid):
             raise ValueError(f"grid_angles_degree {grid}: angles on both sides are needed, at least {_LEAST_TURN:g}")

@@ -51,11 +51,24 @@ def load_sections(path: Path, model: type[Model], replaced: Mapping[str, str] | 
         raise ConfigurationError(f"{path}: is not YAML: {error}") from error
     if not isinstance(content, dict):
         raise ConfigurationError(f"{path}: is empty or has no 'key: value'; keys are {_keys(model)}")
+    return validate(model, content, str(path), replaced)
+
+
+def validate(
+    model: type[Model], content: Mapping[str, Any], source: str, replaced: Mapping[str, str] | None = None
+) -> Model:
+    """Return checked sections; the error names `source`, the key and what is allowed, in one sentence.
+
+    Raises
+    ------
+    ConfigurationError
+        A key is unknown, missing, replaced or out of its range.
+    """
     try:
         return model.model_validate(content)
     except ValidationError as error:
         problems = [_problem(model, each, replaced or {}) for each in error.errors()]
-        raise ConfigurationError(f"{path}: {_listed(problems)}") from error
+        raise ConfigurationError(f"{source}: {_listed(problems)}") from error
 
 
 def _problem(model: type[BaseModel], error: Mapping[str, Any], replaced: Mapping[str, str]) -> str:

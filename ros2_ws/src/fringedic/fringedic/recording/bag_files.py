@@ -12,6 +12,7 @@ from fringedic.errors import RecordingError
 from fringedic.recording.mcap_file import DAMAGE, MAGIC, McapFile, check_chunks, opened, read_index
 from fringedic.recording.mcap_scan import scan_file
 
+BAG = "bag"  # of a run
 METADATA = "metadata.yaml"
 
 
@@ -34,6 +35,23 @@ class BagFiles(NamedTuple):
     missing: list[str]
     counts: dict[str, int]
     damage: str
+
+
+def recording_of(path: Path) -> Path:
+    """Return the recording that a path names: the folder of a run stands for the recording ``bag`` in it.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as run:
+    ...     (Path(run) / "bag").mkdir()
+    ...     recording_of(Path(run)).name
+    'bag'
+    """
+    inside = path / BAG
+    if path.is_dir() and inside.is_dir() and not (path / METADATA).exists() and not any(path.glob("*.mcap")):
+        return inside
+    return path
 
 
 def find_files(path: Path) -> BagFiles:

@@ -13,7 +13,7 @@ from mcap.records import Channel, Message, Schema
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fringedic.errors import ErrorCode, RecordingError
-from fringedic.recording.bag_files import BagFiles, find_files, open_file
+from fringedic.recording.bag_files import BagFiles, find_files, open_file, recording_of
 from fringedic.recording.mcap_file import McapFile, read_messages
 from fringedic.recording.topics import RawMessage, Topic
 
@@ -26,7 +26,7 @@ class BagReader:
     Parameters
     ----------
     path
-        A rosbag2 folder with MCAP files, or one MCAP file.
+        A rosbag2 folder with MCAP files, one MCAP file, or the folder of a run with its recording ``bag``.
     check
         Read every chunk on opening and leave out those that are damaged. Without it, a file with an undamaged index is
         opened by its index alone, and a damaged chunk raises an error when it is reached.
@@ -63,7 +63,7 @@ class BagReader:
     """
 
     def __init__(self, path: str | os.PathLike[str], *, check: bool = False) -> None:
-        self.path = Path(path)
+        self.path = recording_of(Path(path))
         found = find_files(self.path)
         self.files = tuple(found.present)
         self._files = [open_file(file, check=check) for file in found.present]

@@ -23,6 +23,7 @@ from fringedic.frames.region import Point, Region
 from fringedic.inputs.arguments import check_arguments, optional, path, several, whole
 from fringedic.metadata import NOISE_COLUMNS
 from fringedic.provenance import git_commit, software
+from fringedic.recording.bag_files import recording_of
 from fringedic.report.data import ReportData
 from fringedic.report.embedding import base64_png, base64_text, chart_html, chart_script
 from fringedic.report.entries import MISSING, Entry, hardware_entries, specimen_entries
@@ -74,8 +75,8 @@ def write_report(
     Parameters
     ----------
     source
-        A recording, whose dataset is opened or made as by `fringedic.open_experiment`; or a dataset, whose recording is
-        looked for in the same folder.
+        A recording or the folder of a run, whose dataset is opened or made as by `fringedic.open_experiment`; or a
+        dataset, whose recording is looked for in the same folder.
     output
         The file; by default ``report.html`` beside the recording.
     static_steps
@@ -109,7 +110,10 @@ def write_report(
     PosixPath('recordings/plate-7/report.html')
     """
     with open_experiment(source) as dataset:
-        files = _Source(Path(source), _recording(Path(source), dataset))
+        place = recording_of(Path(source))
+        if place.is_dir() and place.suffix not in SUFFIXES and "image" in dataset:
+            place = Path(dataset.encoding["source"])  # the folder of measured images has no recording
+        files = _Source(place, _recording(place, dataset))
         target = files.folder / "report.html" if output is None else Path(output)
         if target.exists() and not overwrite:
             raise DatasetError(f"{target} exists already; choose another --output or ask to overwrite it")

@@ -93,6 +93,7 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     PosixPath('recordings/plate-7/bag.nc')
     """
     reader = BagReader(path)
+    path = reader.path
     names = reader.find("camera/image_raw", "camera/exposure")
     names |= reader.find_optional(
         "experiment/step", "experiment/reference", "calibration", "node_parameters", "load_frame/state"

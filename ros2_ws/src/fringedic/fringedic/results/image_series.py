@@ -167,6 +167,11 @@ def measure_images(  # noqa: PLR0913 (options of a public function, all by keywo
             f"the mask has {mask.shape[1]}x{mask.shape[0]} px, the images have "
             f"{reference.shape[1]}x{reference.shape[0]} px: give a mask of the same size"
         )
+    if 3 * spacing > min(reference.shape):
+        raise ImageError(
+            f"spacing is {spacing} px, and the images have {reference.shape[1]}x{reference.shape[0]} px: give at most "
+            f"{min(reference.shape) // 3}"
+        )
     measuring = _Measuring(window, spacing, strain_window, pixel_size, mask)
     series, started = ImageSeries(target), monotonic()
     attributes: dict[str, object] = {"experiment": target.stem, "image_height": reference.shape[0]}

@@ -12,12 +12,14 @@ from fringedic.errors import DatasetError, ErrorCode, RecordingError, optional_i
 from fringedic.inputs.arguments import check_arguments
 from fringedic.inputs.arguments import path as file_path
 from fringedic.metadata import translate_metadata
+from fringedic.recording.bag_files import recording_of
 from fringedic.results.millimetres import with_millimetres
 from fringedic.results.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE
 from fringedic.results.stores import SUFFIXES, dataset_path
 
 _OF_EVERY_EXPERIMENT = ("step", "error")  # variables
 _OF_A_RUN = ("results.nc", "results.zarr")
+_OF_A_FOLDER = (*_OF_A_RUN, "displacement.nc")  # of a run, or of measured images
 
 
 @check_arguments(DatasetError, path=file_path)
@@ -30,8 +32,9 @@ def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
     Parameters
     ----------
     path
-        A NetCDF file or Zarr folder, or a recording. For a recording the dataset beside it is opened: the one with its
-        name, or the ``results`` of the run that recorded it. If there is none, it is made from the derived topics.
+        A NetCDF file or Zarr folder, the folder of a run or of measured images, or a recording. For a recording the
+        dataset beside it is opened: the one with its name, or the ``results`` of the run that recorded it. If there is
+        none, it is made from the derived topics.
 
     Returns
     -------
@@ -52,7 +55,10 @@ def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
         The dataset is a Zarr folder and the package ``zarr`` is not installed.
     """
     path = Path(path) if Path(path).name else Path(path).absolute()
-    file = path if path.suffix in SUFFIXES else find_dataset(path)
+    file = path if path.suffix in SUFFIXES else _dataset_in(path)
+    if file is None:
+        path = recording_of(path)
+        file = find_dataset(path)
     if file is None:
         # not at the top: it loads all measuring rooms
         from fringedic.results.datasets import dataset_from_derived
@@ -66,6 +72,11 @@ def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
                 f"{error}; 'fringedic process {path}' measures it", code=ErrorCode.MISSING_TOPIC
             ) from error
     return _open(file)
+
+
+def _dataset_in(folder: Path) -> Path | None:
+    """Return the dataset in the folder of a run, None if there is none, or the path is no such folder."""
+    return next((folder / name for name in _OF_A_FOLDER if (folder / name).exists()), None)
 
 
 def find_dataset(recording: Path) -> Path | None:

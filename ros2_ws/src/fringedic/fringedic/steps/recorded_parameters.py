@@ -71,11 +71,15 @@ class RecordedParameters:
         for name, value in overrides.items():
             node, _, parameter = name.partition(".")
             if node not in self._overrides or parameter not in type(getattr(self, node)).model_fields:
-                known = ", ".join(f"{each}.{key}" for each in self._overrides for key in self._model(each).model_fields)
-                raise ConfigurationError(f"there is no parameter '{name}'; known are {known}")
+                raise ConfigurationError(f"there is no parameter '{name}'; {self._known(node)}")
             self._overrides[node][parameter] = value
         for node in self._overrides:
             self._set(node, {})
+
+    def _known(self, node: str) -> str:
+        if node not in self._overrides:
+            return f"give one of {', '.join(self._overrides)}, such as dic.window"
+        return f"known are {', '.join(f'{node}.{key}' for key in self._model(node).model_fields)}"
 
     def settings(self, calibration: RigModel | None) -> StepSettings:
         """Return everything that the next step is measured with."""

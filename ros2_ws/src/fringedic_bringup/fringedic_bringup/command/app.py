@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,13 +26,28 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    rich_markup_mode="rich",
+    rich_markup_mode="markdown",  # brackets of units are no markup there,
 )
 console = Console(width=None if sys.stdout.isatty() else 120)
 
 Rig = Annotated[Path, typer.Argument(help="Rig file, or the name of one that is installed with fringedic.")]
-Bag = Annotated[Path, typer.Argument(help="Folder of a recording.")]
-Bags = Annotated[list[Path], typer.Argument(help="Folders of recordings, processed one after the other.")]
+
+
+def _recording(path: Path) -> Path:
+    from fringedic.recording.bag_files import recording_of
+
+    return recording_of(path)
+
+
+def _recordings(paths: list[Path]) -> list[Path]:
+    return [_recording(path) for path in paths]
+
+
+Bag = Annotated[Path, typer.Argument(help="Folder of a recording, or of a run.", callback=_recording)]
+Bags = Annotated[
+    list[Path],
+    typer.Argument(help="Folders of recordings or runs, processed one after the other.", callback=_recordings),
+]
 Steps = Annotated[list[int] | None, typer.Option("--step", help="Only this step and its reference; may be repeated.")]
 ReferenceStep = Annotated[
     int | None, typer.Option("--reference", help="Step against which all others are measured, also earlier ones.")
@@ -45,6 +61,24 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="NODE.PARAMETER=VALUE", help="Replaces a recorded parameter; may be repeated."),
 ]
+
+
+def _print_version(wanted: bool) -> None:
+    if not wanted:
+        return
+    from fringedic.provenance import git_commit, software
+
+    say(f"{software()}, commit {git_commit()}, Python {sys.version.split()[0]}")
+    raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and end.", is_eager=True, callback=_print_version)
+    ] = False,
+) -> None:
+    """Take the options that come before a subcommand."""
 
 
 def say(*lines: object) -> None:
@@ -192,6 +226,17 @@ def output_folder(folder: Path) -> Path:
     if not os.access(place, os.W_OK | os.X_OK):
         raise ConfigurationError(f"--output {folder}: {place} cannot be written; choose another folder")
     return folder
+
+
+@contextmanager
+def kept_if_filled(folder: Path) -> Iterator[None]:
+    """Create a folder for results, and remove it when nothing was written into it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # it is not empty
+            folder.rmdir()
 
 
 def output_file(file: Path, overwrite: bool) -> Path:

@@ -8,7 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fringedic.errors import ConfigurationError, StepFailedError
-from fringedic_bringup.command.app import Overwrite, app, console, named_gauges, named_regions, output_file, say
+from fringedic_bringup.command.app import (
+    Overwrite,
+    app,
+    console,
+    kept_if_filled,
+    named_gauges,
+    named_regions,
+    output_file,
+    say,
+)
 from fringedic_bringup.display.progress import LiveProgress
 
 if TYPE_CHECKING:
@@ -46,16 +55,17 @@ def measure(  # noqa: PLR0913 (options of a command)
     region: Annotated[
         list[str] | None, typer.Option(metavar="NAME=POLYGONS.yaml", help="Region whose mean values the report lists.")
     ] = None,
-    output: Annotated[Path, typer.Option(help="Folder for dataset, report and pictures.")] = Path("measured"),
+    output: Annotated[Path, typer.Option(help="Folder for dataset and report.")] = Path("measured"),
     overwrite: Overwrite = False,
 ) -> None:
-    """Measure displacement and strain of images of a flat specimen; write dataset, report and pictures."""
+    """Measure displacement and strain of images of a flat specimen; write dataset and report."""
     target = output_file(output / DATASET, overwrite)
     gauges, regions = named_gauges(extensometer), named_regions(region)
     if pixel_size_mm is not None and not 0 < pixel_size_mm < 1000:
         raise ConfigurationError(f"--pixel-size-mm {pixel_size_mm:g}: give the size of a pixel in mm, such as 0.05")
+    if scale_length_mm is not None and not scale_length_mm > 0:
+        raise ConfigurationError(f"--scale-length-mm {scale_length_mm:g}: give a known length in mm, such as 20")
     say(f"reading {images[0]}")
-    from fringedic.figures import save_pictures
     from fringedic.frames.files import image_files, read_grey
     from fringedic.report import write_report
     from fringedic.report.image_series import failure_sentences, series_sentences
@@ -67,8 +77,7 @@ def measure(  # noqa: PLR0913 (options of a command)
     pixel_size = None if pixel_size_mm is None else 1e-3 * pixel_size_mm
     if scale_length_mm is not None:
         pixel_size = draw_scale(read_grey(files[0]), 1e-3 * scale_length_mm)
-    output.mkdir(parents=True, exist_ok=True)
-    with LiveProgress(console) as progress:
+    with LiveProgress(console) as progress, kept_if_filled(output):
 
         def tell(image: MeasuredImage, count: int) -> None:
             progress.step(image.step, count - 1, image.name)
@@ -84,15 +93,12 @@ def measure(  # noqa: PLR0913 (options of a command)
             overwrite=overwrite,
             progress=tell,
         )
-        progress.stage("writing report and pictures")
+        progress.stage("writing the report")
         with open_experiment(series.dataset) as dataset:
-            last = [image.step for image in series.images if not image.error][-1]
-            save_pictures(dataset.sel(step=[last]), output)
             words = list(series_sentences(series, dataset))
         report = write_report(target, output / REPORT, gauges=gauges, regions=regions, overwrite=True)
     say(*failure_sentences(series), *words)
-    say(f"dataset: {target}", f"report and pictures of the last image: {report}")
-    say(f"pictures of all images: fringedic export {target} --to png")
+    say(f"dataset: {target}", f"report: {report}", f"pictures of all images: fringedic export {target} --to png")
     if series.interrupted:
         say(f"interrupted: {len(series.images)} of {len(files)} images are saved; --overwrite measures all of them")
         raise typer.Exit(130)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from typing import Any, NoReturn
 
 import typer
 
@@ -19,19 +20,35 @@ __all__ = [
     "recordings",
     "rig_setup",
 ]  # importing them adds their subcommands
+INTERRUPTED = 130
 
 
 def main() -> None:
-    """Run the command; an error is one sentence on the error stream and exit code 1."""
+    """Run the command; an error is one sentence on the error stream.
+
+    The exit code is 1 for what cannot be done, 2 for a command that is not written as its help says, and 130 after
+    Ctrl-C.
+    """
     try:
-        app()
+        code = app(standalone_mode=False) or 0
+    except typer.BadParameter.__mro__[1] as error:  # the usage error of typer's own copy of click
+        _end(_usage_sentence(error), 2)
     except FringedicError as error:
-        typer.echo(error, err=True)
-        sys.exit(1)
+        _end(str(error), 1)
     except OSError as error:  # of a path that cannot be used, or a full disk
         place = f"{error.filename}: " if error.filename else ""
-        typer.echo(f"{place}{error.strerror or error}; choose another path or make room", err=True)
-        sys.exit(1)
-    except KeyboardInterrupt:
-        typer.echo("interrupted; the nodes have ended and the recording is closed", err=True)
-        sys.exit(130)
+        _end(f"{place}{error.strerror or error}; choose another path or make room", 1)
+    if code == INTERRUPTED:  # typer ends with it after Ctrl-C
+        _end("interrupted; nothing is running any more, and what was recorded is closed", code)
+    sys.exit(code)
+
+
+def _end(sentence: str, code: int) -> NoReturn:
+    typer.echo(sentence, err=True)
+    sys.exit(code)
+
+
+def _usage_sentence(error: Any) -> str:
+    context = getattr(error, "ctx", None)
+    command = "fringedic" if context is None else f"fringedic {context.info_name if context.parent else ''}".rstrip()
+    return f"{' '.join(error.format_message().split()).rstrip('.')}; '{command} --help' shows how to write it"

@@ -123,7 +123,7 @@ def recover(bag: Bag, output: Output = None) -> None:
 
 @app.command(epilog="Example: fringedic export recordings/plate-7/bag --to vtk --to csv --output plate-7")
 def export(
-    source: Annotated[Path, typer.Argument(metavar="BAG|DATASET", help="Recording or dataset.")],
+    source: Annotated[Path, typer.Argument(metavar="BAG|DATASET", help="Recording, folder of a run, or dataset.")],
     formats: Annotated[
         list[str] | None,
         typer.Option("--to", metavar="FORMAT", help="netcdf, zarr, vtk, ply, csv, mat, tiff, png, gif or r3xa."),
@@ -136,7 +136,7 @@ def export(
     from fringedic.export import export_dataset
     from fringedic.results import open_experiment
 
-    folder = output or source.with_name(f"{source.stem}_exported")
+    folder = output or source.absolute().with_name(f"{source.absolute().stem}_exported")
     wanted = formats or ["netcdf", "png"]
     problems = 0
     with open_experiment(source) as dataset:
@@ -151,7 +151,7 @@ def export(
 
 @app.command(epilog="Example: fringedic report recordings/plate-7/bag --output plate-7.html")
 def report(
-    source: Annotated[Path, typer.Argument(metavar="BAG|DATASET", help="Recording or dataset.")],
+    source: Annotated[Path, typer.Argument(metavar="BAG|DATASET", help="Recording, folder of a run, or dataset.")],
     output: Annotated[Path | None, typer.Option(help="HTML file; report.html beside the recording by default.")] = None,
     static: Annotated[
         list[int] | None,

@@ -10,6 +10,7 @@ from typing import Any
 from fringedic.calibration.session import PlaneKind
 from fringedic.configuration.rig_file import RigFile
 from fringedic.configuration.sections import ReferencePlaneSection
+from fringedic.configuration.yaml_section import validate
 from fringedic.errors import ConfigurationError
 from fringedic.report.calibration_sentences import place_in_words
 from fringedic_bringup.client import RigClient
@@ -129,10 +130,14 @@ def with_angles(rig: RigFile, angles_degree: str) -> RigFile:
     try:
         angles = [float(angle) for angle in angles_degree.split(",")]
         held_out = [len(angles) - 1] if len(angles) > 3 else []
-        changes = {"angles_degree": angles, "heights_mm": None, "held_out": held_out}
-        section = ReferencePlaneSection.model_validate(rig.reference_plane.model_dump() | changes)
     except ValueError as error:
-        raise ConfigurationError(f"--angles-deg {angles_degree}: {error}") from error
+        raise ConfigurationError(
+            f"--angles-deg {angles_degree}: give numbers separated by commas, such as 0,-15,-10,-5,5,10,15"
+        ) from error
+    changes = {"angles_degree": angles, "heights_mm": None, "held_out": held_out}
+    section = validate(
+        ReferencePlaneSection, rig.reference_plane.model_dump() | changes, f"--angles-deg {angles_degree}"
+    )
     return rig.model_copy(update={"reference_plane": section})
 
 
