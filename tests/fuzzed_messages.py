@@ -1,6 +1,6 @@
 """Messages whose bytes are wrong in every way; a node may ignore them or say so, but lives on and answers.
 
-Long form: ``python tests/fuzzed_messages.py 100000 RECORDING``, messages for every node.
+Long form: ``python tests/fuzzed_messages.py 100000 RECORDING [SEED]``, messages for every node.
 """
 
 from __future__ import annotations
@@ -188,16 +188,16 @@ def fuzz_processing(path: Path, copies: int, folder: Path) -> Counter[str]:
 
 def main() -> None:
     """Fuzz all nodes, the reader and the processing."""
-    count, recording = int(sys.argv[1]), Path(sys.argv[2])
+    count, recording, seed = int(sys.argv[1]), Path(sys.argv[2]), int((*sys.argv, 1)[3])
     samples = recorded_messages(recording)
     with tempfile.TemporaryDirectory() as folder:
-        sys.stdout.write(f"reader: {dict(fuzz_decoding(recording, count))}\n")
+        sys.stdout.write(f"reader: {dict(fuzz_decoding(recording, count, seed))}\n")
         sys.stdout.write(f"processing: {dict(fuzz_processing(recording, count // 1000, Path(folder)))}\n")
     with private_domain() as domain, tempfile.TemporaryDirectory() as folder:
         os.environ.update(node_environment(domain))
         rclpy.init()
         for name in NODES:
-            log = fuzz(name, count, samples, Path(folder))
+            log = fuzz(name, count, samples, Path(folder), seed)
             own = [line for line in log.splitlines() if f"[{name}]" in line]
             sys.stdout.write(f"{name}: {count} messages, lives and answers; {len(own)} lines of its own\n")
             sys.stdout.writelines(
