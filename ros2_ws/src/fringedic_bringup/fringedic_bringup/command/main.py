@@ -31,13 +31,16 @@ def main() -> None:
     """
     try:
         code = app(standalone_mode=False) or 0
-    except typer.BadParameter.__mro__[1] as error:  # the usage error of typer's own copy of click
-        _end(_usage_sentence(error), 2)
     except FringedicError as error:
         _end(str(error), 1)
     except OSError as error:  # of a path that cannot be used, or a full disk
         place = f"{error.filename}: " if error.filename else ""
         _end(f"{place}{error.strerror or error}; choose another path or make room", 1)
+    except Exception as error:
+        # usage errors are of click, or of the copy of it that newer versions of typer contain
+        if not hasattr(error, "format_message"):
+            raise
+        _end(_usage_sentence(error), 2)
     if code == INTERRUPTED:  # typer ends with it after Ctrl-C
         _end("interrupted; nothing is running any more, and what was recorded is closed", code)
     sys.exit(code)
