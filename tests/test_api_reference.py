@@ -1,4 +1,4 @@
-"""The API reference has a page for every package of the library and names every public name of its root."""
+"""The API reference has a page for every package of the library with public names and names every public name of its root."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PAGES = ROOT / "docs" / "api"
 
 
 def test_every_package_has_a_page() -> None:
-    packages = {file.parent.name for file in LIBRARY.glob("*/__init__.py")}
+    packages = {file.parent.name for file in LIBRARY.glob("*/__init__.pyi")}
     pages = {page.stem for page in PAGES.glob("*.md")} - {"index", "errors", "accessor"}
     assert pages == packages
 

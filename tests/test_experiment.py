@@ -145,7 +145,7 @@ def test_the_run_ends_with_its_report(experiment: RunReport) -> None:
     assert "12 frames per step" in page
     assert "the noise floor is not measured" in page
     pictures = re.findall(r'<img [^>]*src="data:image/(png|gif)', page)
-    assert sorted(pictures) == ["gif", "png", "png"]
+    assert sorted(pictures) == ["gif", "png", "png", "png", "png"]
     assert 3e6 < len(page) < 15e6
 
 
