@@ -1,4 +1,4 @@
-"""The API reference has a page for every package of the library with public names and names every public name of its root."""
+"""The API reference has a page for every package with public names, and names every public name of the root."""
 
 from __future__ import annotations
 
