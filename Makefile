@@ -1,6 +1,7 @@
 # make demo   three virtual experiments through the real nodes, with a table of errors against the truth
 # make check  style, types, import contracts, unit tests of the library
 # make test   make check with coverage, then tests of the nodes, the running system, the pages and the notebooks
+# make test-stock     the tests that need a sourced ROS 2 installation with its tools
 # make test-hardware  the tests that need system packages for real devices
 # make docs   the documentation site in docs/_build/html; warnings are errors
 # make bench  measured figures with their targets
@@ -11,7 +12,7 @@ SHELL := /bin/bash
 ENVIRONMENT := . setup/environment.sh
 OUTPUT ?= demo
 
-.PHONY: help setup demo check test test-hardware docs bench clean
+.PHONY: help setup demo check test test-stock test-hardware docs bench clean
 
 help:
 	@sed -n 's/^# make/make/p' Makefile
@@ -27,6 +28,9 @@ check: setup
 
 test: setup
 	@$(ENVIRONMENT) && setup/check.sh
+
+test-stock: setup
+	@$(ENVIRONMENT) && python -m pytest -m stock
 
 test-hardware: setup
 	@setup/hardware.sh && $(ENVIRONMENT) && python -m pytest -m hardware

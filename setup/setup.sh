@@ -141,7 +141,7 @@ fi
 
 # Python sources are linked, so that only what colcon copies or generates needs another build.
 workspace="$(find ros2_ws/src \( -name setup.py -o -name setup.cfg -o -name package.xml -o -name CMakeLists.txt \
-    -o -path '*/fringedic_msgs/*/*' \) -type f -print0 | fingerprint) $(find ros2_ws/src/*/config ros2_ws/src/*/launch -type f | sort | sha256sum)"
+    -o -path '*/fringedic_msgs/*/*' \) -type f -print0 | fingerprint) $(find ros2_ws/src/*/{config,launch,rviz,scripts} -type f | sort | sha256sum)"
 if ! current workspace "$workspace"; then
     run "workspace" "$venv/bin/python" -m colcon --log-base ros2_ws/log build --base-paths ros2_ws/src \
         --build-base ros2_ws/build --install-base ros2_ws/install --merge-install --symlink-install \

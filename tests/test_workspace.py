@@ -19,29 +19,22 @@ import fringedic
 
 SOURCES = Path(__file__).resolve().parent.parent / "ros2_ws" / "src"
 PACKAGES = sorted(path.parent.name for path in SOURCES.glob("*/package.xml"))
+OWN_KEYS = set(yaml.safe_load((SOURCES.parent.parent / "setup" / "rosdep.yaml").read_text()))
+# Modules whose key of the rosdep database is not python3-<module>
 ROSDEP_KEYS = {
     "cv2": "python3-opencv",
-    "h5py": "python3-h5py",
-    "hypothesis": "python3-hypothesis",
-    "jinja2": "python3-jinja2",
-    "matplotlib": "python3-matplotlib",
     "PIL": "python3-pil",
-    "numpy": "python3-numpy",
-    "scipy": "python3-scipy",
+    "rosbags": "python3-rosbags-pip",
     "skimage": "python3-skimage",
-    "yaml": "python3-yaml",
 }
-# these come from the lock file: rosdep has no key for them, or one for a version that is too old
-WITHOUT_KEY = {
-    *("annotated_types", "gi", "h5netcdf", "lazy_loader", "llvmlite", "mcap", "numba", "plotly", "pydantic", "pygame"),
-    *("pymodbus", "pyvisa", "pyvista", "rich", "rosbags", "tifffile", "typer", "xarray", "zarr", "zstandard"),
-}
+ROS_MODULES = re.compile(r"rclpy|launch|launch_ros|ament_index_python|.*_(msgs|srvs|interfaces)")
 EXECUTABLES = {
     "camera_node": ["camera", "live_view"],
     "coupling_node": ["coupling"],
     "dic_node": ["dic", "extensometer"],
     "experiment_node": ["experiment", "player", "recorder"],
     "fringe_projector_node": ["projector"],
+    "fringedic_bringup": ["fringedic"],
     "load_frame_node": ["load_frame", "stage"],
     "phase_node": ["phase"],
 }
@@ -57,6 +50,14 @@ def imported_by(folder: Path) -> set[str]:
             elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
                 modules.add(node.module.split(".")[0])
     return modules - sys.stdlib_module_names
+
+
+def key_of(module: str) -> str:
+    """Return the rosdep key of a module: that of a ROS package, of the database, or of this repository."""
+    if module in PACKAGES or ROS_MODULES.fullmatch(module):
+        return module
+    own = f"python3-{module.replace('_', '-')}-pip"
+    return own if own in OWN_KEYS else ROSDEP_KEYS.get(module, f"python3-{module}")
 
 
 def declared_by(package: str, kind: str) -> set[str | None]:
@@ -84,13 +85,25 @@ def test_declared_dependencies_are_the_imported_ones(package: str) -> None:
     def keys(folder: str) -> set[str]:
         beside = [*(SOURCES / package / folder).glob("*.py"), *Path(__file__).parent.glob("*.py")]
         own = {package, "pytest"} | {path.stem for path in beside}
-        modules = imported_by(SOURCES / package / folder) - WITHOUT_KEY - own
-        return {ROSDEP_KEYS.get(module, module) for module in modules}
+        return {key_of(module) for module in imported_by(SOURCES / package / folder) - own}
 
     missing = (keys(package) | keys("launch")) - declared
     missing_for_tests = keys("test") - declared - declared_for_tests
     assert not missing, f"{package}/package.xml lacks exec_depend {missing}"
     assert not missing_for_tests, f"{package}/package.xml lacks test_depend {missing_for_tests}"
+
+
+def test_each_key_is_used() -> None:
+    declared = set().union(*(declared_by(each, kind) for each in PACKAGES for kind in ("exec_depend", "test_depend")))
+    assert declared >= OWN_KEYS
+
+
+def test_every_field_of_a_message_states_its_unit() -> None:
+    """A real number has a unit in brackets, or is a share."""
+    for file in (SOURCES / "fringedic_msgs").glob("[msa]*/*.[msa]*"):
+        for line in file.read_text().splitlines():
+            if re.match(r"float(32|64)(\[.*?\])? ", line):
+                assert re.search(r"#.*(\[[^\]]+\]|0 to 1|in the units of)", line), f"{file.name}: {line}"
 
 
 def test_library_declares_what_it_imports() -> None:

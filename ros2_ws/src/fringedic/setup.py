@@ -11,7 +11,7 @@ from setuptools import find_packages, setup
 package = ElementTree.parse("package.xml").getroot()
 name = package.findtext("name", "")
 share = f"share/{name}"
-folders = {folder: sorted(str(path) for path in Path(folder).glob("*.*")) for folder in ("config", "launch")}
+folders = {folder: sorted(str(path) for path in Path(folder).glob("*.*")) for folder in ("config", "launch", "rviz")}
 
 setup(
     name=name,
@@ -24,5 +24,6 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{name}"]),
         (share, ["package.xml"]),
         *((f"{share}/{folder}", files) for folder, files in folders.items() if files),
+        *((f"lib/{name}", [str(path)]) for path in Path("scripts").glob("*")),
     ],
 )

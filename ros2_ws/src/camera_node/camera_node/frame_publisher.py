@@ -17,10 +17,10 @@ from fringedic_msgs.msg import ClockDrift, Exposure, RigCalibration
 from fringedic_ros.camera_info import camera_info
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.images import image_message
-from fringedic_ros.qos import IMAGES, LATCHED, OVERRIDABLE
+from fringedic_ros.qos import IMAGES, LATCHED
 from fringedic_ros.records import clock_message, exposure_message
+from fringedic_ros.rig_node import CAMERA_FRAME, frame_id
 
-FRAME_ID = "camera_optical_frame"
 _BROWN_RESIDUAL_PX = 0.05  # of the lens in camera_info; a larger one is logged
 _DRIVER_PERIOD_S = 1.0  # between two reports about the clock and the losses of the camera
 _BACK_NS = 100_000_000  # a frame is older than its predecessor by more than this only when a clock was set back
@@ -44,12 +44,13 @@ class FramePublisher:
 
     def __init__(self, node: Node, diagnostics: NodeDiagnostics) -> None:
         self.dropped = 0
+        self._frame = frame_id(node, CAMERA_FRAME)
         self._node = node
         self._diagnostics = diagnostics
         self._stamp_ns = 0
         self._info = CameraInfo()
         self._reported = -math.inf
-        self._images = node.create_publisher(Image, "camera/image_raw", IMAGES, qos_overriding_options=OVERRIDABLE)
+        self._images = node.create_publisher(Image, "camera/image_raw", IMAGES)
         self._infos = node.create_publisher(CameraInfo, "camera/camera_info", IMAGES)
         self._exposures = node.create_publisher(Exposure, "camera/exposure", IMAGES)
         self._clocks = node.create_publisher(ClockDrift, "camera/clock", LATCHED)
@@ -77,8 +78,8 @@ class FramePublisher:
                 "set the clock during a test"
             )
         self._stamp_ns = max(frame.stamp_ns, self._stamp_ns + 1)
-        image = image_message(frame.image, stamp_ns=self._stamp_ns, frame_id=FRAME_ID)
-        exposure = exposure_message(record, frame_id=FRAME_ID)
+        image = image_message(frame.image, stamp_ns=self._stamp_ns, frame_id=self._frame)
+        exposure = exposure_message(record, frame_id=self._frame)
         exposure.header = image.header
         exposure.exposure_time = frame.exposure_time
         exposure.dropped = self.dropped + driver.dropped

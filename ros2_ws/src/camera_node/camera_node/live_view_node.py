@@ -6,7 +6,6 @@ import time
 from typing import Self
 
 from pydantic import BaseModel, Field, model_validator
-from rclpy.node import Node
 from sensor_msgs.msg import Image
 from std_srvs.srv import Trigger
 
@@ -21,7 +20,8 @@ from fringedic_ros.images import image_array, image_message
 from fringedic_ros.main import run
 from fringedic_ros.pairing import ImageExposurePairs
 from fringedic_ros.parameters import declare
-from fringedic_ros.qos import DERIVED, OVERRIDABLE
+from fringedic_ros.qos import DERIVED
+from fringedic_ros.rig_node import RigNode
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.work import Worker
 
@@ -50,7 +50,7 @@ class LiveViewParameters(BaseModel):
         return self
 
 
-class LiveViewNode(Node):
+class LiveViewNode(RigNode):
     """Topics `live_view/figures`, `live_view/image`; service `live_view/reset`.
 
     When frames arrive faster than they are evaluated, only the newest is.
@@ -64,7 +64,7 @@ class LiveViewNode(Node):
         self._view = self._new_view()
         self._newest: tuple[Image, Exposure] | None = None
         self._figures = self.create_publisher(LiveViewMessage, "live_view/figures", DERIVED)
-        self._pictures = self.create_publisher(Image, "live_view/image", DERIVED, qos_overriding_options=OVERRIDABLE)
+        self._pictures = self.create_publisher(Image, "live_view/image", DERIVED)
         self._pairs = ImageExposurePairs(self, self._take_pair)
         self.create_service(Trigger, "live_view/reset", self._reset)
 

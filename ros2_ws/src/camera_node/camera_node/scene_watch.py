@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections import deque
 from typing import Literal
 
@@ -57,7 +58,7 @@ class SceneWatch:
     def latest(self, exposure_time: float) -> Scene:
         """Return the scene of a free run: the latest patterns, with the specimen at its latest position."""
         position = 0.0 if self._load is None else self._load.position
-        return Scene(self._node.get_clock().now().nanoseconds, self._shown(), position, None, exposure_time)
+        return Scene(time.time_ns(), self._shown(), position, None, exposure_time)
 
     async def scene(self, shown_ns: int, placed_ns: int, exposure_time: float, timeout_s: float) -> Scene:
         """Return the scene of an exposure that begins now, as soon as all messages about it have arrived.
@@ -80,7 +81,7 @@ class SceneWatch:
         CameraError
             The projector shows a later pattern.
         """
-        stamp = self._node.get_clock().now().nanoseconds + round(exposure_time * 1e9 / 2)
+        stamp = time.time_ns() + round(exposure_time * 1e9 / 2)
         if not self._subscriptions:
             return Scene(stamp, (), 0.0, None, exposure_time)
         await self._await_pattern(shown_ns, timeout_s)

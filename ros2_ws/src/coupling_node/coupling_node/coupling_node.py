@@ -6,9 +6,10 @@ from functools import partial
 from typing import Any
 
 import xarray as xr
+from rclpy.publisher import Publisher
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
-from coupling_node.camera_transform import CameraTransform
+from coupling_node.arrow_markers import ArrowMarkers
 from fringedic.patterns.pattern import Orientation, PatternKind
 from fringedic.report.drift import drift_sentence
 from fringedic.rig.compatibility import RigSetup, check_calibration
@@ -21,10 +22,10 @@ from fringedic_ros.clouds import cloud_message
 from fringedic_ros.images import image_array
 from fringedic_ros.main import run
 from fringedic_ros.processing import Outcome, ProcessingNode, StampJoin, StepId
-from fringedic_ros.qos import DERIVED, EVENTS, IMAGES, LATCHED, OVERRIDABLE
+from fringedic_ros.qos import DERIVED, EVENTS, IMAGES, LATCHED
+from fringedic_ros.rig_node import RIG_FRAME, frame_id
 from fringedic_ros.stamps import to_nanoseconds
 
-FRAME = "reference_plane"
 PHASE_MAPS = {"phase": "map", "sigma": "sigma"}  # variable of a `PhaseResult` -> topic of the phase node
 MAPS = (*(f"phase/{topic}" for topic in PHASE_MAPS.values()), "dic/displacement", "dic/sigma")
 INPUTS = (*MAPS, "dic/camera_info", "camera/exposure", "phase/status", "dic/status")  # joined by the step's stamp
@@ -41,7 +42,9 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         super().__init__("coupling", CouplingParameters)
         self._shape = self.create_publisher(PointCloud2, "coupling/shape", DERIVED)
         self._displacement = self.create_publisher(PointCloud2, "coupling/displacement", DERIVED)
-        self._transform = CameraTransform(self)
+        self._strain = self.create_publisher(PointCloud2, "coupling/strain", DERIVED)
+        self._arrows = ArrowMarkers(self)
+        self._frame = frame_id(self, RIG_FRAME)
         self._tracker = ShapeTracker(self.parameters.value)
         self._parts = StampJoin(INPUTS)
         self._begun = 0  # stamp of the latest surface in the queue
@@ -53,9 +56,7 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         for name in ("phase", "dic"):
             self.create_subscription(NodeStatus, f"{name}/status", partial(self._take_status, name), EVENTS)
         for topic in MAPS:
-            self.create_subscription(
-                Image, topic, partial(self._join, topic), DERIVED, qos_overriding_options=OVERRIDABLE
-            )
+            self.create_subscription(Image, topic, partial(self._join, topic), DERIVED)
         self.create_subscription(CameraInfo, "dic/camera_info", partial(self._join, "dic/camera_info"), DERIVED)
 
     def _take_calibration(self, message: RigCalibration) -> None:
@@ -67,7 +68,6 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
             self.diagnostics.failure(str(error))
             self.worker.submit(self._tracker.refuse_calibration, str(error))
             return
-        self._transform.publish(rig, message.header.stamp)
         # through the queue, so that it does not apply to steps that arrived before it
         self.worker.submit(self._tracker.set_calibration, rig)
 
@@ -114,10 +114,10 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         self._tracker.parameters = parameters
         result = self._tracker.step(phase, displacement, surface=surface if made == phase.stamp else None)
         # displacement first: clients wait for it; the shape, at every pixel, is larger
-        for publisher, fields in ((self._displacement, result.displacement), (self._shape, result.shape)):
-            if publisher.get_subscription_count():
-                images = {str(name): array.values for name, array in fields.items()}
-                publisher.publish(cloud_message(images, stamp_ns=result.stamp, frame_id=FRAME))
+        self._publish_cloud(self._displacement, result.displacement, result.stamp)
+        self._publish_cloud(self._shape, result.shape, result.stamp)
+        self._publish_cloud(self._strain, result.strain(), result.stamp)
+        self._arrows.publish(result, self._frame)
         return Outcome(
             result.valid_fraction,
             result.rms,
@@ -127,6 +127,11 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
             reference_step=result.reference_step,
             correlated_step=displacement.correlated_step,
         )
+
+    def _publish_cloud(self, publisher: Publisher, fields: xr.Dataset | None, stamp_ns: int) -> None:
+        if fields is not None and publisher.get_subscription_count():
+            images = {str(name): array.values for name, array in fields.items()}
+            publisher.publish(cloud_message(images, stamp_ns=stamp_ns, frame_id=self._frame))
 
 
 def _phase_result(parts: dict[str, Any]) -> PhaseResult:

@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+import xarray as xr
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
+from fringedic.figures.arrows import displacement_arrows
 from fringedic.frames.collector import FrameCollector
 from fringedic.frames.records import FrameRecord
 from fringedic.rig.model import RigModel
@@ -78,7 +80,7 @@ class CouplingBench(Bench):
         return self.measured[step].last.stamp
 
     def publish_calibration(self) -> None:
-        self.calibrations.publish(calibration_message(self.calibration, stamp_ns=1))
+        self.calibrations.publish(calibration_message(self.calibration, stamp_ns=1, frame_id="reference_plane"))
         self.serve(0.2)
 
     def send_status(self, name: str, experiment: str, step: int, error_code: int = NodeStatus.NONE) -> None:
@@ -178,6 +180,47 @@ def test_clouds_are_those_of_the_library_bit_by_bit(bench: CouplingBench, name: 
         assert list(result.displacement) == [*FIELDS, *SIGMAS]
     assert (bench.shape[-1].height, bench.shape[-1].width) == (120, 160)
     assert np.nanmax(np.abs(result.displacement["u"])) > 1e-6, "the plate has moved"
+
+
+def test_viewers_find_a_value_at_every_point(bench: CouplingBench, name: str) -> None:
+    """A NaN at a point with a position would spoil the automatic range of the colours."""
+    strains = bench.listen(PointCloud2, "coupling/strain", DERIVED)
+    bench.publish_calibration()
+    for step in range(2):
+        bench.wait(lambda: bench.count_publishers("coupling/strain"), "the strain")
+        assert bench.send_step(name, step).error_code == NodeStatus.NONE
+    strain, displacement = (cloud_arrays(of_stamp(each, bench.stamp(1))[0]) for each in (strains, bench.displacement))
+    strain_fields = [field for field in strain if field not in ("x", "y", "z")]
+    assert set(strain_fields) == {"e_11", "e_22", "e_12", *SIGMAS}
+    for cloud, fields in ((displacement, FIELDS[3:12]), (strain, strain_fields)):
+        shown = np.isfinite(cloud["x"]) & np.isfinite(cloud["y"]) & np.isfinite(cloud["z"])
+        assert shown.mean() > 0.5
+        for field in fields:
+            assert np.isfinite(cloud[field][shown]).all(), field
+            np.testing.assert_array_equal(cloud[field][shown], displacement[field][shown])
+
+
+def test_arrows_point_along_the_displacement(bench: CouplingBench, name: str) -> None:
+    messages = pytest.importorskip("visualization_msgs.msg", reason="arrows need visualization_msgs")
+    arrows = bench.listen(messages.MarkerArray, "coupling/arrows", DERIVED)
+    bench.publish_calibration()
+    for step in range(2):
+        assert bench.send_step(name, step).error_code == NodeStatus.NONE
+    bench.wait(lambda: len(arrows) == 2, "the arrows")
+    first, *markers = arrows[-1].markers
+    assert first.action == messages.Marker.DELETEALL
+    assert len(markers) > 100
+    expected_result = displacement_arrows(expected_of(bench, name))
+    for marker, start, end in zip(markers, expected_result.starts, expected_result.ends, strict=True):
+        assert marker.header.frame_id == "reference_plane"
+        assert marker.ns == f"displacement x {expected_result.magnification:g}"
+        np.testing.assert_allclose([[p.x, p.y, p.z] for p in marker.points], [start, end])
+
+
+def expected_of(bench: CouplingBench, name: str) -> xr.Dataset:
+    """Return the displacement of the second step."""
+    tracker = tracker_of(bench)
+    return [expected(bench, tracker, name, step) for step in range(2)][-1].displacement
 
 
 def test_the_window_travels_with_the_displacement(bench: CouplingBench, name: str) -> None:
@@ -281,7 +324,9 @@ def test_abort_answers_a_step_that_waits(bench: CouplingBench, name: str) -> Non
 def test_calibration_of_another_rig_fails_the_step(
     bench: CouplingBench, name: str, changes: dict[str, float], words: str
 ) -> None:
-    bench.calibrations.publish(calibration_message(replace(bench.calibration, **changes), stamp_ns=1))
+    bench.calibrations.publish(
+        calibration_message(replace(bench.calibration, **changes), stamp_ns=1, frame_id="reference_plane")
+    )
     bench.serve(0.2)
     status = bench.send_step(name, 0)
     assert status.error_code == NodeStatus.NO_CALIBRATION

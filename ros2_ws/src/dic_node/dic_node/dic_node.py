@@ -20,10 +20,9 @@ from fringedic_ros.frame_steps import FrameSteps
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.main import run
 from fringedic_ros.processing import Outcome, ProcessingNode, StampJoin, StepId
-from fringedic_ros.qos import DERIVED, EVENTS, LATCHED, OVERRIDABLE
+from fringedic_ros.qos import DERIVED, EVENTS, LATCHED
+from fringedic_ros.rig_node import CAMERA_FRAME, frame_id
 from fringedic_ros.stamps import to_msg, to_nanoseconds
-
-FRAME = "camera_optical_frame"
 
 
 class DicNode(ProcessingNode[DicParameters]):
@@ -35,6 +34,7 @@ class DicNode(ProcessingNode[DicParameters]):
 
     def __init__(self) -> None:
         super().__init__("dic", DicParameters)
+        self._frame = frame_id(self, CAMERA_FRAME)
         self._displacement = self._image_publisher("displacement")
         self._sigma = self._image_publisher("sigma")
         self._preview = self._image_publisher("preview")
@@ -44,13 +44,11 @@ class DicNode(ProcessingNode[DicParameters]):
         self.create_subscription(Reference, "experiment/reference", self._take_reference, LATCHED)
         self.subscribe_to_steps()
         self.create_subscription(NodeStatus, "phase/status", self._take_phase_status, EVENTS)
-        self.create_subscription(
-            Image, "phase/texture", self._take_texture, DERIVED, qos_overriding_options=OVERRIDABLE
-        )
+        self.create_subscription(Image, "phase/texture", self._take_texture, DERIVED)
         self._frames = FrameSteps(self, PatternKind.WHITE, self._take_white)
 
     def _image_publisher(self, name: str) -> Publisher:
-        return self.create_publisher(Image, f"dic/{name}", DERIVED, qos_overriding_options=OVERRIDABLE)
+        return self.create_publisher(Image, f"dic/{name}", DERIVED)
 
     def _take_reference(self, message: Reference) -> None:
         # through the queue, so that it does not apply to steps that arrived before it
@@ -102,11 +100,11 @@ class DicNode(ProcessingNode[DicParameters]):
         result = self._tracker.step(*step, texture)
         displacement = result.displacement
         for publisher, array in ((self._displacement, displacement), (self._sigma, result.sigma)):
-            publisher.publish(image_message(array, stamp_ns=step.stamp, frame_id=FRAME))
-        self._grid.publish(grid_message(result, texture.shape))
+            publisher.publish(image_message(array, stamp_ns=step.stamp, frame_id=self._frame))
+        self._grid.publish(grid_message(result, texture.shape, self._frame))
         if self._preview.get_subscription_count():
             colours = displacement_preview(displacement)
-            self._preview.publish(image_message(colours, stamp_ns=step.stamp, frame_id=FRAME))
+            self._preview.publish(image_message(colours, stamp_ns=step.stamp, frame_id=self._frame))
         return Outcome(
             result.valid_fraction,
             result.rms,
@@ -118,8 +116,11 @@ class DicNode(ProcessingNode[DicParameters]):
         )
 
 
-def grid_message(result: DicResult, shape: tuple[int, ...]) -> CameraInfo:
+def grid_message(result: DicResult, shape: tuple[int, ...], frame: str) -> CameraInfo:
     """Return the grid of the points: point (i, j) is at row y_offset + i binning_y, column x_offset + j binning_x.
+
+    Region over binning is the size of the map, as sensor_msgs defines it. A point stands for the pixels up to the next
+    one, so that the region may end up to ``spacing - 1`` pixels outside the image.
 
     Parameters
     ----------
@@ -127,14 +128,15 @@ def grid_message(result: DicResult, shape: tuple[int, ...]) -> CameraInfo:
         A measured step.
     shape
         (row, column) of the camera's image.
+    frame
+        Frame id of the camera.
     """
     rows, columns = result.field.sizes["row"], result.field.sizes["column"]
     message = CameraInfo(height=shape[0], width=shape[1], binning_x=result.spacing, binning_y=result.spacing)
     message.header.stamp = to_msg(result.stamp)
-    message.header.frame_id = FRAME
+    message.header.frame_id = frame
     message.roi.x_offset, message.roi.y_offset = result.origin
-    message.roi.height = (rows - 1) * result.spacing + 1
-    message.roi.width = (columns - 1) * result.spacing + 1
+    message.roi.height, message.roi.width = rows * result.spacing, columns * result.spacing
     return message
 
 

@@ -6,7 +6,6 @@ import time
 
 import numpy as np
 from pydantic import BaseModel, Field
-from rclpy.node import Node
 from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import Trigger
@@ -21,6 +20,7 @@ from fringedic_ros.main import run
 from fringedic_ros.pairing import ImageExposurePairs
 from fringedic_ros.parameters import declare
 from fringedic_ros.qos import EVENTS, STATE
+from fringedic_ros.rig_node import RigNode
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.work import Worker
 
@@ -45,7 +45,7 @@ class ExtensometerParameters(BaseModel):
     )
 
 
-class ExtensometerNode(Node):
+class ExtensometerNode(RigNode):
     """Topics `extensometer/strain`, `extensometer/sigma`, `extensometer/valid`; service `extensometer/zero`.
 
     The first frame after the start, after `extensometer/zero` and after each reference step is the reference. When

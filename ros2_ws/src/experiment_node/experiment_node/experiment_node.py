@@ -11,7 +11,6 @@ from math import nan
 from pathlib import Path
 
 from rclpy.action.server import ActionServer, ServerGoalHandle
-from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
@@ -20,6 +19,7 @@ from experiment_node.calibration_server import CalibrationServer
 from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.experiments import Experiments
 from experiment_node.plane_steps import PlaneSteps
+from experiment_node.rig_transforms import RigTransforms
 from experiment_node.running_step import RunningStep
 from experiment_node.step_runner import StepRunner
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
@@ -33,12 +33,13 @@ from fringedic_ros.main import run
 from fringedic_ros.parameters import declare
 from fringedic_ros.qos import LATCHED
 from fringedic_ros.records import calibration_message
+from fringedic_ros.rig_node import RIG_FRAME, RigNode, frame_id
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 
 Result = MeasureStep.Result
 
 
-class ExperimentNode(Node):
+class ExperimentNode(RigNode):
     """Actions `measure_step`, `calibrate_distortion` and `calibrate_rig`, experiments and references."""
 
     def __init__(self) -> None:
@@ -61,12 +62,16 @@ class ExperimentNode(Node):
         self._calibration_server = CalibrationServer(
             self, self._slot, self._plane_steps, self._experiments, self._diagnostics, self._publish_calibration
         )
+        self._transforms = RigTransforms(self)
+        self._transforms.publish(None, to_msg(time.time_ns()))
         if parameters.calibration_file:
             file = Path(parameters.calibration_file)
             self._publish_calibration(RigModel.from_yaml(file), file.name)
 
     def destroy_node(self) -> None:
-        """Wait for a fit that is under way, then end the node."""
+        """End a step that is under way with an error and a hold, wait for a running fit, then end the node."""
+        if self._runner.close():
+            self._request_hold()
         self._plane_steps.close()
         super().destroy_node()
 
@@ -74,9 +79,10 @@ class ExperimentNode(Node):
 
     def _publish_calibration(self, model: RigModel, source: str) -> None:
         """Put a calibration in force for all nodes."""
-        message = calibration_message(model, stamp_ns=self.get_clock().now().nanoseconds)
+        message = calibration_message(model, stamp_ns=time.time_ns(), frame_id=frame_id(self, RIG_FRAME))
         message.source = message.source or source
         self._calibrations.publish(message)
+        self._transforms.publish(model, message.header.stamp)
 
     def _start_experiment(
         self, request: StartExperiment.Request, response: StartExperiment.Response

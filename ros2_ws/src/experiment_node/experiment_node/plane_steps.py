@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import TypeVar
@@ -22,7 +23,8 @@ from fringedic_msgs.msg import ReferencePlane
 from fringedic_msgs.srv import PlaceReferencePlane
 from fringedic_ros.parameters import Parameters
 from fringedic_ros.qos import EVENTS
-from fringedic_ros.stamps import to_nanoseconds
+from fringedic_ros.rig_node import RIG_FRAME, frame_id
+from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.waiting import Condition, call, wait_for
 from fringedic_ros.work import Worker
 
@@ -122,7 +124,7 @@ class PlaneSteps:
         """
         number = run.experiment.take_number()
         plane.experiment, plane.step = run.experiment.name, number
-        plane.header.stamp = self._node.get_clock().now().to_msg()
+        plane.header.stamp, plane.header.frame_id = to_msg(time.time_ns()), frame_id(self._node, RIG_FRAME)
         self._planes.publish(plane)
         step = RunningStep(
             run.goal, run.experiment, number, patterns, nodes, is_reference=False, on_stage=run.report_frames

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Collection, Iterable
 
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
@@ -174,10 +175,10 @@ class PlaybackNodes:
         self._wait(lambda: not silent(), lambda: f"no answer from {silent()}")
 
     def _wait(self, done: Callable[[], bool], message: Callable[[], str]) -> None:
-        end = self._node.get_clock().now().nanoseconds + int(self._timeout_s * 1e9)
+        end = time.monotonic() + self._timeout_s
         while not done():
             self._executor.spin_once(timeout_sec=0.05)
-            if self._node.get_clock().now().nanoseconds > end:
+            if time.monotonic() > end:
                 raise WaitTimeoutError(f"{message()} after {self._timeout_s:g} s")
 
 

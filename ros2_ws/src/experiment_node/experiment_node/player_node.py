@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,9 +12,9 @@ import rclpy
 from pydantic import BaseModel, ConfigDict, Field
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.utilities import try_shutdown
+from rosgraph_msgs.msg import Clock
 
 from experiment_node.messages import message_type, read
 from experiment_node.playback_nodes import PlaybackNodes, step_name
@@ -36,9 +37,11 @@ from fringedic.recording.topics import RawMessage
 from fringedic.rig.model import RigModel
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import NodeParameters, NodeStatus, Reference, RigCalibration, StepStatus
-from fringedic_ros.parameters import declare
-from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
+from fringedic_ros.parameters import declare, report_unknown_parameters
+from fringedic_ros.qos import CLOCK, EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
 from fringedic_ros.records import calibration_message
+from fringedic_ros.rig_node import RIG_FRAME, RigNode, frame_id
+from fringedic_ros.stamps import to_msg
 
 PROFILES = {
     IMAGE: IMAGES,
@@ -47,7 +50,9 @@ PROFILES = {
     REFERENCE: LATCHED,
     CALIBRATION: LATCHED,
     NODE_PARAMETERS: LATCHED_BY_MANY,
+    "/tf_static": LATCHED,
 }
+CLOCK_PERIOD_NS = 10_000_000  # of the recorded time between two messages on /clock
 ANNOUNCEMENTS = (REFERENCE, CALIBRATION)  # nodes have to handle these before the next frame
 FAREWELL_S = 5  # for the last status to be received
 
@@ -76,7 +81,7 @@ class PlayerParameters(BaseModel):
     )
 
 
-class PlayerNode(Node):
+class PlayerNode(RigNode):
     """Plays one recording, step by step.
 
     The next step begins when phase, displacement and coupling have answered the present one. References, calibrations
@@ -101,6 +106,8 @@ class PlayerNode(Node):
         self._ahead: Counter[str] = Counter()  # messages that nodes may not have handled yet
         self._nodes = PlaybackNodes(self, recorder=parameters.recorder, timeout_s=parameters.timeout_s)
         self._statuses = self.create_publisher(StepStatus, "player/status", LATCHED_BY_MANY)
+        self._times = self.create_publisher(Clock, "/clock", CLOCK)
+        self._time_ns = 0  # on /clock
         self.problems: list[str] = []
 
     def destroy_node(self) -> None:
@@ -146,7 +153,8 @@ class PlayerNode(Node):
         file = self.parameters.value.calibration_file
         if not file:
             return None
-        return calibration_message(RigModel.from_yaml(file), stamp_ns=self.get_clock().now().nanoseconds)
+        frame = frame_id(self, RIG_FRAME)
+        return calibration_message(RigModel.from_yaml(file), stamp_ns=time.time_ns(), frame_id=frame)
 
     def _chosen_steps(self, bag: BagReader) -> set[int] | None:
         """Return the numbers of the requested steps and of their references; None for all steps."""
@@ -266,8 +274,15 @@ class PlayerNode(Node):
         announced = any(self._ahead[each] for each in ANNOUNCEMENTS)
         if (name == IMAGE and announced) or self._ahead[name] >= PROFILES.get(name, EVENTS).depth / 2:
             self._await_handled()
+        self._set_clock(message.publish_time)
         self._publishers_by_topic[name].publish(message.data)
         self._ahead[name] += 1
+
+    def _set_clock(self, time_ns: int) -> None:
+        """Publish the recorded time, for nodes and viewers with `use_sim_time`; a reference played first is earlier."""
+        if not 0 <= time_ns - self._time_ns < CLOCK_PERIOD_NS:
+            self._time_ns = time_ns
+            self._times.publish(Clock(clock=to_msg(time_ns)))
 
     def _await_handled(self) -> None:
         self._nodes.await_handled(self._publishers_by_topic[name] for name in self._ahead)
@@ -307,6 +322,7 @@ def main() -> None:
     code = 1
     try:
         player = PlayerNode()
+        report_unknown_parameters(player)
         summary = player.play()
         sys.stdout.writelines(f"{line}\n" for line in (summary, *player.problems))
         code = 0

@@ -13,7 +13,6 @@ from typing import Literal, TypedDict
 
 from pydantic import BaseModel, ConfigDict, Field
 from rclpy.exceptions import InvalidHandle
-from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
@@ -30,6 +29,7 @@ from fringedic_msgs.msg import Exposure, RecorderStatus, StepStatus
 from fringedic_ros.main import run
 from fringedic_ros.parameters import declare
 from fringedic_ros.qos import LATCHED, SAMPLES
+from fringedic_ros.rig_node import FIXED_QOS, RigNode
 from fringedic_ros.stamps import to_nanoseconds
 
 DISCOVERY_PERIOD_S = 0.1
@@ -39,6 +39,7 @@ IMAGE_DEPTH = 128
 BATCH = 100  # messages of one topic that are taken before the other topics are served
 # A turn of the executor costs as much as ten samples: collect the samples of a fast machine for this time.
 COLLECTED_S = 0.002
+LAST_RECORD_S = 3.0  # longest wait for the end of a step that is cut off
 UNREADABLE_S = 10.0  # shortest time between two reports of messages that cannot be read
 
 
@@ -74,7 +75,7 @@ class MessageInfo(TypedDict, total=False):
 Taken = list[tuple[bytes, MessageInfo]]
 
 
-class RecorderNode(Node):
+class RecorderNode(RigNode):
     """Subscribes to every topic of a recording as soon as it has a publisher.
 
     Messages are taken as serialised bytes and written unchanged by a thread of their own. Only the stamps and checksums
@@ -85,6 +86,7 @@ class RecorderNode(Node):
         super().__init__("recorder")
         self.parameters = declare(self, RecorderParameters)
         self._subscriptions_by_topic: dict[str, Subscription] = {}
+        self._kinds: dict[str, tuple[str, type]] = {}  # relative name and type of each subscribed topic
         self._refused: set[str] = set()
         self._tally = ExposureTally()
         self._step = StepTally()
@@ -93,6 +95,7 @@ class RecorderNode(Node):
         self._publishing = threading.Lock()
         self._writing: WritingThread | None = None
         self._exposed = False  # all frames of the step
+        self._in_step = False
         self._confirmed = "", 0, 0, 0  # fields of the status, set by the writing thread
 
         parameters = self.parameters.value
@@ -104,7 +107,16 @@ class RecorderNode(Node):
         self._publish_status()
 
     def destroy_node(self) -> None:
-        """Write what is queued, close the bag and end the node."""
+        """Write what is queued, close the bag and end the node.
+
+        A signal may reach all nodes of a rig at once. The recording of a step that it cuts off ends with the error
+        record of the experiment node.
+        """
+        end = time.monotonic() + LAST_RECORD_S
+        while self._in_step and self._writing and time.monotonic() < end:
+            time.sleep(COLLECTED_S)
+            for topic, (name, kind) in self._kinds.items():
+                self._record(name, topic, self._waiting_messages(topic, kind))
         self._close()
         super().destroy_node()
 
@@ -180,12 +192,14 @@ class RecorderNode(Node):
             self._publish_status()
             return
         callback = self._take_batches_of(name, topic, kind)
+        self._kinds[topic] = name, kind
         self._subscriptions_by_topic[topic] = self.create_subscription(
             kind,
             topic,
-            callback,  # type: ignore[arg-type]
+            callback,
             _compatible_profile(name, publishers),
             raw=True,
+            qos_overriding_options=FIXED_QOS,
         )
 
     # messages
@@ -194,22 +208,26 @@ class RecorderNode(Node):
         """Return the callback of a topic, which takes all messages that wait: a turn of the executor is expensive."""
 
         def take(data: bytes, info: MessageInfo) -> None:
-            taken: Taken = [(data, info)]
             if name in SAMPLE_TOPICS:
                 time.sleep(COLLECTED_S)
-            subscription = self._subscriptions_by_topic.get(topic)
-            if subscription is not None:
-                with suppress(InvalidHandle), subscription.handle:
-                    while len(taken) < BATCH and (waiting := subscription.handle.take_message(kind, True)) is not None:
-                        taken.append(waiting)
-            self._record(name, topic, taken)
+            self._record(name, topic, [(data, info), *self._waiting_messages(topic, kind)])
 
         return take
+
+    def _waiting_messages(self, topic: str, kind: type) -> Taken:
+        """Return the next messages of a topic that have arrived, at most `BATCH`."""
+        taken: Taken = []
+        subscription = self._subscriptions_by_topic.get(topic)
+        if subscription is not None:
+            with suppress(InvalidHandle), subscription.handle:
+                while len(taken) < BATCH and (waiting := subscription.handle.take_message(kind, True)) is not None:
+                    taken.append(waiting)
+        return taken
 
     def _record(self, name: str, topic: str, taken: Taken) -> None:
         if not self._writing:
             return
-        received = self.get_clock().now().nanoseconds
+        received = time.time_ns()
         self._writing.put(
             [
                 ReceivedMessage(
@@ -246,6 +264,7 @@ class RecorderNode(Node):
             message = read(data, StepStatus)
             self._step.begin(message.experiment, message.step)
             self._exposed = message.stage == StepStatus.PROCESS
+            self._in_step = message.stage not in (StepStatus.END, StepStatus.ERROR)
             self._confirm()
             if message.stage in (StepStatus.END, StepStatus.ERROR):
                 self._tally.end_step()

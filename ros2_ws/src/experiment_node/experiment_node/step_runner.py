@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 
 from builtin_interfaces.msg import Time
+from rclpy.duration import Duration
 from rclpy.node import Node
 
 from experiment_node.active_goal import StepFailure
@@ -27,6 +28,8 @@ from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.waiting import Condition
 
 Result = MeasureStep.Result
+Feedback = MeasureStep.Feedback
+FAREWELL_S = 2  # for the record of a step that is cut off to be received
 
 
 class StepRunner:
@@ -67,7 +70,7 @@ class StepRunner:
     def publish_reference(self, experiment: Experiment, step: int) -> None:
         """Publish the step that the following ones are measured against."""
         message = Reference(experiment=experiment.name, step=step)
-        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.stamp = to_msg(time.time_ns())
         self._references.publish(message)
 
     async def measure(self, step: RunningStep, parameters: ExperimentParameters) -> StepFailure | None:
@@ -88,6 +91,16 @@ class StepRunner:
             failure = self._reject(step, failure)
         self._publish_stage(step, StepStatus.END if failure is None else StepStatus.ERROR, failure)
         return failure
+
+    def close(self) -> bool:
+        """End a step that the end of this node cuts off with an error record; return whether there was one."""
+        step, self._running = self._running, None
+        if step is None:
+            return False
+        failure = self._reject(step, StepFailure(Result.CANCELLED, "the experiment node was ended during the step"))
+        self._publish_stage(step, StepStatus.ERROR, failure)
+        self._steps.wait_for_all_acked(Duration(seconds=FAREWELL_S))
+        return True
 
     async def _run_stages(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         try:
@@ -140,18 +153,18 @@ class StepRunner:
         if step.is_reference:
             self.publish_reference(step.experiment, step.number)
         self._publish_stage(step, StepStatus.BEGIN)
-        step.report("begin")
+        step.report(Feedback.BEGIN)
 
     async def _take_frames(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         await step.goal.pause(parameters.settle_time_s)
-        step.report("capture")
+        step.report(Feedback.CAPTURE)
         shown, on_screen = Time(), None
         for index, pattern in enumerate(step.patterns):
             if parameters.projector and pattern != on_screen:  # further exposures of a pattern find it on the screen
                 shown, on_screen = await self.frames.show(step, pattern, parameters), pattern
             await self.frames.capture(step, index, pattern, shown, parameters)
             self._publish_stage(step, StepStatus.CAPTURE)
-            step.report("capture")
+            step.report(Feedback.CAPTURE)
             self._load.check_latest(step, parameters)
             self._recorder.check(parameters)
             if step.failed_node:
@@ -162,7 +175,7 @@ class StepRunner:
 
     async def _await_results(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         self._publish_stage(step, StepStatus.PROCESS)
-        step.report("process")
+        step.report(Feedback.PROCESS)
 
         def open_nodes() -> list[str]:
             return [name for name in step.nodes if name not in step.statuses]
@@ -187,7 +200,7 @@ class StepRunner:
             reference=step.is_reference,
         )
         if stage in (StepStatus.BEGIN, StepStatus.CAPTURE) or not step.stamp:
-            message.header.stamp = self._node.get_clock().now().to_msg()
+            message.header.stamp = to_msg(time.time_ns())
         else:
             message.header.stamp = to_msg(step.stamp)
         if failure is not None:

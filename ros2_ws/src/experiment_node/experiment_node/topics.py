@@ -45,6 +45,7 @@ DERIVED_TOPICS = (
     "dic/displacement",
     "dic/sigma",
     "dic/camera_info",
+    "dic/preview",
     "dic/status",
     "coupling/shape",
     "coupling/displacement",

@@ -21,9 +21,9 @@ from fringedic_ros.images import image_message
 from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
 from fringedic_ros.main import run
 from fringedic_ros.qos import LATCHED
+from fringedic_ros.rig_node import PROJECTOR_FRAME, frame_id
 from fringedic_ros.stamps import to_msg
 
-FRAME_ID = "projector_optical_frame"
 _CHECK_PERIOD_S = 0.1
 _KEPT_PATTERNS = 64  # more than a sequence has: the steps after the first do not render
 
@@ -89,7 +89,7 @@ class ProjectorNode(HardwareNode[ProjectorParameters]):
         shown_ns = self._screen.show(image)
         # a stamp identifies a pattern: successive ones differ, even when the clock is set back
         self._shown_ns = shown_ns + (shown_ns == self._shown_ns)
-        self._images.publish(image_message(image, stamp_ns=self._shown_ns, frame_id=FRAME_ID))
+        self._images.publish(image_message(image, stamp_ns=self._shown_ns, frame_id=frame_id(self, PROJECTOR_FRAME)))
         return self._shown_ns
 
     def _show(self, request: ShowPattern.Request, response: ShowPattern.Response) -> ShowPattern.Response:

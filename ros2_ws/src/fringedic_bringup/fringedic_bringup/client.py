@@ -43,6 +43,7 @@ START_TIMEOUT_S = 60.0
 HEARTBEATS_S = 0.5
 # The experiment node ends every step by itself; this ends the wait for an experiment node that has ended.
 STEP_TIMEOUT_S = 3600.0
+LOST_S = 10.0  # without its server, after which an action fails; a node that is started again is back earlier
 AGAIN_S = 2.0  # after which a request without answer is sent again
 
 
@@ -94,6 +95,7 @@ class RigClient:
             },
             "load_frame": {"move_crosshead": self._move},
         }
+        self._servers = {client: node for node, clients in actions.items() for client in clients.values()}
         self._action_clients = [client for clients in actions.values() for client in clients.values()]
         self._readiness = Readiness(self.node, actions, self._place)
         self._start = self.node.create_client(StartExperiment, "experiment/start")
@@ -540,17 +542,39 @@ class RigClient:
 
     def _goal(self, client: ActionClient, goal: Any, what: str, feedback: Callable[[Any], None]) -> Any:
         handle = self._send(client, goal, what, feedback)
-        result = self._await(handle.get_result_async(), STEP_TIMEOUT_S, what).result
+        result = self._await_server(client, handle.get_result_async(), STEP_TIMEOUT_S, what).result
         self._running = None
         return result
 
     def _send(self, client: ActionClient, goal: Any, what: str, feedback: Callable[[Any], None]) -> Any:
         sent = client.send_goal_async(goal, feedback_callback=lambda message: feedback(message.feedback))
-        handle = self._await(sent, START_TIMEOUT_S, what)
+        handle = self._await_server(client, sent, START_TIMEOUT_S, what)
         if not handle.accepted:
             raise StepFailedError(f"{what}: refused")
         self._running = handle
         return handle
+
+    def _await_server(self, client: ActionClient, future: Future, timeout_s: float, what: str) -> Any:
+        """Return an answer of an action server, unless its node has been missing for some seconds.
+
+        Raises
+        ------
+        WaitTimeoutError
+            There is no answer in time, or the node is missing; the message names it.
+        """
+        seen = time.monotonic()
+
+        def answered_or_lost() -> bool:
+            nonlocal seen
+            if client.server_is_ready():
+                seen = time.monotonic()
+            return future.done() or time.monotonic() - seen > LOST_S
+
+        self.wait_for(answered_or_lost, timeout_s, lambda: f"{what}: no answer")
+        if not future.done():
+            node = self._servers[client]
+            raise WaitTimeoutError(f"{what}: the node {node} is missing: start it, or connect its computer")
+        return future.result()
 
     def _await(self, future: Future, timeout_s: float, what: str) -> Any:
         self.wait_for(future.done, timeout_s, lambda: f"{what}: no answer")

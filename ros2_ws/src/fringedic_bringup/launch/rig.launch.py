@@ -1,6 +1,6 @@
-"""Starts the nodes of a rig: ros2 launch fringedic_bringup rig.launch.py rig:=plate.yaml folder:=recordings/today."""
+"""Starts the nodes of a rig: ros2 launch fringedic_bringup rig.launch.py rig:=plate folder:=recordings/today."""
 
-from pathlib import Path
+import signal
 
 from launch import LaunchContext, LaunchDescription
 from launch.action import Action
@@ -8,35 +8,36 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from fringedic.configuration.rig_file import load_rig_file
-from fringedic_bringup.launch.graph import rig_graph
+from fringedic_bringup.launch.launch_arguments import LaunchArguments, launched_rig
 
 
 def generate_launch_description() -> LaunchDescription:
     """Describe one process per node of the rig file."""
-    return LaunchDescription(
-        [
-            DeclareLaunchArgument("rig", description="rig file"),
-            DeclareLaunchArgument("folder", description="new folder for the recording"),
-            DeclareLaunchArgument(
-                "experiment", default_value="", description="name of the experiment; empty: the time"
-            ),
-            OpaqueFunction(function=_nodes),
-        ]
-    )
+    arguments = [
+        DeclareLaunchArgument(name, default_value=str(field.default), description=field.description)
+        for name, field in LaunchArguments.model_fields.items()
+    ]
+    return LaunchDescription([*arguments, OpaqueFunction(function=_nodes)])
 
 
 def _nodes(context: LaunchContext) -> list[Action]:
-    rig, folder, experiment = (LaunchConfiguration(name).perform(context) for name in ("rig", "folder", "experiment"))
-    graph = rig_graph(load_rig_file(rig), Path(rig), Path(folder), experiment=experiment)
+    texts = {name: LaunchConfiguration(name).perform(context) for name in LaunchArguments.model_fields}
+    arguments = LaunchArguments.parse(texts)
+    rig = launched_rig(arguments)
     return [
         Node(
-            package=node.package,
-            executable=node.executable,
-            name=node.name,
-            namespace=graph.namespace,
-            parameters=[dict(node.parameters)],
-            output="screen",
+            package=process.node.package,
+            executable=process.node.executable,
+            name=process.node.name,
+            namespace=rig.namespace,
+            parameters=[str(process.parameter_file)],
+            ros_arguments=["--log-level", arguments.log_level],
+            additional_env=rig.environment,
+            respawn=process.respawn,
+            respawn_delay=1.0,
+            sigterm_timeout=str(process.grace_s[signal.SIGINT]),
+            sigkill_timeout=str(process.grace_s[signal.SIGTERM]),
+            output="both",
         )
-        for node in graph.nodes
+        for process in rig.processes
     ]

@@ -12,7 +12,7 @@ import rclpy
 from fringedic.configuration.rig_file import load_rig_file
 from fringedic.errors import ConfigurationError
 from fringedic_bringup.client import RigClient
-from fringedic_bringup.launch.processes import configuration
+from fringedic_bringup.launch.rig_files import configuration
 from fringedic_bringup.procedures.calibrate import calibrate, placing_by, with_angles
 from fringedic_msgs.srv import PlaceReferencePlane
 from fringedic_ros.testing import Peer

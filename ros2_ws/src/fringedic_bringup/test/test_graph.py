@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 from fringedic.configuration.rig_file import load_rig_file
-from fringedic_bringup.launch.graph import rig_graph
+from fringedic_bringup.launch.graph import exposing_graph, live_graph, rig_graph
 
 REAL_RIG = """
 namespace: bench
@@ -100,3 +100,12 @@ def test_extensometer_gets_its_pads_a_free_run_and_white_light(tmp_path: Path) -
     }
     assert nodes["camera"]["frame_rate_hz"] == 20
     assert nodes["experiment"]["white_between_steps"] is True
+
+
+def test_every_node_gets_the_frame_prefix_of_the_rig_file(tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    for prefix, expected in (("", None), ("frame_prefix: left\n", "left"), ('frame_prefix: ""\n', "")):
+        path.write_text(REAL_RIG + prefix)
+        rig = load_rig_file(path)
+        for graph in (rig_graph(rig, path, tmp_path / "out"), live_graph(rig, path), exposing_graph(rig, path)):
+            assert {node.parameters.get("frame_prefix") for node in graph.nodes} == {expected}

@@ -6,11 +6,12 @@ from collections.abc import Callable
 from typing import Any, Generic, Self, TypeVar
 
 from pydantic import BaseModel, Field
-from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from fringedic.errors import FringedicError, ProcessError
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.parameters import declare
+from fringedic_ros.rig_node import RigLifecycleNode
 
 
 class HardwareParameters(BaseModel):
@@ -24,7 +25,7 @@ class HardwareParameters(BaseModel):
 ParametersT = TypeVar("ParametersT", bound=HardwareParameters)
 
 
-class HardwareNode(LifecycleNode, Generic[ParametersT]):
+class HardwareNode(RigLifecycleNode, Generic[ParametersT]):
     """A device behind a lifecycle: `open` at configure, `activate`, `deactivate`, `close` at clean-up.
 
     Subclasses override these four; each may raise a `FringedicError`, whose message is the reason of the refused

@@ -16,6 +16,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from fringedic.errors import FringedicError
+from fringedic_ros.parameters import report_unknown_parameters
 
 # Fast DDS may block a process after its node is closed (decision 0033); SIGALRM ends it after this time.
 LONGEST_END_S = 5
@@ -42,6 +43,7 @@ def run(make_node: Callable[[], Node]) -> int:
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         node = make_node()
+        report_unknown_parameters(node)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         _end_at(signals, node)

@@ -10,7 +10,7 @@ from sensor_msgs.msg import Image
 
 from fringedic.frames.pairing import FramePairs
 from fringedic_msgs.msg import Exposure
-from fringedic_ros.qos import IMAGES, OVERRIDABLE
+from fringedic_ros.qos import IMAGES
 from fringedic_ros.stamps import to_nanoseconds
 
 
@@ -46,7 +46,6 @@ class ImageExposurePairs:
             self._add_image,
             IMAGES,
             callback_group=callback_group,
-            qos_overriding_options=OVERRIDABLE,
         )
         node.create_subscription(Exposure, exposure_topic, self._add_exposure, IMAGES, callback_group=callback_group)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import enum
 import math
+import time
 import typing
 from collections.abc import Callable, Mapping
 from typing import Any, Generic, TypeVar
@@ -25,6 +26,7 @@ from rclpy.parameter import Parameter
 from fringedic.errors import ConfigurationError
 from fringedic_msgs.msg import NodeParameters
 from fringedic_ros.qos import LATCHED
+from fringedic_ros.stamps import to_msg
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
 
@@ -87,7 +89,7 @@ class Parameters(Generic[ModelT]):
 
     def _publish(self) -> None:
         message = NodeParameters(node=self._node.get_name())
-        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.header.stamp = to_msg(time.time_ns())
         message.parameters = [
             self._node.get_parameter(name).to_parameter_msg() for name in type(self.value).model_fields
         ]
@@ -129,6 +131,24 @@ def declare(node: Node, model: type[ModelT], on_change: Callable[[ModelT], None]
         typed = Parameter(name, _ros_type(field), _widened(plain[name], field))
         node.set_descriptor(name, _descriptor(name, field), typed.to_parameter_msg().value)
     return Parameters(node, value, on_change)
+
+
+def report_unknown_parameters(node: Node) -> None:
+    """Log the parameters of the command line and of parameter files that a node does not have.
+
+    Parameters
+    ----------
+    node
+        Complete, so that all of its parameters are declared.
+    """
+    with node.handle:
+        given = node.handle.get_parameters(Parameter)
+    unknown = sorted(name for name in given if not node.has_parameter(name))
+    if unknown:
+        known = sorted(name for name in node.get_parameters_by_prefix("") if not name.startswith("qos_overrides."))
+        node.get_logger().warning(
+            f"{node.get_name()} has no parameter {', '.join(unknown)}, which is ignored; it has {', '.join(known)}"
+        )
 
 
 def parameter_table(model: type[BaseModel]) -> str:

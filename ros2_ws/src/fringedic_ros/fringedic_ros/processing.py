@@ -9,14 +9,13 @@ from dataclasses import dataclass
 from math import nan
 from typing import Any, Generic, NamedTuple
 
-from rclpy.node import Node
-
 from fringedic.errors import ErrorCode, FringedicError, ImageError
 from fringedic_msgs.msg import NodeStatus, StepStatus
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.matching import offer_reader_counts
 from fringedic_ros.parameters import ModelT, declare
 from fringedic_ros.qos import EVENTS
+from fringedic_ros.rig_node import RigNode
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.work import Worker
 
@@ -137,7 +136,7 @@ class StepId(NamedTuple):
         return f"experiment '{self.experiment}', step {self.step}"
 
 
-class ProcessingNode(Node, Generic[ModelT]):
+class ProcessingNode(RigNode, Generic[ModelT]):
     """A node that publishes exactly one status per step, after every other message of the step.
 
     Heavy work runs in one background thread, step after step. A step in its queue is finished even when the experiment

@@ -4,7 +4,6 @@ A lost frame ruins a step: all profiles are reliable. The depth is the number of
 """
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.qos_overriding_options import QoSOverridingOptions
 
 
 def _reliable(depth: int, durability: DurabilityPolicy = DurabilityPolicy.VOLATILE) -> QoSProfile:
@@ -37,8 +36,8 @@ STATE = _reliable(1000)
 LATEST = _reliable(1)
 """The newest sample of the load frame only."""
 
+CLOCK = _reliable(10)
+"""`/clock` of a replay."""
+
 DIAGNOSTICS = _reliable(10)
 """`/diagnostics`."""
-
-OVERRIDABLE = QoSOverridingOptions.with_default_policies()
-"""Option `qos_overriding_options` of image topics: history, depth and reliability become parameters."""

@@ -43,7 +43,7 @@ def clock_message(clock: str, estimate: ClockEstimate) -> ClockDrift:
     return message
 
 
-def calibration_message(rig: RigModel, *, stamp_ns: int, frame_id: str = "reference_plane") -> RigCalibration:
+def calibration_message(rig: RigModel, *, stamp_ns: int, frame_id: str) -> RigCalibration:
     """Return the message of a rig model; the fields have the same names and units."""
     message = RigCalibration()
     for name, value in rig.message_fields().items():

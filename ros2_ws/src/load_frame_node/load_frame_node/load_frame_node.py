@@ -18,6 +18,7 @@ from fringedic_ros.lifecycle import HardwareNode
 from fringedic_ros.main import run
 from fringedic_ros.qos import LATCHED, SAMPLES
 from fringedic_ros.records import clock_message
+from fringedic_ros.rig_node import LOAD_FRAME, frame_id
 from fringedic_ros.stamps import to_msg
 from load_frame_node.crosshead import Crosshead
 from load_frame_node.machines import Sample
@@ -25,7 +26,6 @@ from load_frame_node.move_server import MoveServer
 from load_frame_node.parameters import LoadFrameParameters
 from load_frame_node.sampler import Sampler
 
-FRAME_ID = "load_frame"
 JOINT = "crosshead"
 _CLOCK_PERIOD_S = 1.0  # between two messages about the clock of the machine
 
@@ -35,6 +35,7 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
 
     def __init__(self) -> None:
         super().__init__("load_frame", LoadFrameParameters)
+        self._frame = frame_id(self, LOAD_FRAME)
         self._crosshead = Crosshead(self)
         self._sampler: Sampler | None = None
         self._machine_clock = DeviceClock("testing machine")
@@ -93,7 +94,7 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
     def _take_sample(self, sample: Sample) -> None:
         """Publish a sample on its three topics."""
         state = LoadState(mode=int(sample.mode), force=sample.force, position=sample.position)
-        state.header.stamp, state.header.frame_id = to_msg(sample.stamp_ns), FRAME_ID
+        state.header.stamp, state.header.frame_id = to_msg(sample.stamp_ns), self._frame
         wrench = WrenchStamped(header=state.header)
         wrench.wrench.force.z = state.force
         joint = JointState(header=state.header, name=[JOINT], position=[state.position], effort=[state.force])

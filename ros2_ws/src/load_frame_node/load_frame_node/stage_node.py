@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 from builtin_interfaces.msg import Time
 from pydantic import Field
@@ -14,8 +15,9 @@ from fringedic_msgs.srv import PlaceReferencePlane
 from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
 from fringedic_ros.main import run
 from fringedic_ros.qos import LATCHED
+from fringedic_ros.rig_node import RIG_FRAME, frame_id
+from fringedic_ros.stamps import to_msg
 
-FRAME_ID = "reference_plane"
 ARRIVAL_S = 2  # a reader that has died does not confirm
 _KINDS = {
     ReferencePlane.GRID: "the grid",
@@ -87,7 +89,7 @@ class StageNode(HardwareNode[StageParameters]):
         A camera that exposes frames after the response must not see the object that was there before.
         """
         state = ReferencePlane(kind=kind, angle=angle, height=height)
-        state.header.stamp, state.header.frame_id = self.get_clock().now().to_msg(), FRAME_ID
+        state.header.stamp, state.header.frame_id = to_msg(time.time_ns()), frame_id(self, RIG_FRAME)
         self._states.publish(state)
         self._states.wait_for_all_acked(Duration(seconds=ARRIVAL_S))
         return state.header.stamp

@@ -17,9 +17,8 @@ from fringedic_ros.frame_steps import FrameSteps
 from fringedic_ros.images import image_message
 from fringedic_ros.main import run
 from fringedic_ros.processing import Outcome, ProcessingNode, StepId
-from fringedic_ros.qos import DERIVED, OVERRIDABLE
-
-FRAME = "camera_optical_frame"
+from fringedic_ros.qos import DERIVED
+from fringedic_ros.rig_node import CAMERA_FRAME, frame_id
 
 
 class PhaseNode(ProcessingNode[PhaseParameters]):
@@ -27,6 +26,7 @@ class PhaseNode(ProcessingNode[PhaseParameters]):
 
     def __init__(self) -> None:
         super().__init__("phase", PhaseParameters)
+        self._frame = frame_id(self, CAMERA_FRAME)
         self._map = self._image_publisher("map")
         self._sigma = self._image_publisher("sigma")
         self._modulation = self._image_publisher("modulation")
@@ -36,7 +36,7 @@ class PhaseNode(ProcessingNode[PhaseParameters]):
         self._frames = FrameSteps(self, PatternKind.FRINGES, self._take_stack, self._take_other)
 
     def _image_publisher(self, name: str) -> Publisher:
-        return self.create_publisher(Image, f"phase/{name}", DERIVED, qos_overriding_options=OVERRIDABLE)
+        return self.create_publisher(Image, f"phase/{name}", DERIVED)
 
     def _take_stack(self, stack: Stack) -> None:
         self.report_unjoined(self._frames.unpaired)
@@ -60,10 +60,10 @@ class PhaseNode(ProcessingNode[PhaseParameters]):
             (self._modulation, result.modulation),
         ):
             if publisher.get_subscription_count():
-                publisher.publish(image_message(array, stamp_ns=result.stamp, frame_id=FRAME))
+                publisher.publish(image_message(array, stamp_ns=result.stamp, frame_id=self._frame))
         if self._preview.get_subscription_count():
             colours = phase_preview(result.phase)
-            self._preview.publish(image_message(colours, stamp_ns=result.stamp, frame_id=FRAME))
+            self._preview.publish(image_message(colours, stamp_ns=result.stamp, frame_id=self._frame))
         return Outcome(
             result.valid_fraction, result.rms, len(stack.records), "; ".join(result.remarks), result.relative
         )

@@ -22,6 +22,7 @@ from fringedic.errors import CameraError, CameraTimeoutError, ClockJumpError
 from fringedic.frames.grey import luminance
 from fringedic.recording.clocks import ClockEstimate, DeviceClock
 from fringedic_ros.images import image_array
+from fringedic_ros.rig_node import FIXED_QOS
 from fringedic_ros.stamps import to_nanoseconds
 
 _TYPE = "sensor_msgs/msg/Image"
@@ -132,7 +133,7 @@ class TopicDriver:
                 f"an exposure of {1e3 * scene.exposure_time:g} ms is requested; the driver of {self._topic} exposes "
                 f"for {1e3 * settings.exposure_time:g} ms; change the exposure time there"
             )
-        asked = 0 if self._streaming else self._node.get_clock().now().nanoseconds
+        asked = 0 if self._streaming else time.time_ns()
         deadline = time.monotonic() + settings.timeout + settings.exposure_time
         if not self._streaming:
             with self._arrived:
@@ -179,6 +180,7 @@ class TopicDriver:
             self._topic,
             self._take,
             QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=_WAITING, reliability=wanted),
+            qos_overriding_options=FIXED_QOS,
             event_callbacks=SubscriptionEventCallbacks(message_lost=self._count_lost),
         )
 
@@ -188,7 +190,7 @@ class TopicDriver:
             self._subscription = None
 
     def _take(self, message: Image) -> None:
-        arrived = self._node.get_clock().now().nanoseconds
+        arrived = time.time_ns()
         stamp = to_nanoseconds(message.header.stamp)
         if stamp == self._last_stamp_ns:
             return  # the same image again

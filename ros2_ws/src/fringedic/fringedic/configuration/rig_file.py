@@ -42,6 +42,9 @@ Calibration = Annotated[
 ]
 
 
+NAMESPACE = r"^([A-Za-z]\w*(/[A-Za-z]\w*)*)?$"
+"""Pattern of a ROS namespace without the slash before it."""
+
 # Keys of earlier versions, and what to write instead
 REPLACED_KEYS = {
     "nodes.coupling.watch_region_px": "is replaced by nodes.coupling.drift_marker_px with the same order: first "
@@ -53,7 +56,7 @@ REPLACED_KEYS = {
 class RigFile(Section):
     """The content of a rig file."""
 
-    namespace: str = Field("rig", pattern=r"^([A-Za-z]\w*(/[A-Za-z]\w*)*)?$", description="ROS namespace of the rig.")
+    namespace: str = Field("rig", pattern=NAMESPACE, description="ROS namespace of the rig.")
     camera: CameraSection = Field(description="The camera.")
     projector: ProjectorSection | None = Field(None, description="The projector; without one only white frames.")
     sequence: SequenceSection = Field(SequenceSection(), description="The fringe patterns of one step.")
@@ -77,6 +80,9 @@ class RigFile(Section):
     )
     virtual_rig: dict[str, Any] | None = Field(
         None, description="The virtual rig, as of `fringedic.virtual_rig.VirtualRigConfiguration`."
+    )
+    frame_prefix: str | None = Field(
+        None, pattern=NAMESPACE, description="Prefix of the frame ids of the rig; by default its namespace."
     )
     recording: RecordingSection = Field(RecordingSection(), description="What is recorded, and where.")
     specimen: SpecimenMetadata = Field(SpecimenMetadata(), description="Metadata of the specimen.")

@@ -20,10 +20,12 @@ from fringedic.surface import PreparedShape, couple, surface_strain, to_local_fr
 from fringedic.surface.nearest_order import nearest_order_to_plane
 
 _SHAPE = ("x", "y", "z", "sigma_z")
-_DISPLACEMENT = ("x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w")
+_VECTORS = ("x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w")
 _LOCAL = ("u_t", "v_t", "w_n")
 _NONE_YET = "no calibration yet: publish one on 'calibration', or process the recording with --calibration FILE"
-_STRAIN = ("e_11", "e_22", "e_12", "sigma_e_11", "sigma_e_22", "sigma_e_12")
+STRAIN_FIELDS = ("e_11", "e_22", "e_12", "sigma_e_11", "sigma_e_22", "sigma_e_12")
+DISPLACEMENT_FIELDS = (*_VECTORS, *_LOCAL, *STRAIN_FIELDS)
+"""Fields of the displacement of a step, when all are asked for."""
 
 
 @dataclass(frozen=True)
@@ -195,13 +197,15 @@ class ShapeTracker:
 
     def _evaluated(self, cloud: xr.Dataset) -> xr.Dataset:
         """Return the fields to be published: displacement, local components and strain where they are asked for."""
-        parts = [_selected(cloud, _DISPLACEMENT)]
+        parts = [_selected(cloud, _VECTORS)]
         if self.parameters.local_frame_window_px:
             parts.append(_selected(to_local_frame(cloud, window=self.parameters.local_frame_window_px), _LOCAL))
         if self.parameters.strain_window_px:
             strain = surface_strain(cloud, window=self.parameters.strain_window_px)
-            parts.append(_selected(strain, [name for name in _STRAIN if name in strain]))
-        return parts[0].assign({name: array for part in parts[1:] for name, array in part.items()})
+            parts.append(_selected(strain, [name for name in STRAIN_FIELDS if name in strain]))
+        fields = parts[0].assign({name: array for part in parts[1:] for name, array in part.items()})
+        # a viewer colours the points with a position: there has to be a value
+        return fields.assign({name: fields[name].where(np.isfinite(fields.u)) for name in ("x", "y", "z")})
 
     def _drift(self, fields: xr.Dataset, reference_step: int) -> MarkerMotion | None:
         region = self.parameters.drift_marker_px

@@ -139,9 +139,10 @@ class CouplingResult:
     shape
         ``x``, ``y``, ``z``, ``sigma_z`` of this step's surface at every camera pixel [m], float32 (row, column).
     displacement
-        At the points of the displacement grid, float32 (row, column): ``x``, ``y``, ``z`` of the reference surface,
-        ``u``, ``v``, ``w`` with ``sigma_u``, ``sigma_v``, ``sigma_w`` [m]; when asked for ``u_t``, ``v_t``, ``w_n``
-        [m] and ``e_11``, ``e_22``, ``e_12`` [-] with ``sigma_e_11``, ``sigma_e_22``, ``sigma_e_12`` [-].
+        At the points of the displacement grid, float32 (row, column): ``u``, ``v``, ``w`` with ``sigma_u``,
+        ``sigma_v``, ``sigma_w`` [m], and ``x``, ``y``, ``z`` of the reference surface where they are measured [m]; when
+        asked for ``u_t``, ``v_t``, ``w_n`` [m] and ``e_11``, ``e_22``, ``e_12`` [-] with ``sigma_e_11``,
+        ``sigma_e_22``, ``sigma_e_12`` [-].
     valid_fraction
         Measured points over all points of the displacement.
     rms
@@ -159,6 +160,18 @@ class CouplingResult:
     valid_fraction: float
     rms: float
     drift: MarkerMotion | None = None
+
+    def strain(self) -> xr.Dataset | None:
+        """Return x, y, z of the points with a measured strain, NaN elsewhere, and the strain; None without a strain.
+
+        Its windows leave a wider edge than the displacement.
+        """
+        if "e_11" not in self.displacement:
+            return None
+        names = [name for name in self.displacement if str(name).removeprefix("sigma_").startswith("e_")]
+        strain = self.displacement[names]
+        measured = strain.to_array().notnull().all("variable")
+        return self.displacement[["x", "y", "z"]].where(measured).merge(strain)
 
 
 def displacement_field(

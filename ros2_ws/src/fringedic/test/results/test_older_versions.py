@@ -34,14 +34,16 @@ def test_recording_gives_the_same_results(dataset: xr.Dataset) -> None:
     Numba compiles for the processor at hand: fused operations of another one change last bits, and derivatives of a
     displacement contain more of this than the displacement.
     """
-    expected = np.load(FOLDER / "expected.npz")
+    expected = dict(np.load(FOLDER / "expected.npz"))
     exact = str(expected["processor"]) == THIS_PROCESSOR
-    assert len(expected.files) > 25
-    for name in expected.files:
+    assert len(expected) > 25
+    for name in expected:
         if name == "processor":
             continue
         values = dataset[name].values
         values = values[:, ::6, ::6] if values.ndim == 3 else values
+        if name in ("x", "y", "z"):  # positions of points without a displacement existed in version 0.1
+            expected[name][~np.isfinite(expected["u"])] = np.nan
         assert values.dtype == expected[name].dtype, name
         if exact:
             assert np.array_equal(values, expected[name], equal_nan=True), name

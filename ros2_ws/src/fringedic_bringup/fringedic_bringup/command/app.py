@@ -87,25 +87,6 @@ def say(*lines: object) -> None:
         console.print(str(line), markup=False, highlight=False)
 
 
-def rig_path_of(rig: Path) -> Path:
-    """Return a rig file as given, or the installed one of this name.
-
-    Raises
-    ------
-    ConfigurationError
-        There is neither.
-    """
-    if rig.exists() or rig.parent != Path():
-        return rig
-    from fringedic_bringup.launch.processes import configuration
-
-    installed = configuration(f"{rig.stem}.yaml")
-    if installed.exists():
-        return installed
-    names = ", ".join(sorted(path.stem for path in installed.parent.glob("*.yaml")))
-    raise ConfigurationError(f"{rig}: no such rig file; installed with fringedic are {names}")
-
-
 def calibration_file(path: Path) -> Path:
     """Return the file of a calibration that is given as file or folder.
 

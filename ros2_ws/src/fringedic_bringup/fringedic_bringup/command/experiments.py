@@ -25,12 +25,12 @@ from fringedic_bringup.command.app import (
     for_each,
     output_folder,
     parameter_values,
-    rig_path_of,
     say,
     title_of,
     unused_folder,
 )
 from fringedic_bringup.display.progress import LiveProgress, report_table
+from fringedic_bringup.launch.rig_files import rig_path_of
 from fringedic_bringup.procedures.outcome import RunReport
 
 

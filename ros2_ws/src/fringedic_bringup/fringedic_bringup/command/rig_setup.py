@@ -9,8 +9,9 @@ from typing import Annotated
 import typer
 
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import Rig, app, console, output_folder, rig_path_of, say, unused_folder
+from fringedic_bringup.command.app import Rig, app, console, output_folder, say, unused_folder
 from fringedic_bringup.display.progress import LiveProgress
+from fringedic_bringup.launch.rig_files import rig_path_of
 from fringedic_bringup.procedures.setup_patterns import LivePattern, ShownPattern
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,12 @@ class NodeEntry:
     package: str
     executable: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
+
+    def write_parameters(self, folder: Path, **others: Any) -> Path:
+        """Write all parameters and some others into ``<name>.yaml`` of a folder, and return its path."""
+        file = folder / f"{self.name}.yaml"
+        file.write_text(yaml.safe_dump({"/**": {"ros__parameters": {**self.parameters, **others}}}))
+        return file
 
 
 @dataclass(frozen=True)
@@ -96,7 +102,7 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         *_hardware(rig, rig_path, _camera(rig, rig_path) | _truth(rig, folder) | _free_run(rig)),
         NodeEntry("experiment", "experiment_node", "experiment", settings),
     ]
-    return Graph(rig.namespace, tuple(nodes))
+    return _graph(rig, nodes)
 
 
 def calibration_graph(rig: RigFile, rig_path: Path, folder: Path) -> Graph:
@@ -113,15 +119,13 @@ def calibration_graph(rig: RigFile, rig_path: Path, folder: Path) -> Graph:
     phase = rig.nodes.phase.model_dump()
     if rig.sequence.fringe_order == "one_image":  # the positions of planes are absolute
         settings["fringe_order"], phase["relative_phase"] = "pitches", "refuse"
-    return Graph(
-        rig.namespace,
-        (
-            NodeEntry("recorder", "experiment_node", "recorder", _recorder(rig, folder)),
-            NodeEntry("phase", PROCESSING_NODES["phase"], "phase", phase),
-            *_hardware(rig, rig_path, _camera(rig, rig_path)),
-            NodeEntry("experiment", "experiment_node", "experiment", settings),
-        ),
-    )
+    nodes = [
+        NodeEntry("recorder", "experiment_node", "recorder", _recorder(rig, folder)),
+        NodeEntry("phase", PROCESSING_NODES["phase"], "phase", phase),
+        *_hardware(rig, rig_path, _camera(rig, rig_path)),
+        NodeEntry("experiment", "experiment_node", "experiment", settings),
+    ]
+    return _graph(rig, nodes)
 
 
 def live_graph(rig: RigFile, rig_path: Path, region: Sequence[int] = ()) -> Graph:
@@ -137,13 +141,8 @@ def live_graph(rig: RigFile, rig_path: Path, region: Sequence[int] = ()) -> Grap
     view: dict[str, Any] = {"full_scale_grey_level": _full_scale(rig)}
     if region:
         view["region_px"] = list(region)
-    return Graph(
-        rig.namespace,
-        (
-            NodeEntry("live_view", "camera_node", "live_view", view),
-            *_hardware(rig, rig_path, _camera(rig, rig_path)),
-        ),
-    )
+    live_view = NodeEntry("live_view", "camera_node", "live_view", view)
+    return _graph(rig, [live_view, *_hardware(rig, rig_path, _camera(rig, rig_path))])
 
 
 def exposing_graph(rig: RigFile, rig_path: Path) -> Graph:
@@ -154,7 +153,7 @@ def exposing_graph(rig: RigFile, rig_path: Path) -> Graph:
     rig, rig_path
         The rig file, and its path.
     """
-    return Graph(rig.namespace, tuple(_hardware(rig, rig_path, _camera(rig, rig_path) | {"settle_time_s": 0.0})))
+    return _graph(rig, _hardware(rig, rig_path, _camera(rig, rig_path) | {"settle_time_s": 0.0}))
 
 
 def projecting_graph(rig: RigFile, rig_path: Path) -> Graph:
@@ -218,6 +217,12 @@ def replay_graph(
             NodeEntry("player", "experiment_node", "player", player),
         ),
     )
+
+
+def _graph(rig: RigFile, nodes: Sequence[NodeEntry]) -> Graph:
+    """Return nodes in the namespace and with the frame prefix of a rig."""
+    prefix = {} if rig.frame_prefix is None else {"frame_prefix": rig.frame_prefix}
+    return Graph(rig.namespace, tuple(replace(node, parameters={**node.parameters, **prefix}) for node in nodes))
 
 
 def _processing_nodes(parameters: Mapping[str, Mapping[str, Any]]) -> list[NodeEntry]:

@@ -9,7 +9,6 @@ import os
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -21,12 +20,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import yaml
-from ament_index_python.packages import PackageNotFoundError, get_package_prefix, get_package_share_directory
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 from fringedic.errors import NodeDiedError, ProcessError
+from fringedic_bringup.launch.address import own_address
 from fringedic_bringup.launch.graph import Graph, NodeEntry
 from fringedic_bringup.launch.lease import RigLease
+from fringedic_bringup.launch.rig_files import configuration
 
 # Wait after each signal, in which a node finishes its current work.
 GRACE_S = {signal.SIGINT: 15.0, signal.SIGTERM: 5.0, signal.SIGKILL: 5.0}
@@ -162,8 +162,7 @@ class RunningGraph:
             remove_stale_segments()
 
     def _start(self, entry: NodeEntry, executable: Path) -> None:
-        parameters = self.logs / f"{entry.name}.yaml"
-        parameters.write_text(yaml.safe_dump({"/**": {"ros__parameters": dict(entry.parameters)}}))
+        parameters = entry.write_parameters(self.logs)
         arguments = ["--ros-args", "-r", f"__node:={entry.name}", "--params-file", str(parameters)]
         if self.graph.namespace:
             arguments += ["-r", f"__ns:=/{self.graph.namespace}"]
@@ -180,12 +179,18 @@ class RunningGraph:
 
 
 def node_environment(domain: int | None = None) -> dict[str, str]:
-    """Return the environment of nodes: that of this process, with the settings that reproducible results need."""
+    """Return the environment of nodes: that of this process, with the settings that reproducible results need.
+
+    Raises
+    ------
+    ProcessError
+        With other computers, and the address of this one cannot be chosen.
+    """
     environment = dict(os.environ)
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(configuration("fastdds.xml")))
     environment.setdefault("FRINGEDIC_SEGMENT_BYTES", str(_segment_bytes()))
-    environment.setdefault("FRINGEDIC_ADDRESS", _address(environment["ROS_AUTOMATIC_DISCOVERY_RANGE"]))
+    environment.setdefault("FRINGEDIC_ADDRESS", own_address(environment["ROS_AUTOMATIC_DISCOVERY_RANGE"]))
     environment |= {
         "OPENBLAS_NUM_THREADS": "1",
         "MKL_NUM_THREADS": "1",
@@ -200,16 +205,6 @@ def node_environment(domain: int | None = None) -> dict[str, str]:
     return environment
 
 
-def _address(discovery_range: str) -> str:
-    """Return the address at which nodes listen: this computer alone, or the address of its default route."""
-    if discovery_range == "LOCALHOST":
-        return "127.0.0.1"
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as towards, suppress(OSError):
-        towards.connect(("192.0.2.1", 9))  # an address for documentation; connecting a datagram socket sends nothing
-        return str(towards.getsockname()[0])
-    return "127.0.0.1"
-
-
 def _segment_bytes() -> int:
     """Return the size of a node's shared memory, which Fast DDS allocates at once, so that all nodes have enough."""
     try:
@@ -217,11 +212,6 @@ def _segment_bytes() -> int:
     except OSError:  # not Linux
         return SEGMENT_BYTES
     return min(SEGMENT_BYTES, whole // SEGMENTS)
-
-
-def configuration(name: str) -> Path:
-    """Return the path of an installed file of this package, such as a rig file."""
-    return Path(get_package_share_directory("fringedic_bringup"), "config", name)
 
 
 @contextmanager
