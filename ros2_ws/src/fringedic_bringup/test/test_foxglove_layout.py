@@ -70,6 +70,7 @@ def test_images_are_images_and_clouds_are_clouds(layout: dict[str, Any], publish
             assert [published[topic.removeprefix(NAMESPACE)] for topic in panel["topics"]] == [
                 "sensor_msgs/PointCloud2"
             ]
+            assert panel["followTf"] == "rig/reference_plane"  # with the prefix of the namespace
 
 
 def places(node: str | dict[str, Any]) -> list[str]:

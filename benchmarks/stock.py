@@ -1,0 +1,132 @@
+"""A stock ROS 2 laboratory: a step under `ros2 launch` and under the command, and a rig on two hosts.
+
+The launch file is read by the stand-in of the tests, which starts the nodes as launch_ros does. The two hosts are network
+namespaces, which need root.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+from launch_stand_in import launched
+from test_two_hosts import PROCESSING_SIDE, RIG_SIDE, lost_images
+from two_hosts import Side, two_hosts, why_not
+
+from fringedic_bringup.client import RigClient
+from fringedic_bringup.launch.graph import rig_graph
+from fringedic_bringup.launch.processes import RECORDER_GRACE_S, RunningGraph, private_domain
+from fringedic_bringup.launch.rig_files import configuration
+from fringedic_bringup.procedures.run import load_rig
+
+RIG = "plate"  # 1280x960, 16 frames a step
+ROUNDS, STEPS, HOST_STEPS = 2, 6, 20
+CUT_S = 10.0
+
+
+@contextmanager
+def by_command(folder: Path) -> Iterator[list[str]]:
+    """Start the nodes of the rig as the command does."""
+    path = configuration(f"{RIG}.yaml")
+    graph = rig_graph(load_rig(path, None, None)[0], path, folder)
+    with RunningGraph(graph, folder / "logs"):
+        yield graph.names
+
+
+@contextmanager
+def by_launch(folder: Path) -> Iterator[list[str]]:
+    """Start the nodes of the rig as the launch file does."""
+    with pytest.MonkeyPatch.context() as patch:
+        nodes = launched(patch, rig=RIG, folder=str(folder))
+    processes = [node.start(folder / f"{node.name}.txt", os.environ["ROS_DOMAIN_ID"]) for node in nodes]
+    try:
+        yield [node.name for node in nodes]
+    finally:
+        for process in processes:
+            process.send_signal(signal.SIGINT)
+        for process in processes:
+            process.wait(RECORDER_GRACE_S[signal.SIGINT])
+
+
+def step_times(names: list[str]) -> list[float]:
+    """Return the durations [s] of steps at rest; the first, in which a virtual camera renders, is left out."""
+    with RigClient() as rig:
+        rig.wait_until_ready(names)
+        return [rig.measure().duration for _ in range(STEPS + 1)][1:]
+
+
+def compare(folder: Path) -> None:
+    """Print the time of a step under launch and under the command, measured in turns."""
+    times: dict[str, list[float]] = {"fringedic run": [], "ros2 launch": []}
+    for number in range(ROUNDS):
+        for name, start in (("fringedic run", by_command), ("ros2 launch", by_launch)):
+            with private_domain() as domain:
+                os.environ["ROS_DOMAIN_ID"] = str(domain)
+                with start(folder / f"{name.split()[-1]}{number}") as names:
+                    times[name] += step_times(names)
+    for name, values in times.items():
+        print(f"{name:14} {statistics.median(values):6.2f} s a step ({min(values):.2f} to {max(values):.2f})")
+    ratio = statistics.median(times["ros2 launch"]) / statistics.median(times["fringedic run"])
+    print(f"ratio {ratio:.3f} (target: at most 1.05)")
+
+
+def measure_hosts(folder: Path) -> None:
+    """Print steps per minute of a rig on two hosts, lost images, and what a cut link costs."""
+    rig = configuration(f"{RIG}.yaml")
+    finished = set()
+    with (
+        private_domain() as domain,
+        two_hosts() as (there, here),
+        Side(here, rig, folder / "here", PROCESSING_SIDE, str(domain)) as processing,
+        Side(there, rig, folder / "there", RIG_SIDE, str(domain)) as camera,
+    ):
+        print(f"ready after {processing.ask('ready')['duration']:.1f} s")
+        processing.ask("measure")  # the virtual camera renders
+        durations = []
+        for _ in range(HOST_STEPS):
+            answer = processing.ask("measure")
+            print(f"  step: {answer}", file=sys.stderr)
+            if not answer["error"]:
+                durations.append(answer["duration"])
+                finished.add(answer["step"])
+        print(f"{len(durations)} of {HOST_STEPS} steps, {60 / statistics.median(durations):.1f} a minute")
+        processing.tell("measure")
+        time.sleep(0.5)
+        camera.host.plug("down")
+        time.sleep(CUT_S)
+        camera.host.plug("up")
+        back = time.monotonic()
+        print(f"link cut for {CUT_S:g} s: {processing.answer()['error']}")
+        while (answer := processing.ask("measure"))["error"]:
+            print(f"  again: {answer['error']}")
+        finished.add(answer["step"])
+        print(f"first step that succeeds: {time.monotonic() - back:.1f} s after the link is back")
+        camera.crash()
+        answer = processing.ask("measure")
+        print(f"host gone: after {answer['duration']:.1f} s {answer['error']}")
+    print(f"{lost_images(folder / 'here' / 'run' / 'bag', finished)} images of {len(finished)} finished steps lost")
+
+
+def main() -> None:
+    """Print both tables."""
+    with tempfile.TemporaryDirectory() as folder:
+        compare(Path(folder))
+        reason = why_not()
+        if reason:
+            print(f"two hosts are not measured: {reason}")
+        else:
+            measure_hosts(Path(folder))
+
+
+if __name__ == "__main__":
+    main()
