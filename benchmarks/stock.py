@@ -1,7 +1,7 @@
 """A stock ROS 2 laboratory: a step under `ros2 launch` and under the command, and a rig on two hosts.
 
-The launch file is read by the stand-in of the tests, which starts the nodes as launch_ros does. The two hosts are network
-namespaces, which need root.
+The launch file is read by the stand-in of the tests, which starts the nodes as launch_ros does. The two hosts are
+network namespaces, which need root.
 """
 
 from __future__ import annotations
