@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -327,7 +328,7 @@ def test_clock_that_is_set_back(studio: Studio, tmp_path: Path, monkeypatch: pyt
         responses = []
         studio.wait(lambda: responses.append(studio.capture()) or responses[-1].error_code, "the error")
         assert responses[-1].error_code == Request.CAMERA_FAILED
-        assert "the clock jumped back by 6" in responses[-1].error_message
+        assert re.search("the clock jumped back by (59|60)", responses[-1].error_message)
         response = studio.capture()
         assert response.error_code == Request.NONE, response.error_message
         assert abs(response.stamp.sec + 60 - time.time()) < 30
