@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import yaml
 from running_system import RecordedExperiment, node_pid, wait_until
 from typer.testing import CliRunner, Result
@@ -172,6 +173,10 @@ class Running:
 
         wait_until(printed, words, timeout_s=90.0)
 
+    def printed(self) -> str:
+        """Return everything that the command has printed."""
+        return self._output.read_text()
+
     def pids(self) -> list[int]:
         """Return the processes of some nodes."""
         return [node_pid(self._run, name) for name in self.NODES]
@@ -190,6 +195,21 @@ def test_a_rig_has_one_owner_whose_interruption_closes_recording_and_nodes(tiny:
     assert running.process.wait(60) == 130
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
     assert not BagReader(running.bag).lost
+    assert "--continue" in running.printed()
+    with fringedic.open_experiment(running.bag.parent) as dataset:
+        before = dataset.sizes["step"]
+    rig = tmp_path / "rig.yaml"
+    continued = fringedic_command("run", rig, "--output", running.bag.parent, "--continue")
+    assert continued.exit_code == 0, continued.output + str(continued.exception)
+    assert "1 steps are measured already" in continued.output
+    with fringedic.open_experiment(running.bag.parent) as dataset:
+        measured = dataset.step.values[dataset.error.values == ""]
+        assert len(measured) == 3 > before - 1
+        assert set(dataset.reference_step.sel(step=measured).values.tolist()) == {0}
+        position = dataset.position.sel(step=measured).values
+    assert position == pytest.approx([0.0, 0.3e-3, 0.6e-3], abs=1e-6)
+    again = fringedic_command("run", rig, "--output", running.bag.parent, "--continue")
+    assert "all 3 steps of the programme are measured" in str(again.exception)
 
 
 def test_nodes_end_with_a_killed_command(tiny: Path, tmp_path: Path) -> None:

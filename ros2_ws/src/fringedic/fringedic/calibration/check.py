@@ -107,6 +107,12 @@ class RigCheck:
         """Error of the known distance [m]; NaN when none was given."""
         return self.distance - self.expected
 
+    @property
+    def distance_sigma(self) -> float:
+        """Standard deviation of the known distance [m], from the scatter of the blocks of both planes about a plane."""
+        blocks = int(self.residual_map["residual"].count())
+        return math.sqrt(2 / blocks) * max(self.flatness, self.flatness_noise)
+
     def _find_problems(self) -> Iterator[Finding]:
         if self.flatness > GOOD * self.noise:
             yield Finding(CheckProblem.BENT)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ from fringedic.results.quantities import people_unit
 if TYPE_CHECKING:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.colors import Colormap
+    from matplotlib.figure import Figure
     from PIL import Image
 
 FRAMES = 60  # of longer experiments every n-th step is shown
@@ -54,20 +56,10 @@ def save_animation(dataset: xr.Dataset, file: str | os.PathLike[str], panel: Pan
 def animation(dataset: xr.Dataset, panel: Panel) -> bytes:
     """Return a map over the steps as a GIF; see `save_animation`."""
     with optional_import("figures"):
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
         from PIL import Image
-    steps = _measured(dataset, panel.name)
-    if not steps:
-        raise DatasetError(f"no step has the map {panel.name}")
-    steps = steps[:: -(-len(steps) // FRAMES)]
-    limits = _limits(dataset, panel, steps)
-    figure = map_figure(dataset.sel(step=steps[0]), panel, limits, title=_title(steps[0], panel))
-    canvas, palette = FigureCanvasAgg(figure), _palette(figure.axes[0].images[0].get_cmap())
-    frames: list[Image.Image] = []
-    for step in steps:
-        if frames:
-            redraw_map(figure, dataset.sel(step=step), panel, title=_title(step, panel))
-        frames.append(_drawn(canvas).quantize(palette=palette, dither=Image.Dither.NONE))
+    drawn = _frames(dataset, panel)
+    palette = _palette(drawn.figure.axes[0].images[0].get_cmap())
+    frames = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in drawn.images()]
     stream = io.BytesIO()
     durations = [FRAME_MS] * (len(frames) - 1) + [LAST_FRAME_MS]
     frames[0].save(
@@ -80,6 +72,53 @@ def animation(dataset: xr.Dataset, panel: Panel) -> bytes:
         comment=origin_text(dataset).encode("ascii"),
     )
     return stream.getvalue()
+
+
+def animation_frames(dataset: xr.Dataset, panel: Panel) -> list[bytes]:
+    """Return a map over the steps as PNG images with one colour scale, for a page that shows one after the other.
+
+    Raises
+    ------
+    DatasetError
+        No step has the map.
+    """
+    frames = []
+    for image in _frames(dataset, panel).images():
+        stream = io.BytesIO()
+        image.quantize(256).save(stream, format="PNG", optimize=True)
+        frames.append(stream.getvalue())
+    return frames
+
+
+@dataclass(frozen=True)
+class _Frames:
+    """The steps of an animation, and the figure in which one is drawn after the other."""
+
+    dataset: xr.Dataset
+    panel: Panel
+    steps: list[int]
+    figure: Figure
+
+    def images(self) -> Iterator[Image.Image]:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+        canvas = FigureCanvasAgg(self.figure)
+        for step in self.steps:
+            if step != self.steps[0]:
+                redraw_map(self.figure, self.dataset.sel(step=step), self.panel, title=_title(step, self.panel))
+            yield _drawn(canvas)
+
+
+def _frames(dataset: xr.Dataset, panel: Panel) -> _Frames:
+    with optional_import("figures"):
+        import matplotlib  # noqa: F401
+    steps = _measured(dataset, panel.name)
+    if not steps:
+        raise DatasetError(f"no step has the map {panel.name}")
+    steps = steps[:: -(-len(steps) // FRAMES)]
+    limits = _limits(dataset, panel, steps)
+    figure = map_figure(dataset.sel(step=steps[0]), panel, limits, title=_title(steps[0], panel))
+    return _Frames(dataset, panel, steps, figure)
 
 
 def _drawn(canvas: FigureCanvasAgg) -> Image.Image:

@@ -16,6 +16,7 @@ with optional_import("report"):
 MILLI, MICRO, MEGA = 1e-3, 1e-6, 1e6
 SURFACE_POINTS = 160  # along the longer side
 VECTORS = 22  # along the longer side
+_SURFACE_SIZE = 1.1  # of the longest side in the view, which shows about 2 at the distance of the eye
 _LONGEST_VECTOR = 0.12  # of the surface's longer side
 _STRAINS = ("e_11", "e_22", "e_12", "e_xx", "e_yy", "e_xy")
 _LAYOUT: dict[str, Any] = {
@@ -56,13 +57,16 @@ def surface_chart(step: xr.Dataset) -> go.Figure:
     title = f"Step {int(step.step)}: surface"
     lines, heads, factor = _vectors(step)
     if len(heads[0]):
-        title += f" and displacement x {factor:.3g}, from the line's end to its dot"
+        title += f"<br><sub>displacement x {factor:.3g}, from the line's end to its dot</sub>"
         along = dict(zip("xyz", lines, strict=True))
         figure.add_trace(go.Scatter3d(**along, mode="lines", line={"color": "crimson", "width": 3}, hoverinfo="skip"))
         tips = dict(zip("xyz", heads, strict=True))
         figure.add_trace(go.Scatter3d(**tips, mode="markers", marker={"color": "crimson", "size": 2}, hoverinfo="skip"))
     axes: dict[str, Any] = {f"{axis}axis_title": f"{axis} [mm]" for axis in "xyz"}
-    axes |= {"aspectmode": "data", "camera": {"eye": {"x": 0.6, "y": -1.9, "z": 1.6}}}
+    # in proportion, but of a fixed size: plotly's own proportions draw a flat surface larger than its frame
+    sizes = {axis: float(np.nanmax(values) - np.nanmin(values)) for axis, values in zip("xyz", at, strict=True)}
+    proportions = {axis: _SURFACE_SIZE * size / max(sizes.values()) for axis, size in sizes.items()}
+    axes |= {"aspectmode": "manual", "aspectratio": proportions, "camera": {"eye": {"x": 0.5, "y": -1.5, "z": 1.3}}}
     figure.update_layout(**{**_LAYOUT, "height": 620}, title=title, scene=axes, showlegend=False)
     return figure
 

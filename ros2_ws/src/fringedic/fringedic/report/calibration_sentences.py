@@ -141,7 +141,9 @@ def check_sentence(check: RigCheck) -> str:
         return f"The rig does not hold its calibration: {problems}. Calibrate again."
     scale = ""
     if not math.isnan(check.expected):
-        scale = f"; {_MM * check.expected:.4g} mm are measured as {_MM * check.distance:.5g} mm"
+        digits = max(1, min(6, 1 - math.floor(math.log10(_MM * max(check.distance_sigma, 1e-9)))))
+        measured = f"{_MM * check.distance:.{digits}f} ± {_MM * check.distance_sigma:.{digits}f} mm"
+        scale = f"; {_MM * check.expected:.3f} mm measured as {measured}"
     change = ", but there is a significant change" if check.verdict is CheckVerdict.HOLDS_WITH_CHANGE else ""
     flat = f"the plate is measured as flat to {_micro(check.flatness)} ({_noise(check.noise)})"
     return f"The rig holds its calibration{change}: {flat}{scale}."

@@ -15,10 +15,10 @@ import numpy as np
 import xarray as xr
 
 from fringedic.errors import DatasetError, FringedicError
-from fringedic.figures.animation import animation
+from fringedic.figures.animation import FRAME_MS, animation_frames
 from fringedic.figures.charts import curve_charts, extensometer_charts, surface_chart
 from fringedic.figures.maps import maps_figure, reference_figure
-from fringedic.figures.panels import DISPLACEMENT, DISPLACEMENT_IN_IMAGE, FLAT_STRAIN, pictures_of
+from fringedic.figures.panels import DISPLACEMENT, DISPLACEMENT_IN_IMAGE, ERRORS, FLAT_STRAIN, pictures_of
 from fringedic.frames.region import Point, Region
 from fringedic.inputs.arguments import check_arguments, optional, path, several, whole
 from fringedic.metadata import NOISE_COLUMNS
@@ -38,6 +38,7 @@ from fringedic.results.opening import open_experiment
 from fringedic.results.probes import extensometer
 from fringedic.results.step_maps import with_principal_strains
 from fringedic.results.stores import SUFFIXES
+from fringedic.results.truth import open_truth, truth_errors
 from fringedic.rig_setup.advice import Advice
 from fringedic.rig_setup.recommended_settings import advise_settings
 
@@ -173,6 +174,7 @@ def _content(
         "steps": step_columns(dataset),
         "regions": region_rows(dataset.sel(step=_last_measured(dataset)), regions),
         "truth": truth,
+        "error_maps": _error_maps(dataset, files.folder / TRUTH),
         "parameters": json.dumps(data.attribute("parameters"), indent=1),
         "calibration": json.dumps(data.calibration, indent=1),
         **_conditions(data),
@@ -212,6 +214,7 @@ def _pictures(data: ReportData, gauges: Mapping[str, GaugePoints]) -> dict[str, 
         "reference": _reference(data.dataset, last, gauges),
         "maps": [base64_png(maps_figure(last, panels, title=f"step {shown}")) for panels in pictures_of(last).values()],
         "animation": _animation(data.dataset),
+        "frame_ms": FRAME_MS,
         "surface": chart_html(surface_chart(last)) if surface else "",
         "curves": [chart_html(chart) for chart in curve_charts(data.dataset, data.section)],
         "plotly": chart_script(),
@@ -288,10 +291,24 @@ def _reference(dataset: xr.Dataset, measured: xr.Dataset, gauges: Mapping[str, G
     return base64_png(reference_figure(reference, measured, gauges))
 
 
-def _animation(dataset: xr.Dataset) -> str:
+def _animation(dataset: xr.Dataset) -> list[str]:
+    """Return a map over the steps as pictures; none when no step has one."""
     for panel in (DISPLACEMENT[-1], FLAT_STRAIN[1], DISPLACEMENT_IN_IMAGE[-1]):
         try:
-            return base64_text(animation(dataset, panel))
+            return [base64_text(frame) for frame in animation_frames(dataset, panel)]
         except DatasetError:
             continue
-    return ""
+    return []
+
+
+def _error_maps(dataset: xr.Dataset, file: Path) -> str:
+    """Return the maps of the errors of the last step against the truth of a virtual rig; empty without one."""
+    if not file.exists():
+        return ""
+    step = _last_measured(dataset)
+    try:
+        with open_truth(file) as truth:
+            errors = truth_errors(dataset, truth, step)
+            return base64_png(maps_figure(errors, ERRORS, title=f"step {step}: measured minus true"))
+    except DatasetError:
+        return ""  # the warnings say why

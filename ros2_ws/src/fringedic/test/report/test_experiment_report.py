@@ -211,7 +211,7 @@ def test_the_page_says_everything_and_needs_no_network(page):
     assert "simulated" not in page.split("</style>")[1].split("<script")[0]
     text = re.sub(r"<script.*?</script>", "", page, flags=re.DOTALL)
     assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)=[\"']?(https?:)?//", page), "loads from the network"
-    assert re.findall(r"<img[^>]+src=\"(data:image/\w+);base64", text) == ["data:image/png"] * 4 + ["data:image/gif"]
+    assert re.findall(r"<img[^>]+src=\"(data:image/\w+);base64", text) == ["data:image/png"] * (4 + 5)
     assert len(page) < 15e6
     assert (
         page.count('class="plotly-graph-div"') == 7
@@ -247,10 +247,14 @@ def test_the_moving_picture_has_one_frame_per_measured_step(dataset, tmp_path):
         save_animation(dataset, tmp_path / "x.gif", Panel("nothing", ""))
 
 
-def test_the_moving_picture_of_the_page_is_one(page):
-    data = re.search(r"data:image/gif;base64,([^\"]+)", page)[1]
-    with Image.open(io.BytesIO(base64.b64decode(data))) as picture:
-        assert picture.n_frames == 5
+def test_the_page_shows_the_last_step_of_its_moving_picture_until_the_slider_moves(page):
+    player = page.split('<figure class="player"')[1].split("</figure>")[0]
+    frames = re.findall(r"<img [^>]*base64,([^\"]+)\"( hidden)?>", player)
+    assert [bool(hidden) for _, hidden in frames] == [True] * 4 + [False]
+    assert 'max="4" value="4"' in player
+    pictures = [Image.open(io.BytesIO(base64.b64decode(data))) for data, _ in frames]
+    assert len({picture.size for picture in pictures}) == 1
+    assert len({picture.tobytes() for picture in pictures}) == 5
 
 
 @pytest.mark.usefixtures("page")

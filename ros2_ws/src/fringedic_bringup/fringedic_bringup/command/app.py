@@ -30,10 +30,15 @@ app = typer.Typer(
 )
 console = Console(width=None if sys.stdout.isatty() else 120)
 
-Rig = Annotated[Path, typer.Argument(help="Rig file, or the name of one that is installed with fringedic.")]
+
+def begin(path: Path) -> Path:
+    """Return a path, and print it as the first line of a command: libraries and nodes load for seconds after it."""
+    say(f"reading {path}")
+    return path
 
 
 def _recording(path: Path) -> Path:
+    begin(path)
     from fringedic.recording.bag_files import recording_of
 
     return recording_of(path)
@@ -42,6 +47,13 @@ def _recording(path: Path) -> Path:
 def _recordings(paths: list[Path]) -> list[Path]:
     return [_recording(path) for path in paths]
 
+
+Rig = Annotated[
+    Path, typer.Argument(help="Rig file, or the name of one that is installed with fringedic.", callback=begin)
+]
+Source = Annotated[
+    Path, typer.Argument(metavar="BAG|DATASET", help="Recording, folder of a run, or dataset.", callback=begin)
+]
 
 Bag = Annotated[Path, typer.Argument(help="Folder of a recording, or of a run.", callback=_recording)]
 Bags = Annotated[

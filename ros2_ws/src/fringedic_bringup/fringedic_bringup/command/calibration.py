@@ -9,7 +9,16 @@ from typing import Annotated
 import typer
 
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import Overwrite, Rig, app, console, output_file, say, unused_folder
+from fringedic_bringup.command.app import (
+    Overwrite,
+    Rig,
+    app,
+    begin,
+    console,
+    output_file,
+    say,
+    unused_folder,
+)
 from fringedic_bringup.display.progress import LiveProgress
 from fringedic_bringup.launch.rig_files import rig_path_of
 from fringedic_bringup.procedures.outcome import CalibrationReport
@@ -32,6 +41,7 @@ def calibrate(
     """Calibrate camera and rig with a printed grid and a plane at known angles; exit code 1 for NO-GO."""
     if (rig is None) == (recording is None):
         raise ConfigurationError("give a rig file, or with --from the recording of a calibration")
+    begin(rig or recording or output)
     folder = unused_folder(output)
     with LiveProgress(console) as progress:
         if recording is not None:

@@ -20,6 +20,7 @@ from fringedic_bringup.command.app import (
     Settings,
     Steps,
     app,
+    begin,
     calibration_file,
     console,
     for_each,
@@ -48,16 +49,21 @@ def run(
     programme: Annotated[Path | None, typer.Option(help="Load steps that replace those in the rig file.")] = None,
     output: Output = None,
     images: Annotated[Path | None, typer.Option(help="Folder of images for a rig whose camera reads files.")] = None,
+    resume: Annotated[
+        bool, typer.Option("--continue", help="Go on with the programme where the recording in --output ends.")
+    ] = False,
 ) -> None:
     """Run the load steps of a rig: start its nodes; move, hold and measure each step; record everything."""
     from fringedic_bringup.procedures.run import load_rig, run_experiment
 
     path = rig_path_of(rig)
     rig_file, steps = load_rig(path, programme, images)
+    if resume and output is None:
+        raise ConfigurationError("--continue needs --output, the folder of the run to go on with")
     stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
     folder = output_folder(output or Path(rig_file.recording.folder) / f"{steps.experiment}-{stamp}")
     with LiveProgress(console) as progress:
-        report = run_experiment(rig_file, path, steps, folder, progress)
+        report = run_experiment(rig_file, path, steps, folder, progress, resume=resume)
     _finish([report])
 
 
@@ -67,6 +73,7 @@ def demo(
     output: Annotated[Path, typer.Option(help="Folder for recordings, datasets and pictures.")] = Path("demo"),
 ) -> None:
     """Calibrate virtual rigs, measure three specimens with the real nodes and compare with the ground truth."""
+    begin(Path(", ".join(specimens or list(Specimen))))
     from fringedic_bringup.launch.processes import private_domain
     from fringedic_bringup.procedures.demo import run_demo
 
@@ -138,6 +145,15 @@ def _finish(reports: list[RunReport]) -> None:
             say(f"{report.folder}: complete recording (bag), no dataset: {report.unmeasured}")
         else:
             say(f"{report.folder}: report.html, recording (bag), dataset (results.nc), {len(report.pictures)} pictures")
+    for report in reports:
+        if report.interrupted:
+            say(f"{_measured(report)}; to go on, repeat the command with --output {report.folder} --continue")
+            raise typer.Exit(130)
     failed = [report.experiment for report in reports if report.failed]
     if failed:
         raise StepFailedError(f"steps failed, or frames or results are missing, in: {', '.join(failed)}")
+
+
+def _measured(report: RunReport) -> str:
+    count = sum(not step.error for step in report.steps)
+    return f"{count} step{'s' if count != 1 else ''} measured and saved"

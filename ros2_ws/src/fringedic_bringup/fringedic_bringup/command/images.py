@@ -11,6 +11,7 @@ from fringedic.errors import ConfigurationError, StepFailedError
 from fringedic_bringup.command.app import (
     Overwrite,
     app,
+    begin,
     console,
     kept_if_filled,
     named_gauges,
@@ -59,13 +60,13 @@ def measure(  # noqa: PLR0913 (options of a command)
     overwrite: Overwrite = False,
 ) -> None:
     """Measure displacement and strain of images of a flat specimen; write dataset and report."""
+    begin(images[0])
     target = output_file(output / DATASET, overwrite)
     gauges, regions = named_gauges(extensometer), named_regions(region)
     if pixel_size_mm is not None and not 0 < pixel_size_mm < 1000:
         raise ConfigurationError(f"--pixel-size-mm {pixel_size_mm:g}: give the size of a pixel in mm, such as 0.05")
     if scale_length_mm is not None and not scale_length_mm > 0:
         raise ConfigurationError(f"--scale-length-mm {scale_length_mm:g}: give a known length in mm, such as 20")
-    say(f"reading {images[0]}")
     from fringedic.frames.files import image_files, read_grey
     from fringedic.report import write_report
     from fringedic.report.image_series import failure_sentences, series_sentences

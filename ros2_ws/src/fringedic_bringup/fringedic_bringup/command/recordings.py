@@ -18,6 +18,7 @@ from fringedic_bringup.command.app import (
     Overwrite,
     ReferenceStep,
     Settings,
+    Source,
     Steps,
     app,
     calibration_file,
@@ -123,7 +124,7 @@ def recover(bag: Bag, output: Output = None) -> None:
 
 @app.command(epilog="Example: fringedic export recordings/plate-7/bag --to vtk --to csv --output plate-7")
 def export(
-    source: Annotated[Path, typer.Argument(metavar="BAG|DATASET", help="Recording, folder of a run, or dataset.")],
+    source: Source,
     formats: Annotated[
         list[str] | None,
         typer.Option("--to", metavar="FORMAT", help="netcdf, zarr, vtk, ply, csv, mat, tiff, png, gif or r3xa."),
@@ -151,7 +152,7 @@ def export(
 
 @app.command(epilog="Example: fringedic report recordings/plate-7/bag --output plate-7.html")
 def report(
-    source: Annotated[Path, typer.Argument(metavar="BAG|DATASET", help="Recording, folder of a run, or dataset.")],
+    source: Source,
     output: Annotated[Path | None, typer.Option(help="HTML file; report.html beside the recording by default.")] = None,
     static: Annotated[
         list[int] | None,

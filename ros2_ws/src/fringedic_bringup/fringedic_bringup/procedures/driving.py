@@ -29,6 +29,13 @@ INTERRUPTION_S = 5.0  # wait for the answer to hold and cancel
 RESTART_S = 40.0  # from the start of a node until it is ready and its predecessor's lease has ended
 
 
+class RecordedSteps(NamedTuple):
+    """Numbers of the measured steps of a recording, and of its last step; -1 without steps."""
+
+    measured: list[int]
+    last: int
+
+
 class Driven(NamedTuple):
     """Outcome of a programme.
 
@@ -41,14 +48,24 @@ class Driven(NamedTuple):
         missing or count from another step; None when none ended.
     ended_early
         Why the programme ended before its last step; empty when it did not.
+    interrupted
+        Whether a person ended it by Ctrl-C.
     """
 
     steps: list[StepReport]
     measure_again: int | None
     ended_early: str = ""
+    interrupted: bool = False
 
 
-def drive(running: RunningGraph, programme: Programme, progress: Progress, *, domain: int | None = None) -> Driven:
+def drive(
+    running: RunningGraph,
+    programme: Programme,
+    progress: Progress,
+    *,
+    domain: int | None = None,
+    before: RecordedSteps | None = None,
+) -> Driven:
     """Move, hold and measure, step by step; a failed step is reported and the next one follows.
 
     What was measured is returned whatever happens later: nodes that end again and again, or answers that never come,
@@ -64,6 +81,8 @@ def drive(running: RunningGraph, programme: Programme, progress: Progress, *, do
         Receives the progress.
     domain
         ROS_DOMAIN_ID; None takes the one of the environment.
+    before
+        Steps of the programme that an earlier run has done: they are left out.
 
     Raises
     ------
@@ -76,23 +95,36 @@ def drive(running: RunningGraph, programme: Programme, progress: Progress, *, do
         rig.wait_until_ready(running.graph.names)
         if any(until.needs_strain for until in programme.conditions()):
             rig.wait_for_strain()
-        measured = sum(step.mode != "none" for step in programme.load_steps())
-        driver = _Driver(running, rig, progress, measured - 1)
+        count = sum(step.mode != "none" for step in programme.load_steps())
+        driver = _Driver(running, rig, progress, count - 1)
+        measured = 0
+        if before is not None:
+            measured, rig.last_step = len(before.measured), before.last
         walk = programme.walk(lambda end: progress.note(block_end_sentence(end)))
         reading: Reading | None = None
-        ended_early = ""
+        ended_early, interrupted = "", False
         try:
             with suppress(StopIteration):
                 while True:
-                    reading = driver.do(walk.send(reading))
+                    step = walk.send(reading)
+                    if measured:
+                        measured -= step.mode != "none"
+                    else:
+                        reading = driver.do(step)
             driver.finish()
         except FringedicError as error:
             ended_early = str(error)
             progress.note(f"the programme ends early: {ended_early}")
             driver.interrupt()
+        except KeyboardInterrupt:
+            ended_early, interrupted = "interrupted by Ctrl-C", True
+            progress.note(
+                "interrupted: the machine is requested to hold, and the results of what was measured are written"
+            )
+            driver.interrupt()
     first = next((report.step for report in driver.reports if not report.error), None)
     own = any(step.set_reference for step in programme.load_steps())
-    return Driven(driver.reports, first if driver.interrupted and not own else None, ended_early)
+    return Driven(driver.reports, first if driver.interrupted and not own else None, ended_early, interrupted)
 
 
 class _Driver:

@@ -75,6 +75,8 @@ class RunReport:
         Why the steps have no errors although there is a ground truth; empty when they have.
     ended_early
         Why the programme ended before its last step; empty when it did not.
+    interrupted
+        Whether a person ended it by Ctrl-C.
     """
 
     experiment: str
@@ -84,6 +86,7 @@ class RunReport:
     unmeasured: str = ""
     no_errors: str = ""
     ended_early: str = ""
+    interrupted: bool = False
 
     @property
     def failed(self) -> bool:

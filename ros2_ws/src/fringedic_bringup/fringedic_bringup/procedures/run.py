@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -27,10 +29,11 @@ from fringedic.report.calibration_sentences import in_force_words
 from fringedic.report.experiment import TRUTH
 from fringedic.report.forecast import forecast_sentence
 from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
-from fringedic_bringup.launch.graph import rig_graph
+from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.procedures.driving import drive
+from fringedic_bringup.procedures.driving import RecordedSteps, drive, next_part
 from fringedic_bringup.procedures.outcome import Progress, RunReport, StepReport
+from fringedic_msgs.msg import StepStatus
 
 Reconstruct = Callable[[xr.DataArray], xr.Dataset]
 
@@ -79,6 +82,7 @@ def run_experiment(
     progress: Progress,
     *,
     domain: int | None = None,
+    resume: bool = False,
 ) -> RunReport:
     """Run a programme on a rig and leave recording, dataset, pictures, report and logs in a folder.
 
@@ -98,36 +102,86 @@ def run_experiment(
         Receives the progress.
     domain
         ROS_DOMAIN_ID; None takes the one of the environment.
+    resume
+        Go on with the programme where the recording in the folder ends; all steps are then measured again from the
+        recorded frames, against the first one.
 
     Raises
     ------
     ConfigurationError
-        The folder contains a recording already.
+        The folder contains a recording already; or, with `resume`, none, or the programme has conditions.
     RecordingError
         The disk has less space than the programme needs; nothing was started.
     NodeDiedError, WaitTimeoutError, StepFailedError
         The nodes did not start, or one of them ended repeatedly.
     """
-    if (folder / "bag").exists():
-        raise ConfigurationError(f"{folder} contains a recording already; choose another --output")
+    if (folder / "bag").exists() != resume:
+        raise ConfigurationError(
+            f"{folder} contains no recording to continue; give the folder of the run as --output"
+            if resume
+            else f"{folder} contains a recording already; choose another --output, or go on with it by --continue"
+        )
+    before = _recorded_steps(folder / "bag", programme) if resume else None
     expected = forecast(rig, programme)
     progress.note(f"{programme.experiment}: {forecast_sentence(expected)}")
     expected.check_disk(folder)
     graph = rig_graph(rig, rig_path, folder, experiment=programme.experiment)
+    if before is not None:
+        progress.note(f"{programme.experiment}: {len(before.measured)} steps are measured already")
+        graph = _continued(graph, folder / "bag", before)
     if isinstance(rig.calibration, str) and rig.calibration != VIRTUAL_RIG:
         for words in in_force_words(rig_path.parent / rig.calibration, datetime.now(UTC)):
             progress.note(words)
     progress.stage(f"{programme.experiment}: starting {len(graph.nodes)} nodes")
     with RunningGraph(graph, folder / "logs", domain=domain) as running:
-        driven = drive(running, programme, progress, domain=domain)
+        driven = drive(running, programme, progress, domain=domain, before=before)
         progress.stage(f"{programme.experiment}: closing the recording")
     join_parts(folder / "bag", progress, rig.recording.split)
     progress.stage(f"{programme.experiment}: writing dataset, pictures and report")
-    report = write_results(
-        programme.experiment, folder, driven.steps, exact=_exact(rig), measure_again=driven.measure_again
-    )
-    report.ended_early = driven.ended_early
+    again = before.measured[0] if before is not None and before.measured else driven.measure_again
+    report = write_results(programme.experiment, folder, driven.steps, exact=_exact(rig), measure_again=again)
+    report.ended_early, report.interrupted = driven.ended_early, driven.interrupted
     return report
+
+
+def _recorded_steps(bag: Path, programme: Programme) -> RecordedSteps:
+    """Return the steps of a recording that a programme goes on with.
+
+    Raises
+    ------
+    ConfigurationError
+        The programme has conditions, whose readings are not known any more, or every step is measured.
+    """
+    if programme.conditions():
+        raise ConfigurationError(
+            f"{programme.experiment} has conditions (until), which need the readings of all steps: start a new run"
+        )
+    reader = BagReader(bag)
+    statuses = [message for _, message, _ in reader.messages(reader.find("experiment/step").values())]
+    measured = sorted({status.step for status in statuses if status.stage == StepStatus.END})
+    count = sum(step.mode != "none" for step in programme.load_steps())
+    if len(measured) >= count:
+        raise ConfigurationError(f"{bag.parent}: all {count} steps of the programme are measured")
+    return RecordedSteps(measured, max((status.step for status in statuses), default=-1))
+
+
+def _continued(graph: Graph, bag: Path, before: RecordedSteps) -> Graph:
+    """Return a graph that records the next part, with the next numbers of steps; the truth ends with the first part."""
+    changes: dict[str, dict[str, Any]] = {
+        "recorder": {"bag_path": str(next_part(bag).absolute())},
+        "experiment": {"first_step": before.last + 1},
+        "camera": {"truth_folder": ""},
+    }
+    nodes = (
+        replace(node, parameters={**node.parameters, **_known(node, changes.get(node.name, {}))})
+        for node in graph.nodes
+    )
+    return replace(graph, nodes=tuple(nodes))
+
+
+def _known(node: NodeEntry, changes: dict[str, Any]) -> dict[str, Any]:
+    """Return changes without a truth for a camera that writes none."""
+    return {name: value for name, value in changes.items() if name != "truth_folder" or name in node.parameters}
 
 
 def join_parts(bag: Path, progress: Progress, split: Split) -> None:
@@ -182,11 +236,11 @@ def write_results(
         report.dropped, report.missing = losses.get(report.step, (0, 0))
     try:
         if measure_again is not None:
-            process_bag(bag, output=target, experiment=experiment, reference=measure_again)
+            process_bag(bag, output=target, experiment=experiment, reference=measure_again, overwrite=True)
         elif recorded.find_optional("phase/status"):
-            dataset_from_derived(bag, output=target, experiment=experiment)
+            dataset_from_derived(bag, output=target, experiment=experiment, overwrite=True)
         else:
-            process_bag(bag, output=target, experiment=experiment)
+            process_bag(bag, output=target, experiment=experiment, overwrite=True)
     except DatasetError as error:
         return RunReport(experiment, folder, steps, [], unmeasured=str(error))
     with open_experiment(target) as dataset:
