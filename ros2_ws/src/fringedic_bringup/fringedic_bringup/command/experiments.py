@@ -64,7 +64,8 @@ def run(
     folder = output_folder(output or Path(rig_file.recording.folder) / f"{steps.experiment}-{stamp}")
     with LiveProgress(console) as progress:
         report = run_experiment(rig_file, path, steps, folder, progress, resume=resume)
-    _finish([report])
+    _tell(report)
+    _check([report])
 
 
 @app.command(epilog="Example: fringedic demo --output demo plate leather")
@@ -79,8 +80,11 @@ def demo(
 
     rigs = {specimen.value: rig_path_of(Path(specimen)) for specimen in specimens or list(Specimen)}
     with LiveProgress(console) as progress, private_domain() as domain:
-        reports = run_demo(rigs, unused_folder(output), progress, domain=domain)
-    _finish(reports)
+        reports = []
+        for report in run_demo(rigs, unused_folder(output), progress, domain=domain):
+            _tell(report)  # at once: the next experiment takes minutes
+            reports.append(report)
+    _check(reports)
 
 
 @app.command(epilog="Example: fringedic replay recordings/plate-7/bag --set dic.window=24 --output window-24")
@@ -129,22 +133,32 @@ def _by_node(values: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     return nodes
 
 
-def _finish(reports: list[RunReport]) -> None:
-    """Print the outcome of experiments.
+def _tell(report: RunReport) -> None:
+    """Print the outcome of an experiment."""
+    console.print(report_table(report))
+    if report.ended_early:
+        say(f"{report.experiment} ended early: {report.ended_early}")
+    if report.unmeasured:
+        say(f"{report.folder}: complete recording (bag), no dataset: {report.unmeasured}")
+        return
+    say(f"{report.folder}: report.html, recording (bag), dataset (results.nc), {len(report.pictures)} pictures")
+    if report.pictures:
+        say(f"picture of the last step: {_last_picture(report)}")
+
+
+def _last_picture(report: RunReport) -> Path:
+    """Return the picture of shape and displacement of the last step that has one."""
+    return max(picture for picture in report.pictures if picture.stem.count("_") == 1)
+
+
+def _check(reports: list[RunReport]) -> None:
+    """End the command according to the outcome of experiments.
 
     Raises
     ------
     StepFailedError
         One of them is not complete.
     """
-    for report in reports:
-        console.print(report_table(report))
-        if report.ended_early:
-            say(f"{report.experiment} ended early: {report.ended_early}")
-        if report.unmeasured:
-            say(f"{report.folder}: complete recording (bag), no dataset: {report.unmeasured}")
-        else:
-            say(f"{report.folder}: report.html, recording (bag), dataset (results.nc), {len(report.pictures)} pictures")
     for report in reports:
         if report.interrupted:
             say(f"{_measured(report)}; to go on, repeat the command with --output {report.folder} --continue")

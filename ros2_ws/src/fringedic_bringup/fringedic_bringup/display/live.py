@@ -52,9 +52,10 @@ def draw_continuously(console: Console, views: Iterable[LiveView], pattern: Live
     rig
         Name of the rig, for the title.
     """
-    rate = _Rate()
+    rate, later = _Rate(), iter(views)
+    next(later, None)  # noise and motion need two frames
     with Live(console=console, auto_refresh=False, screen=True) as screen:
-        for figures in views:
+        for figures in later:
             speed = f"{rate.tick():.1f} frames/s"
             screen.update(drawing(figures, pattern, f"{title(figures, pattern, rig)}, {speed}"), refresh=True)
 

@@ -70,7 +70,6 @@ def calibrate(
         if camera.error_code:
             words = [_failure(camera)]
         else:
-            progress.note(camera.verdict)
             result = client.calibrate_rig(
                 plane.angles,
                 plane.heights,

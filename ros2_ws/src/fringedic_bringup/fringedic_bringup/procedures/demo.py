@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 from fringedic.errors import StepFailedError
@@ -13,8 +13,8 @@ from fringedic_bringup.procedures.run import load_rig, run_experiment
 
 def run_demo(
     rigs: Mapping[str, Path], folder: Path, progress: Progress, *, domain: int | None = None
-) -> list[RunReport]:
-    """Calibrate every rig with its grid and planes, and run its programme with that calibration.
+) -> Iterator[RunReport]:
+    """Calibrate each rig with its grid and planes, run its programme with that calibration, and yield the outcome.
 
     Rigs with the same camera, projector and stage are calibrated once.
 
@@ -34,7 +34,6 @@ def run_demo(
     StepFailedError
         The result of a calibration is NO-GO.
     """
-    reports = []
     calibrations: dict[str, CalibrationReport] = {}
     for name, path in rigs.items():
         rig, programme = load_rig(path, None, None)
@@ -49,5 +48,4 @@ def run_demo(
         if not calibration.go:
             raise StepFailedError(f"{name}: {calibration.words[-1]}")
         rig = rig.model_copy(update={"calibration": str(calibration.file.absolute())})
-        reports.append(run_experiment(rig, path, programme, folder / name, progress, domain=domain))
-    return reports
+        yield run_experiment(rig, path, programme, folder / name, progress, domain=domain)
