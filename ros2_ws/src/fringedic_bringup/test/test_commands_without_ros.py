@@ -69,6 +69,11 @@ def commands(folder: Path) -> dict[str, list[str]]:
     bag = str(folder / "run" / "bag")
     dataset = str(folder / "without_ros.nc")
     return {
+        "init": [
+            *("init", str(folder / "bench.yaml"), "--camera", "aravis", "--image-size", "1280x960", "--display", "1"),
+            *("--camera-address", "192.168.5.20", "--projector-size", "1920x1080", "--grid-pitch-mm", "0.5"),
+            *("--operator", "Ada"),
+        ],
         "measure": ["measure", *images, "--spacing", "4", "--output", str(folder / "measured")],
         "advise": ["advise", *images],
         "noise": ["noise", *(word for image in images for word in ("--images", image)), "--output", str(folder / "n")],
@@ -154,7 +159,15 @@ def test_help_shows_an_example_without_ros(name: str, outcomes: dict[str, Outcom
 
 def test_results_are_written(folder: Path, outcomes: dict[str, Outcome]) -> None:
     assert outcomes
-    names = ("measured/displacement.nc", "n/noise_floor.yaml", "region.png", "region.yaml", "grid.pdf", "recovered")
+    names = (
+        "measured/displacement.nc",
+        "n/noise_floor.yaml",
+        "region.png",
+        "region.yaml",
+        "grid.pdf",
+        "recovered",
+        "bench.yaml",
+    )
     for name in (*names, "without_ros.nc", "report.html"):
         assert (folder / name).exists(), name
     assert list((folder / "exported").glob("*.nc"))

@@ -36,6 +36,7 @@ class Mistake(NamedTuple):
     left: frozenset[str] = frozenset()
 
 
+ANSWERS = "--camera aravis --camera-address 1 --display 1 --projector-size 800x600 --grid-pitch-mm 0.5 --operator Ada"
 MISTAKES = [
     # the command line
     Mistake("mesure a.tif b.tif", MISWRITTEN, "No such command 'mesure'. Did you mean 'measure'?"),
@@ -138,6 +139,10 @@ MISTAKES = [
     Mistake("calibrate tiny --angles-deg 0.1,0.2", UNUSABLE, "need at least 4"),
     Mistake("calibrate tiny --angles-deg 0,ten", UNUSABLE, "numbers separated by commas"),
     Mistake("calibrate tiny --angles-deg 0,-95,95", UNUSABLE, "80"),
+    Mistake("init new.yaml --camera webcam", MISWRITTEN, "'webcam'"),
+    Mistake(f"init new.yaml --image-size 1280 {ANSWERS}", UNUSABLE, "image size 1280: give width and height in px"),
+    Mistake(f"init new.yaml --image-size 8x8 {ANSWERS}", UNUSABLE, "camera.width"),
+    Mistake(f"init rig.yaml --image-size 1280x960 {ANSWERS}", UNUSABLE, "rig.yaml exists already"),
     Mistake("check rig.yaml", UNUSABLE, "nothing to check"),
     Mistake("live tiny --region 3,4,5", UNUSABLE, "such as 320,240,640,480"),
     Mistake("show tiny stripes", UNUSABLE, "use one of crosshair"),

@@ -3,16 +3,57 @@
 from __future__ import annotations
 
 from contextlib import closing, suppress
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import Rig, app, console, output_folder, say, unused_folder
+from fringedic_bringup.command.app import Overwrite, Rig, app, console, output_file, output_folder, say, unused_folder
 from fringedic_bringup.display.progress import LiveProgress
 from fringedic_bringup.launch.rig_files import rig_path_of
 from fringedic_bringup.procedures.setup_patterns import LivePattern, ShownPattern
+
+
+class CameraKind(StrEnum):
+    """The cameras that a new rig file can name."""
+
+    ARAVIS = "aravis"
+    V4L2 = "v4l2"
+
+
+@app.command(epilog="Example: fringedic init bench.yaml")
+def init(  # noqa: PLR0913 (options of a command)
+    camera: Annotated[
+        CameraKind,
+        typer.Option(prompt="1 of 7  Camera: GigE or USB3 Vision, or USB video", help="Kind."),
+    ],
+    image_size: Annotated[str, typer.Option(prompt="2 of 7  Image size in px, such as 1280x960", help="In px.")],
+    rig: Annotated[Path, typer.Argument(help="Rig file to write.")] = Path("bench.yaml"),
+    camera_address: Annotated[
+        str,
+        typer.Option(prompt="3 of 7  Its address or device, Enter for the only one", help="Of the camera."),
+    ] = "",
+    display: Annotated[
+        int, typer.Option(prompt="4 of 7  Number of the projector among the displays, from 0", help="Of the projector.")
+    ] = 1,
+    projector_size: Annotated[
+        str, typer.Option(prompt="5 of 7  Resolution of the projector in px", help="Of the projector in px.")
+    ] = "1920x1080",
+    grid_pitch_mm: Annotated[
+        float,
+        typer.Option(prompt="6 of 7  Distance of the printed grid's lines in mm", help="Of the grid's lines."),
+    ] = 0.5,
+    operator: Annotated[str, typer.Option(prompt="7 of 7  Your name, for the reports", help="For the reports.")] = "",
+    overwrite: Overwrite = False,
+) -> None:
+    """Ask seven questions and write a rig file; options answer questions in advance."""
+    from fringedic_bringup.procedures.new_rig import Answers, write_rig_file
+
+    answers = Answers(camera.value, camera_address, image_size, display, projector_size, grid_pitch_mm, operator)
+    write_rig_file(output_file(rig, overwrite), answers)
+    say(f"rig file: {rig}; next: fringedic live {rig}")
 
 
 @app.command(epilog="Example: fringedic live plate.yaml --pattern fringes --region 320,240,640,480")
