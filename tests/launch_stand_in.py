@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import runpy
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -73,6 +74,7 @@ class Node:
     respawn_delay: float
     sigterm_timeout: str
     sigkill_timeout: str
+    prefix: str
     output: str
 
     def start(self, log: Path, domain: str) -> subprocess.Popen[bytes]:
@@ -80,7 +82,7 @@ class Node:
         executable = Path(get_package_prefix(self.package), "lib", self.package, self.executable)
         rules = ["-r", f"__node:={self.name}", "-r", f"__ns:=/{self.namespace}"]
         files = [word for file in self.parameters for word in ("--params-file", file)]
-        command = [str(executable), "--ros-args", *self.ros_arguments, *rules, *files]
+        command = [*shlex.split(self.prefix), str(executable), "--ros-args", *self.ros_arguments, *rules, *files]
         environment = {**os.environ, **self.additional_env, "ROS_DOMAIN_ID": domain}
         with log.open("wb") as output:
             return subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, env=environment)

@@ -106,8 +106,10 @@ def test_two_sides_measure_and_a_step_that_ctrl_c_cuts_off_has_an_error_record(
     here = launched(monkeypatch, **folder, nodes=",".join(PROCESSING))
     there = launched(monkeypatch, **folder, nodes="camera,projector,load_frame,stage")
     names = [node.name for node in (*here, *there)]
-    with running(here + there, tmp_path, domain), RigClient() as rig:
+    with running(here + there, tmp_path, domain) as processes, RigClient() as rig:
         rig.wait_until_ready(names)
+        for process in processes.values():
+            assert os.getsid(process.pid) == process.pid, "a session of its own, as with the command"
         for position in (0.0, 1e-4):
             rig.move(position)
             assert rig.measure().valid_fraction > 0.5

@@ -8,7 +8,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from fringedic_bringup.launch.launch_arguments import LaunchArguments, launched_rig
+from fringedic_bringup.launch.launch_arguments import PREFIX, LaunchArguments, launched_rig
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -37,6 +37,7 @@ def _nodes(context: LaunchContext) -> list[Action]:
             respawn_delay=1.0,
             sigterm_timeout=str(process.grace_s[signal.SIGINT]),
             sigkill_timeout=str(process.grace_s[signal.SIGTERM]),
+            prefix=PREFIX,
             output="both",
         )
         for process in rig.processes

@@ -21,6 +21,10 @@ from fringedic_bringup.launch.rig_files import rig_path_of
 # A new recorder needs a new folder, and a new experiment node the number of the next step: only a client knows them.
 NOT_RESPAWNED = ("recorder", "experiment")
 
+# As the command starts a node: it ends with its parent, and has a session of its own. Ctrl-C then reaches the launch
+# alone, and Linux shares the processor between sessions (autogroup): nodes of one session would share one part of it.
+PREFIX = "setpriv --pdeathsig TERM setsid"
+
 
 class LaunchArguments(BaseModel):
     """Arguments of the launch file; all have a default."""
