@@ -455,7 +455,7 @@ def test_overrides_change_the_results_and_wrong_ones_are_named(bench, processed,
         assert json.loads(wide.parameters)[0]["parameters"]["dic"] == {
             **DicParameters(spacing=SPACING, window=40).model_dump()
         }
-    with pytest.raises(ConfigurationError, match=r"no parameter 'dic\.windw'; known are phase\.read_noise_grey_level"):
+    with pytest.raises(ConfigurationError, match=r"no parameter 'dic\.windw'; known are dic\.window, dic\.spacing"):
         process_bag(bench.bag, output=tmp_path / "x.nc", overrides={"dic.windw": 40})
     with pytest.raises(ConfigurationError, match=r"dic\.window = 4: Input should be greater than or equal to 8"):
         process_bag(bench.bag, output=tmp_path / "x.nc", overrides={"dic.window": 4})
