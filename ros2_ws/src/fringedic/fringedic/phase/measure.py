@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import xarray as xr
@@ -11,9 +12,9 @@ from fringedic.errors import ErrorCode, PhaseError, StepError
 from fringedic.frames.exposures import ExposedStack, fill_saturated, merge_stacks, split_exposures
 from fringedic.frames.noise import ROUNDING_NOISE, CameraNoise
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
-from fringedic.phase.checks.gray_code import check_code_order
-from fringedic.phase.checks.stack import check_stack
+from fringedic.phase.checks.stack import inspect_stack, step_error
 from fringedic.phase.demodulation import absolute_phase
+from fringedic.phase.findings import Finding, FindingKind
 from fringedic.phase.fringe_order import unwrap_spatial
 from fringedic.phase.layout import layout_of, shift_angles
 from fringedic.phase.lens_blur import correct_lens_blur
@@ -35,7 +36,7 @@ def measure_phase(
     settings: PhaseSettings = DEFAULT_SETTINGS,
     *,
     exposure_times: Sequence[float] | None = None,
-) -> tuple[xr.Dataset, list[str]]:
+) -> tuple[xr.Dataset, list[Finding]]:
     """Check the frames of a step for faults and measure its phase.
 
     Parameters
@@ -53,8 +54,8 @@ def measure_phase(
     -------
     result : Dataset
         As of `absolute_phase`, the phase with the attribute ``relative`` (0 or 1).
-    remarks : list of str
-        Faults that are too small for an error.
+    remarks : list of Finding
+        What needs attention although the phase is measured; `describe` puts it into words.
 
     Raises
     ------
@@ -99,27 +100,27 @@ def measure_phase(
     return result, remarks
 
 
-def _check(exposures: Sequence[ExposedStack], settings: PhaseSettings) -> list[str]:
+def _check(exposures: Sequence[ExposedStack], settings: PhaseSettings) -> list[Finding]:
     """Check every exposure; one of several may be too bright or too dark.
 
     Saturation is reported for the shortest exposure only.
     """
-    remarks: list[str] = []
-    unusable: list[StepError] = []
+    remarks: list[Finding] = []
+    unusable: list[Finding] = []
     for rank, exposure in enumerate(sorted(exposures, key=lambda each: each.time)):
-        words = f"exposed for {1e3 * exposure.time:g} ms: " if len(exposures) > 1 else ""
-        try:
-            found = check_stack(
-                exposure.frames, exposure.patterns, settings, numbers=exposure.numbers, report_saturation=rank == 0
-            )
-        except StepError as error:
-            if error.code not in (ErrorCode.SATURATED, ErrorCode.DARK):
-                raise StepError(f"{words}{error}", index=error.index, code=error.code) from error
-            unusable.append(error)
-            found = [str(error)]
-        remarks += [f"{words}{each}" for each in found]
+        found = inspect_stack(exposure.frames, exposure.patterns, settings, numbers=exposure.numbers)
+        if len(exposures) > 1:
+            found = [replace(each, exposure_time=exposure.time) for each in found]
+        for each in found:
+            if each.fault and each.kind not in (FindingKind.SATURATED, FindingKind.DARK):
+                raise step_error(each)
+            if each.fault:
+                unusable.append(each)
+            if each.fault or rank == 0 or each.kind is not FindingKind.SATURATED:
+                remarks.append(each)
     if len(unusable) == len(exposures):
-        raise unusable[0] if unusable[0].code is ErrorCode.SATURATED else unusable[-1]
+        saturated = [each for each in unusable if each.kind is FindingKind.SATURATED]
+        raise step_error(saturated[0] if saturated else unusable[-1])
     return remarks
 
 
@@ -142,7 +143,7 @@ def _from_steps(exposures: Sequence[ExposedStack], settings: PhaseSettings) -> x
     return result
 
 
-def _from_one_image(exposures: Sequence[ExposedStack], settings: PhaseSettings) -> tuple[xr.Dataset, list[str]]:
+def _from_one_image(exposures: Sequence[ExposedStack], settings: PhaseSettings) -> tuple[xr.Dataset, list[Finding]]:
     frames, patterns, saturation = exposures[0].frames, exposures[0].patterns, settings.saturation
     if len(exposures) > 1:
         frames, _ = merge_stacks(exposures, settings.noise or CameraNoise(ROUNDING_NOISE), saturation)
@@ -163,10 +164,10 @@ def _from_one_image(exposures: Sequence[ExposedStack], settings: PhaseSettings) 
         )
     except PhaseError as error:
         raise StepError(f"frame {number}: {error}", index=number, code=ErrorCode.WRONG_PATTERN) from error
-    return result, ["the phase of one image is relative: true up to the same number of whole fringes everywhere"]
+    return result, [Finding(FindingKind.RELATIVE_ONE_IMAGE, patterns=(shown,))]
 
 
-def _settle_orders(result: xr.Dataset, stack: ExposedStack, accept_relative: bool) -> list[str]:
+def _settle_orders(result: xr.Dataset, stack: ExposedStack, accept_relative: bool) -> list[Finding]:
     """Unwrap over the image where the frames do not determine the orders; refuse orders that contradict each other."""
     layout = layout_of(stack.patterns)
     result.phase.attrs["relative"] = 0
@@ -174,9 +175,6 @@ def _settle_orders(result: xr.Dataset, stack: ExposedStack, accept_relative: boo
     growth = np.diff(result.phase.values, axis=along)
     known = np.isfinite(growth)
     if layout.code:
-        jumps = np.sum(known & (np.abs(growth) > np.pi))
-        if jumps > np.sum(known.any(axis=along)):  # more than one on every line, as at a step of the surface
-            check_code_order(stack.frames, stack.patterns, stack.numbers)
         return []
     pitch, finest = layout.pitches[0], layout.pitches[-1]
     turn = 2 * np.pi * pitch / finest  # of the coarsest fringes
@@ -204,7 +202,4 @@ def _settle_orders(result: xr.Dataset, stack: ExposedStack, accept_relative: boo
     result.phase.attrs["relative"] = 1
     result["sigma"] = result.sigma.where(measured)
     result["valid"] = result.valid & measured
-    return [
-        f"the phase of one pitch of {pitch:g} px is relative: unwrapped over the image, true up to whole fringes, and "
-        "wrong behind steps and shadows"
-    ]
+    return [Finding(FindingKind.RELATIVE_ONE_PITCH, patterns=tuple(stack.patterns[-1:]))]

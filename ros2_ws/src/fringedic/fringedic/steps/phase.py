@@ -9,6 +9,7 @@ from fringedic.errors import ErrorCode, StepError
 from fringedic.frames.collector import Stack
 from fringedic.frames.noise import CameraNoise
 from fringedic.patterns.pattern import PatternKind
+from fringedic.phase.finding_sentences import describe
 from fringedic.phase.measure import measure_phase
 from fringedic.phase.settings import PhaseSettings
 from fringedic.steps.parameters import PhaseParameters
@@ -63,7 +64,7 @@ def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
         valid_fraction=fraction,
         rms=float(np.nanmedian(measured.sigma.values)),
         relative=bool(measured.phase.attrs["relative"]),
-        remarks=tuple(remarks),
+        remarks=tuple(map(describe, remarks)),
     )
 
 

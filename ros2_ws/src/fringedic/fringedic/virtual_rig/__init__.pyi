@@ -1,5 +1,6 @@
 from .configuration import VirtualRigConfiguration as VirtualRigConfiguration
 from .configuration import preset as preset
+from .fringe_scene import FringeScene as FringeScene
 from .load_frame import CrossheadState as CrossheadState
 from .load_frame import LoadSample as LoadSample
 from .load_frame import SimulatedLoadFrame as SimulatedLoadFrame

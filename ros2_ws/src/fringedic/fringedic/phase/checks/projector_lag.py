@@ -8,13 +8,14 @@ from its own frames in the same way. The estimate is the f with which the first 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from fringedic.errors import ErrorCode, StepError
 from fringedic.phase.checks.sampling import Sample, fit_wave
+from fringedic.phase.findings import Finding, FindingKind
+from fringedic.phase.layout import Layout
 
 # the tests in test_projector_lag.py fix these limits
 _PIXELS = 1000  # enough for one number, which takes many trials
@@ -23,62 +24,86 @@ _LARGEST_DIFFERENCE = 0.25  # between the shares of two pitches, relative to the
 _EXPLAINED = 0.6  # part of the first frames' misfit
 _HARMONICS = 0.12  # part of the misfit that harmonics of the response may explain: 0.06 at gamma 2.2
 _ONE_PITCH = 0.1  # smallest share that is accepted from a single pitch
-_WHOLE_FRAME = 0.95  # from this share on the frames are one frame late, which check_patterns reports
+_WHOLE_FRAME = 0.95  # from this share on the frames are one frame late, which check_order reports
 
 
-def check_projector_lag(sample: Sample, largest_error: float, numbers: Sequence[int]) -> None:
-    """Raise `StepError` when frames were exposed while the projector still changed to their patterns.
+@dataclass(frozen=True)
+class LaggingWave:
+    """Sinusoid of a pattern whose frames all show a share of the pattern before.
+
+    Attributes
+    ----------
+    fit
+        Mean, B cos(phi) and B sin(phi) of the pattern alone [grey level], shape (3, pixel).
+    seen
+        The same of what the camera sees.
+    """
+
+    fit: np.ndarray
+    seen: np.ndarray
+
+    @classmethod
+    def of(cls, levels: np.ndarray, angles: np.ndarray, share: float, first: int = 1) -> LaggingWave:
+        """Fit the frames of a pitch, shape (frame, pixel), from `first` on: the one before shows another pitch."""
+        fit = fit_wave(levels[first:], angles[first:])
+        alone = (fit[1] - 1j * fit[2]) / (1 - share + share * np.exp(-1j * (angles[1] - angles[0])))
+        return cls(np.stack([fit[0], alone.real, -alone.imag]), fit)
+
+    def level(self, angles: np.ndarray) -> np.ndarray:
+        """Return the grey levels of the pattern alone at these angles, shape (frame, pixel)."""
+        return np.asarray(self.fit[0] + np.cos(angles)[:, None] * self.fit[1] + np.sin(angles)[:, None] * self.fit[2])
+
+
+def find_lag(sample: Sample, smallest: float = 0.0) -> Finding | None:
+    """Return the fault when frames were exposed while the projector still changed to their patterns.
 
     Parameters
     ----------
     sample
         Pixels that are lit and modulated.
-    largest_error
-        Error of the phase [fringe] that is allowed; a share f causes up to f over the number of shifts.
-    numbers
-        Number of each frame of the stack within its step.
+    smallest
+        Share of the pattern before from which it is a fault. A share f gives an error of the phase up to f over the
+        number of shifts.
 
-    Raises
-    ------
-    StepError
-        With the code WRONG_PATTERN; ``index`` is the number of the first frame of the second pitch.
+    Returns
+    -------
+    Finding or None
+        The fault, with the position of the first frame that shows a part of another pitch or of the Gray code.
     """
     layout = sample.layout
     groups = [
         group
-        for group in range(1, len(layout.counts))
-        if min(layout.counts[group - 1], layout.counts[group]) >= _FEWEST_FRAMES
+        for group in range(0 if layout.code else 1, len(layout.counts))
+        if min(layout.counts[max(group - 1, 0)], layout.counts[group]) >= _FEWEST_FRAMES
     ]
-    pixels = sample.levels.shape[1]
-    some = np.arange(pixels) % max(1, pixels // _PIXELS) == 0
-    found = [_share(sample.select(some), group) for group in groups]
+    few = sample.thin(_PIXELS)
+    found = [_share(few, group) for group in groups]
     if not found:
-        return
+        return None
     shares, explained = np.array(found).T
     share = float(np.median(shares))
-    smallest = max(largest_error * layout.periods[-1][0].shifts, _ONE_PITCH if len(found) == 1 else 0.0)
+    smallest = max(smallest, _ONE_PITCH if len(found) == 1 else 0.0)
     # a varying delay gives different shares that still explain the misfit; flicker or motion would not
     credible = np.ptp(shares) < _LARGEST_DIFFERENCE * share or explained.min() > _EXPLAINED
-    if smallest < share < _WHOLE_FRAME and shares.min() > 0 and credible and explained.min() > _HARMONICS:
-        raise StepError(
-            f"every frame shows {share:.0%} of the pattern before: its exposure begins before the projector has "
-            "changed; raise settle_ms above the projector's delay (fringedic timing measures it)",
-            index=numbers[layout.slices()[groups[0]].start],
-            code=ErrorCode.WRONG_PATTERN,
-        )
+    least = _EXPLAINED if len(found) == 1 else _HARMONICS
+    if smallest < share < _WHOLE_FRAME and shares.min() > 0 and credible and explained.min() > least:
+        return Finding(FindingKind.PARTLY_LATE, True, (first_lagging_frame(layout),), value=share)
+    return None
+
+
+def first_lagging_frame(layout: Layout) -> int:
+    """Return the first frame that shows a part of another pitch or of the Gray code."""
+    first: int = layout.slices()[0 if layout.code or len(layout.counts) == 1 else 1].start
+    return first
 
 
 def _share(sample: Sample, group: int) -> tuple[float, float]:
     """Return the share of the pattern before in the frames of a pitch, and the part of the misfit that it explains."""
-    before, now = (sample.groups()[each] for each in (group - 1, group))
-    angles_before, angles = sample.angles[group - 1], sample.angles[group]
-    mean_before, wave_before, step_before = _wave(before, angles_before)
-    mean, wave, step = _wave(now, angles)
+    now, angles = sample.groups()[group], sample.angles[group]
 
     def misfit(share: float) -> float:
-        last = mean_before + _level(wave_before, step_before, share, float(angles_before[-1]))
-        first = mean + _level(wave, step, share, float(angles[0]))
-        return float(np.mean((now[0] - (1 - share) * first - share * last) ** 2))
+        first = LaggingWave.of(now, angles, share).level(angles[:1])
+        return float(np.mean((now[:1] - (1 - share) * first - share * _last(sample, group, share)) ** 2))
 
     trials = np.linspace(-0.1, 1.0, 23)
     best = float(trials[int(np.argmin([misfit(float(trial)) for trial in trials]))])
@@ -86,13 +111,11 @@ def _share(sample: Sample, group: int) -> tuple[float, float]:
     return float(found.x), 1 - float(found.fun) / max(misfit(0.0), 1e-6)
 
 
-def _wave(levels: np.ndarray, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return mean and complex amplitude of all frames but the first, and the step of the shifts [rad]."""
-    fit = fit_wave(levels[1:], angles[1:])
-    return fit[0], fit[1] - 1j * fit[2], float(angles[1] - angles[0])
-
-
-def _level(wave: np.ndarray, step: float, share: float, angle: float) -> np.ndarray:
-    """Return the difference of a pattern from the mean, given the share of the pattern before in every frame."""
-    alone = wave / (1 - share + share * np.exp(-1j * step))
-    return np.asarray(np.real(alone * np.exp(1j * angle)))
+def _last(sample: Sample, group: int, share: float) -> np.ndarray:
+    """Return the grey levels that the last pattern before a pitch gives alone, shape (1, pixel)."""
+    if group == 0:  # the finest bit of a Gray code; a coarser one shows how bright and dark the pixel is
+        code = sample.levels[: sample.layout.code]
+        dark, bright = code.min(axis=0), code.max(axis=0)
+        return np.asarray(np.where(code[-1] > 0.5 * (dark + bright), bright, dark)[None])
+    angles = sample.angles[group - 1]
+    return LaggingWave.of(sample.groups()[group - 1], angles, share).level(angles[-1:])

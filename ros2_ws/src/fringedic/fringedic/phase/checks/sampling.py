@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from fringedic.patterns.pattern import Orientation
 from fringedic.phase.layout import Layout, shift_angles
 
-_SAMPLES = 6000  # pixels: the checks of 20 frames then take about 20 ms (docs/validation/phase.md)
-_MANY_FRINGES = 5.0  # in view; with so many the phases of the sample are spread evenly over the circle
+SAMPLES = 6000  # pixels: the checks of 20 frames then take about 20 ms (docs/validation/phase.md)
+_GOLDEN = 0.618034  # each row of the sample is displaced by this part of a step: no fringe pitch is in step with it
+_MANY_FRINGES = 5.0
+_FINEST_SKIP = 3  # a pixel and its neighbours are used once
 
 
 @dataclass
@@ -53,26 +55,24 @@ class Sample:
             self.fits = [fit_wave(*each) for each in zip(self.groups(), self.angles, strict=True)]
 
     @classmethod
-    def from_stack(cls, frames: np.ndarray, layout: Layout) -> Sample:
-        """Sample a stack, shape (frame, row, column), on a regular grid of pixels."""
+    def from_stack(cls, frames: np.ndarray, layout: Layout, pixels: int = SAMPLES) -> Sample:
+        """Sample a stack, shape (frame, row, column), at about so many pixels that cover the image evenly."""
         _, rows, columns = frames.shape
-        skip = max(3, math.ceil(math.sqrt(rows * columns / _SAMPLES)))
-        height, width = max(rows - 2, 0), max(columns - 2, 0)
+        place = _places(rows, columns, pixels)
+        flat = frames.reshape(len(frames), -1)
 
-        def at(down: int, right: int) -> np.ndarray:
-            part = frames[:, 1 + down : 1 + down + height : skip, 1 + right : 1 + right + width : skip]
-            return part.reshape(len(frames), -1).astype(np.float32)
+        def at(step: int) -> np.ndarray:
+            return np.take(flat, place + step, axis=1).astype(np.float32)
 
-        y, x = np.meshgrid(np.linspace(-1, 1, height)[::skip], np.linspace(-1, 1, width)[::skip], indexing="ij")
         return cls(
             layout=layout,
-            levels=at(0, 0),
-            right=at(0, 1),
-            left=at(0, -1),
-            below=at(1, 0),
-            above=at(-1, 0),
-            x=x.ravel(),
-            y=y.ravel(),
+            levels=at(0),
+            right=at(1),
+            left=at(-1),
+            below=at(columns),
+            above=at(-columns),
+            x=2 * (place % columns) / max(columns - 1, 1) - 1,
+            y=2 * (place // columns) / max(rows - 1, 1) - 1,
             size=(rows, columns),
         )
 
@@ -80,8 +80,8 @@ class Sample:
         """Return some of the pixels, selected by a mask."""
         if which.all():
             return self
-        return Sample(
-            layout=self.layout,
+        return replace(
+            self,
             levels=self.levels[:, which],
             right=self.right[:, which],
             left=self.left[:, which],
@@ -89,11 +89,20 @@ class Sample:
             above=self.above[:, which],
             x=self.x[which],
             y=self.y[which],
-            size=self.size,
-            angles=self.angles,
             fits=[fit[:, which] for fit in self.fits],
             _growth={number: growth[which] for number, growth in self._growth.items()},
         )
+
+    def with_light(self, gains: np.ndarray) -> Sample:
+        """Return the sample with the grey levels of each frame divided by the light of that frame."""
+        factor = (1 / gains[:, None]).astype(np.float32)
+        parts = {name: getattr(self, name) * factor for name in ("levels", "right", "left", "below", "above")}
+        return replace(self, **parts, angles=[], fits=[], _growth={})
+
+    def thin(self, pixels: int) -> Sample:
+        """Return about so many of the pixels."""
+        count = self.levels.shape[1]
+        return self.select(np.arange(count) % max(1, count // pixels) == 0)
 
     def groups(self) -> list[np.ndarray]:
         """Return the grey levels of each pitch, each of shape (frame, pixel)."""
@@ -103,6 +112,10 @@ class Sample:
     def is_vertical(self) -> bool:
         """Whether the fringes are vertical, so that the phase grows with x."""
         return self.layout.periods[0][0].orientation == Orientation.VERTICAL
+
+    def along_fringes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the grey levels of the two neighbours along the fringes, whose phase is nearly the same."""
+        return (self.above, self.below) if self.is_vertical else (self.left, self.right)
 
     def growth(self, number: int) -> np.ndarray:
         """Return exp(i d) of each pixel, d being the growth of the phase of a pitch over two pixels."""
@@ -116,7 +129,7 @@ class Sample:
 
     @property
     def has_many_fringes(self) -> bool:
-        """Whether enough of the finest fringes are in view for checks of single frames."""
+        """Whether so many of the finest fringes are in view that their phases are spread evenly over the circle."""
         if self.layout.code:  # gives the number of fringes also where the fringes are wrong
             code = self.levels[: self.layout.code]
             numbers = half_periods(code > 0.5 * (code.min(axis=0) + code.max(axis=0)))
@@ -124,6 +137,16 @@ class Sample:
         place, length = (self.x, self.size[1]) if self.is_vertical else (self.y, self.size[0])
         growth = np.abs(np.angle(self.growth(len(self.fits) - 1)))
         return 0.5 * float(np.ptp(place)) * length * 0.5 * float(np.median(growth)) / (2 * np.pi) > _MANY_FRINGES
+
+
+def _places(rows: int, columns: int, pixels: int) -> np.ndarray:
+    """Return the flat indices of about so many pixels, none of them at the border of the image."""
+    height, width = max(rows - 2, 0), max(columns - 2, 0)
+    skip = max(_FINEST_SKIP, math.ceil(math.sqrt(rows * columns / pixels)))
+    row = np.arange(0, height, skip)
+    column = np.arange(0, width, skip)[None] + (skip * (row // skip * _GOLDEN % 1)).astype(int)[:, None]
+    inside = column < width
+    return np.asarray(((row[:, None] + 1) * columns + column + 1)[inside])
 
 
 def half_periods(bits: np.ndarray) -> np.ndarray:
@@ -136,13 +159,14 @@ def half_periods(bits: np.ndarray) -> np.ndarray:
 
 def fit_wave(levels: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Fit sinusoids to grey levels (frame, pixel) at these angles; return mean, B cos(phi), B sin(phi): (3, pixel)."""
-    return np.asarray(np.linalg.pinv(_waves(angles)).astype(np.float32) @ levels)
+    return np.asarray(np.linalg.pinv(waves(angles)).astype(np.float32) @ levels)
 
 
 def wave_levels(fit: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Return the grey levels of fitted sinusoids at these angles; shape (frame, pixel)."""
-    return np.asarray(_waves(angles).astype(np.float32) @ fit)
+    return np.asarray(waves(angles).astype(np.float32) @ fit)
 
 
-def _waves(angles: np.ndarray) -> np.ndarray:
+def waves(angles: np.ndarray) -> np.ndarray:
+    """Return 1, cos and sin of the angles, shape (frame, 3)."""
     return np.stack([np.ones_like(angles), np.cos(angles), np.sin(angles)], axis=1)

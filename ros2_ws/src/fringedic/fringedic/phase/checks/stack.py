@@ -3,36 +3,43 @@
 Three independent kinds of evidence: (1) brightness and modulation of the frames; (2) whether the sinusoids of a pitch
 fit, and whether the fringes of each pitch continue those of the coarser one, which depends on order and content of the
 frames; (3) deviations that a single frame has in common over all pixels: a brighter frame (flicker), displaced fringes
-(the surface moved along the light), or a displaced texture (it moved across the image). The harmonics of a projector
-without correction also spoil the fit, but they are the same for all frames and do not contribute to (3).
+(the surface moved along the light), or a displaced texture (it moved across the image). The harmonics of a nonlinear
+response, which all pixels share too, are fitted with (2) and (3).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from fringedic.errors import ErrorCode, StepError
-from fringedic.frames.noise import ROUNDING_NOISE, CameraNoise, saturation_level
+from fringedic.errors import StepError
+from fringedic.frames.noise import saturation_level
 from fringedic.patterns.pattern import ProjectedPattern
-from fringedic.phase.checks.flicker_and_motion import check_flicker_and_motion
-from fringedic.phase.checks.gray_code import check_code
-from fringedic.phase.checks.pattern_check import check_patterns
-from fringedic.phase.checks.projector_lag import check_projector_lag
-from fringedic.phase.checks.sampling import Sample
+from fringedic.phase.checks.code_jumps import CodeJumps
+from fringedic.phase.checks.flicker_and_motion import find_changes
+from fringedic.phase.checks.frame_order import check_order
+from fringedic.phase.checks.projector_lag import find_lag
+from fringedic.phase.checks.sample_noise import estimate_sample_noise
+from fringedic.phase.checks.sampling import SAMPLES, Sample, fit_wave
 from fringedic.phase.demodulation_kernel import CONFIDENCE
+from fringedic.phase.finding_sentences import describe
+from fringedic.phase.findings import Finding, FindingKind
 from fringedic.phase.layout import check_frames, layout_of
 from fringedic.phase.settings import DEFAULT_SETTINGS, PhaseSettings
 
 # test_saturated_and_dark_stacks_are_named, test_a_projector_that_stands_still_is_named and
 # test_too_small_images_are_left_alone fix these limits
+_SMALLEST_SIDE = 3  # px of an image: a pixel and its neighbours
 _FEWEST_PIXELS = 200  # for a check of single frames
 _SMALLEST_PART = 0.02  # of the image, with a modulation: less is not a surface
 _LEAST_CONTRAST = 0.03  # modulation over mean of visible fringes
 _DARK = 0.03  # of full scale
-_LEAST_COHERENCE = 0.4  # of the growth of the phase at neighbouring pixels: 0 for noise, 1 for fringes
+_LEAST_COHERENCE = 0.4  # of the fringes at neighbouring pixels: 0 for noise, 1 for fringes
+_SPARSE = 0.5  # part of the image: where less is usable, more pixels are sampled
+_DENSEST = 8.0  # times as many
 
 
 def check_stack(
@@ -42,7 +49,7 @@ def check_stack(
     *,
     numbers: Sequence[int] | None = None,
     report_saturation: bool = True,
-) -> list[str]:
+) -> list[Finding]:
     """Check a stack for faults that would give a wrong phase or none.
 
     Parameters
@@ -51,7 +58,7 @@ def check_stack(
         See `absolute_phase`.
     settings
         Noise of the camera, level of saturation, and the largest error and motion that are allowed. Without a noise
-        model the noise of rounding is assumed; an estimate from these frames would contain their faults.
+        model the noise is estimated from differences of neighbouring pixels.
     numbers
         Number of each frame within its step, where the stack is a part of it.
     report_saturation
@@ -59,8 +66,8 @@ def check_stack(
 
     Returns
     -------
-    list of str
-        Faults that are too small for an error.
+    list of Finding
+        Faults that are too small for an error; `describe` puts them into words.
 
     Raises
     ------
@@ -86,71 +93,115 @@ def check_stack(
     >>> frames[[1, 2]] = frames[[2, 1]]
     >>> check_stack(frames, sequence.patterns)  # doctest: +ELLIPSIS
     Traceback (most recent call last):
-    fringedic.errors.StepError: frames 1 and 2 are interchanged (shifts 2 and 3 of pitch 100 px): ...
+    fringedic.errors.StepError: frames 1 and 2 are interchanged (vertical fringes, pitch 100 px, ...
     """
+    found = inspect_stack(frames, patterns, settings, numbers=numbers)
+    for each in found:
+        if each.fault:
+            raise step_error(each)
+    return [each for each in found if report_saturation or each.kind is not FindingKind.SATURATED]
+
+
+def inspect_stack(
+    frames: np.ndarray,
+    patterns: Sequence[ProjectedPattern],
+    settings: PhaseSettings = DEFAULT_SETTINGS,
+    *,
+    numbers: Sequence[int] | None = None,
+) -> list[Finding]:
+    """Return what `check_stack` finds, the fault that it raises included.
+
+    Parameters
+    ----------
+    frames, patterns, settings, numbers
+        See `check_stack`.
+
+    Returns
+    -------
+    list of Finding
+        At most one of them, the last, is a fault.
+    """
+    counted = range(len(patterns)) if numbers is None else numbers
+    found = _find(frames, patterns, settings)
+    return [replace(each, frames=tuple(counted[frame] for frame in each.frames)) for each in found]
+
+
+def step_error(fault: Finding) -> StepError:
+    """Return the error of a step that fails for a fault."""
+    return StepError(describe(fault), index=fault.frames[0] if fault.frames else None, code=fault.kind.code)
+
+
+def _find(frames: np.ndarray, patterns: Sequence[ProjectedPattern], settings: PhaseSettings) -> list[Finding]:
+    """Return all findings up to the first fault, with frames by their position in the stack."""
     layout = layout_of(patterns)
     check_frames(frames, patterns)
+    if min(frames.shape[1:]) < _SMALLEST_SIDE:
+        return []
     ceiling = saturation_level(frames, settings.saturation)
-    counted = range(len(patterns)) if numbers is None else numbers
     sample = Sample.from_stack(frames, layout)
-    camera = settings.noise if settings.noise is not None else CameraNoise(ROUNDING_NOISE)
     saturated = sample.levels.max(axis=0) >= ceiling
-    usable = _usable_pixels(sample, saturated, ceiling, counted)
+    usable = _usable_pixels(sample, saturated, settings)
+    bad = _find_bad_exposure(sample, saturated, usable, ceiling, patterns)
+    if bad is not None:
+        return [bad]
+    if 0 < usable.mean() < _SPARSE:
+        sample = Sample.from_stack(frames, layout, round(SAMPLES * min(1 / usable.mean(), _DENSEST)))
+        usable = _usable_pixels(sample, sample.levels.max(axis=0) >= ceiling, settings)
     if usable.sum() < _FEWEST_PIXELS:
         return []
-    remarks = []
-    if report_saturation and saturated.mean() > _SMALLEST_PART:
-        remarks.append(f"{saturated.mean():.0%} of the image saturates")
+    found = [Finding(FindingKind.SATURATED, value=saturated.mean())] if saturated.mean() > _SMALLEST_PART else []
     sample = sample.select(usable)
-    check_projector_lag(sample, settings.largest_error, counted)
-    check_patterns(sample, camera, counted)
-    check_code(sample, frames, patterns, counted)
-    return remarks + check_flicker_and_motion(sample, camera, settings.largest_error, settings.largest_motion)
+    noise = settings.noise if settings.noise is not None else estimate_sample_noise(sample)
+    jumps = CodeJumps(frames, layout, vertical=sample.is_vertical)
+    for fault in (
+        check_order(sample, noise, jumps, patterns),
+        find_lag(sample, settings.largest_error * layout.periods[-1][0].shifts),
+    ):
+        if fault is not None:
+            return [*found, fault]
+    return found + find_changes(sample, noise, settings.largest_error, settings.largest_motion)
 
 
-def _usable_pixels(sample: Sample, saturated: np.ndarray, ceiling: float, numbers: Sequence[int]) -> np.ndarray:
-    """Return the pixels that are lit and modulated; raise `StepError` when there are hardly any.
-
-    Noise estimated from a stack contains its faults. Fringes are therefore distinguished from noise by the coherence of
-    neighbouring pixels.
-    """
-    layout, fits = sample.layout, sample.fits
-    mean = np.mean([fit[0] for fit in fits], axis=0)
+def _usable_pixels(sample: Sample, saturated: np.ndarray, settings: PhaseSettings) -> np.ndarray:
+    """Return the pixels that are lit and modulated at every pitch."""
+    noise = settings.noise if settings.noise is not None else estimate_sample_noise(sample)
+    mean = np.mean([fit[0] for fit in sample.fits], axis=0)
+    deviation = np.sqrt(noise.variance(np.maximum(mean, 0)))
+    least = np.maximum(_LEAST_CONTRAST * mean, settings.minimum_modulation)
     modulated = [
-        np.hypot(fit[1], fit[2])
-        > np.maximum(CONFIDENCE * math.sqrt(2 / count) * ROUNDING_NOISE, _LEAST_CONTRAST * mean)
-        for fit, count in zip(fits, layout.counts, strict=True)
+        np.hypot(fit[1], fit[2]) > np.maximum(CONFIDENCE * math.sqrt(2 / count) * deviation, least)
+        for fit, count in zip(sample.fits, sample.layout.counts, strict=True)
     ]
-    usable = np.asarray(np.logical_and.reduce(modulated) & ~saturated)
+    return np.asarray(np.logical_and.reduce(modulated) & ~saturated)
+
+
+def _find_bad_exposure(
+    sample: Sample, saturated: np.ndarray, usable: np.ndarray, ceiling: float, patterns: Sequence[ProjectedPattern]
+) -> Finding | None:
+    """Return the fault of a stack that is too bright, too dark or always the same.
+
+    Noise can look like fringes of some modulation. Fringes are distinguished from it by the coherence of neighbouring
+    pixels.
+    """
     if saturated.mean() > 0.5 and usable.mean() < _SMALLEST_PART:
-        raise StepError(
-            f"{saturated.mean():.0%} of the image saturates: shorten the exposure, close the aperture or dim the "
-            "projector",
-            code=ErrorCode.SATURATED,
-        )
-    noisy = [number for number in range(len(fits)) if _coherence(sample, number, ~saturated) < _LEAST_COHERENCE]
+        return Finding(FindingKind.SATURATED, True, value=saturated.mean())
+    noisy = [number for number in range(len(sample.fits)) if _coherence(sample, number, ~saturated) < _LEAST_COHERENCE]
     if usable.mean() >= _SMALLEST_PART and not noisy:
-        return usable
+        return None
+    mean = np.mean([fit[0] for fit in sample.fits], axis=0)
     full_scale = ceiling if math.isfinite(ceiling) else float(mean.max(initial=0))
     if np.mean(~saturated & (mean > _DARK * full_scale)) < _SMALLEST_PART:
-        raise StepError(
-            f"the image is dark, grey level {np.median(mean):.1f} at most pixels: check that the projector is on, the "
-            "lens open and the exposure long enough",
-            code=ErrorCode.DARK,
-        )
-    if noisy:
-        raise StepError(
-            f"all frames of pitch {layout.pitches[noisy[0]]:g} px show the same image: the projector does not change "
-            "its pattern, or its delay exceeds settle_ms (fringedic timing measures the delay)",
-            index=numbers[layout.slices()[noisy[0]].start],
-            code=ErrorCode.WRONG_PATTERN,
-        )
-    return usable
+        return Finding(FindingKind.DARK, True, value=float(np.median(mean)))
+    if not noisy:
+        return None
+    frames = range(len(patterns))[sample.layout.slices()[noisy[0]]]
+    return Finding(FindingKind.FROZEN, True, tuple(frames), tuple(patterns[frame] for frame in frames))
 
 
 def _coherence(sample: Sample, number: int, allowed: np.ndarray) -> float:
-    """Return how well neighbours agree in the growth of the phase where the modulation is largest, 0 (noise) to 1."""
-    strength = np.where(allowed, np.hypot(*sample.fits[number][1:]), 0)
-    # equal strengths are all among the largest: fringes without noise on a plane have no others
-    strong = (strength >= np.quantile(strength, 0.8)) & (strength > 0)
-    return float(np.abs(np.mean(sample.growth(number)[strong]))) if strong.any() else 0.0
+    """Return how well neighbours along the fringes agree in phase, weighted by modulation, 0 (noise) to 1."""
+    where, angles = sample.layout.slices()[number], sample.angles[number]
+    first, second = (fit_wave(each[where][:, allowed], angles) for each in sample.along_fringes())
+    together = np.sum(first[1] * second[1] + first[2] * second[2])
+    apart = np.sum(np.hypot(first[1], first[2]) * np.hypot(second[1], second[2]))
+    return float(together / apart) if apart else 0.0

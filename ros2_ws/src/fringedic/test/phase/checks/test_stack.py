@@ -10,6 +10,7 @@ from fringedic.errors import ErrorCode, StepError
 from fringedic.patterns.pattern import PatternKind
 from fringedic.patterns.sequences import PatternSequence, fringe_sequence, gray_code_sequence
 from fringedic.phase.checks import check_stack
+from fringedic.phase.finding_sentences import describe
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
 
@@ -195,7 +196,7 @@ def test_flicker_is_measured(plate: VirtualRig, strength: float, measured: tuple
     frames = np.array([plate.expose(image, 0.0, k, exposure_factor=brightness[k]) for k, image in enumerate(sequence)])
     true = 100 * float(np.ptp(brightness[-len(frames) // 3 :]))
     if strength < 0.1:
-        message = "; ".join(check_stack(frames, sequence.patterns))
+        message = "; ".join(map(describe, check_stack(frames, sequence.patterns)))
         assert message.startswith("the light changes by") if strength else not message
     else:
         with pytest.raises(StepError, match="the light changes by") as caught:

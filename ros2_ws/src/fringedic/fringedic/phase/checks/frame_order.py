@@ -1,0 +1,206 @@
+"""Checks that every frame shows its pattern; otherwise finds the explanation that fits the stack best.
+
+The explanations are compared by the misfit that they leave: two frames interchanged, one frame missing, one delivered
+twice, all of them late, or one frame with another pattern. A good one leaves hardly any.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from fringedic.frames.noise import CameraNoise
+from fringedic.patterns.pattern import ProjectedPattern
+from fringedic.phase.checks.code_jumps import CodeJumps
+from fringedic.phase.checks.flicker_and_motion import without_changes
+from fringedic.phase.checks.misfit import UNKNOWN, Evidence, Misfit
+from fringedic.phase.checks.projector_lag import first_lagging_frame
+from fringedic.phase.checks.sampling import Sample
+from fringedic.phase.findings import Finding, FindingKind
+
+# The scenes of benchmarks/stack_checks.py fix these limits
+_PIXELS = 1000  # of the sample, for the comparison of explanations
+# part of the misfit that remains at most with the right explanation; where a frame of four is wrong, the other three
+# give a wrong phase with a nonlinear response
+_EXPLAINED = 0.45
+_FLOOR = 0.004  # misfit that any stack may leave: explanations below it are as good as each other
+_AS_GOOD = 1.5  # explanations whose misfit is larger by no more than this factor compete by the jumps of their code
+_UNKNOWN_FRAME = 0.001  # misfit that a frame without a known pattern has to remove
+_LAGS = (0.08, 0.95)  # parts of the pattern before that leave a misfit and are not a whole frame
+_FEWER_JUMPS = 0.5  # of the jumps remain at most with the right order of the bits
+_SMALLEST_DEVIATION = 0.2  # of a wrong frame from its pattern, over the modulation, RMS
+
+
+_LOSING = (FindingKind.OTHER_PATTERN, FindingKind.DOUBLED, FindingKind.MISSING)  # a pattern is not seen
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """An assumption about the patterns that the frames show, and the first frames concerned."""
+
+    kind: FindingKind
+    shown: tuple[int, ...]
+    frames: tuple[int, ...]
+
+    @property
+    def unknown(self) -> int:
+        """Number of frames whose pattern is not known."""
+        return self.shown.count(UNKNOWN)
+
+
+def check_order(
+    sample: Sample, noise: CameraNoise, jumps: CodeJumps, patterns: Sequence[ProjectedPattern]
+) -> Finding | None:
+    """Return the fault when frames show other patterns than recorded.
+
+    Parameters
+    ----------
+    sample
+        Pixels that are lit and modulated.
+    noise
+        Of the camera.
+    jumps
+        Counts the jumps of the fringe orders that a Gray code gives.
+    patterns
+        Recorded pattern of each frame.
+
+    Returns
+    -------
+    Finding or None
+        The fault, with frames by their position in the stack; None for a good stack, and where a change of the light
+        explains the misfit best.
+    """
+    recorded = tuple(range(len(patterns)))
+    evidence = Misfit(sample, noise)(recorded)
+    if evidence.is_small:
+        found = _interchanged_bits(jumps, sample.layout.code, recorded) if jumps.are_suspicious else None
+        return None if found is None else _finding(found, patterns)
+    few = sample.thin(_PIXELS)
+    misfit = Misfit(few, noise)
+    found, left = _best(misfit, jumps, recorded)
+    lag = _best_lag(misfit, sample)
+    best: tuple[float, Finding | None] = min(
+        (left, _finding(found, patterns)),
+        (misfit.lagging(lag.value).total + _UNKNOWN_FRAME, lag),
+        # changes of the light and motions have many parameters: they explain a frame too many or too few as well
+        *((_FLOOR + Misfit(each, noise)(recorded).total, None) for each in without_changes(few, noise)),
+        key=lambda each: each[0],
+    )
+    if best[0] < _EXPLAINED * misfit(recorded).total:
+        return _of_three_shifts(best[1], sample, patterns)
+    return _unexplained(sample, evidence, patterns)
+
+
+def _finding(found: Explanation, patterns: Sequence[ProjectedPattern]) -> Finding:
+    return Finding(found.kind, True, found.frames, tuple(patterns[frame] for frame in found.frames))
+
+
+def explanations(count: int) -> Iterator[Explanation]:
+    """Return all explanations of a stack of so many frames.
+
+    Examples
+    --------
+    >>> [each.shown for each in explanations(3) if each.kind is FindingKind.INTERCHANGED]
+    [(1, 0, 2), (2, 1, 0), (0, 2, 1)]
+    """
+    recorded = tuple(range(count))
+    for first, second in combinations(range(count), 2):
+        order = list(recorded)
+        order[first], order[second] = second, first
+        yield Explanation(FindingKind.INTERCHANGED, tuple(order), (first, second))
+    yield Explanation(FindingKind.LATE, (UNKNOWN, *recorded[:-1]), (0,))
+    for frame in range(1, count - 1):
+        yield Explanation(FindingKind.DOUBLED, (*recorded[:frame], *recorded[frame - 1 : -1]), (frame,))
+    for frame in range(count - 2):
+        yield Explanation(FindingKind.MISSING, (*recorded[:frame], *recorded[frame + 1 :], UNKNOWN), (frame,))
+    for frame in recorded:
+        shown = (*recorded[:frame], UNKNOWN, *recorded[frame + 1 :])
+        yield Explanation(FindingKind.OTHER_PATTERN, shown, (frame,))
+
+
+def _best(misfit: Misfit, jumps: CodeJumps, recorded: tuple[int, ...]) -> tuple[Explanation, float]:
+    """Return the explanation with the least misfit, and this misfit."""
+    trials = [(misfit.least(each.shown) + _UNKNOWN_FRAME * each.unknown, each) for each in explanations(len(recorded))]
+    found: list[tuple[float, Explanation]] = []
+    least = math.inf
+    for bound, each in sorted(trials, key=lambda trial: trial[0]):
+        if bound > max(_AS_GOOD * least, _FLOOR) or math.isinf(bound):
+            break  # the residuals alone exclude the rest
+        if _deviates(misfit, each):
+            found.append((misfit(each.shown).total + _UNKNOWN_FRAME * each.unknown, each))
+            least = min(least, found[-1][0])
+    equal = [each for each in found if each[0] <= max(_AS_GOOD * least, _FLOOR)]
+    left, best = min(equal, key=lambda each: (jumps(each[1].shown) if jumps.exist else 0, each[0]))
+    return best, left
+
+
+def _of_three_shifts(found: Finding | None, sample: Sample, patterns: Sequence[ProjectedPattern]) -> Finding | None:
+    """Return the finding without its frame where one pitch of three shifts fits as well without another one."""
+    if found is None or found.kind not in _LOSING or sample.layout.counts != [3]:
+        return found
+    where = sample.layout.slices()[0]
+    if found.frames[0] < where.start:
+        return found
+    frames = tuple(range(where.start, where.stop))
+    return Finding(FindingKind.UNIDENTIFIED_FRAME, True, frames, tuple(patterns[where]))
+
+
+def _best_lag(misfit: Misfit, sample: Sample) -> Finding:
+    """Return the share of the pattern before in every frame that fits best."""
+
+    def total(share: float) -> float:
+        return misfit.lagging(share).total
+
+    low, high = _LAGS
+    trials = np.linspace(low, high, 10)
+    best = float(trials[int(np.argmin([total(float(share)) for share in trials]))])
+    bounds = max(best - 0.1, low), min(best + 0.1, high)
+    share = float(minimize_scalar(total, bounds=bounds, method="bounded").x)
+    return Finding(FindingKind.PARTLY_LATE, True, (first_lagging_frame(sample.layout),), value=share)
+
+
+def _deviates(misfit: Misfit, explanation: Explanation) -> bool:
+    """Return whether a single wrong frame is as wrong as another pattern would be, not as a change of the light."""
+    if explanation.kind is not FindingKind.OTHER_PATTERN:
+        return True
+    if explanation.frames[0] < misfit.bits:
+        return misfit(sorted({*explanation.shown, *explanation.frames} - {UNKNOWN})).has_wrong_bits
+    return misfit.deviation(explanation.shown, explanation.frames[0]) > _SMALLEST_DEVIATION
+
+
+def _interchanged_bits(jumps: CodeJumps, bits: int, recorded: tuple[int, ...]) -> Explanation | None:
+    """Return the two bits of a Gray code without whose exchange its numbers jump less."""
+    found = [each for each in explanations(len(recorded)) if each.kind is FindingKind.INTERCHANGED]
+    best = min((each for each in found if max(each.frames) < bits), key=lambda each: jumps(each.shown))
+    return best if jumps(best.shown) < _FEWER_JUMPS * jumps(recorded) else None
+
+
+def _unexplained(sample: Sample, evidence: Evidence, patterns: Sequence[ProjectedPattern]) -> Finding | None:
+    slices = sample.layout.slices()
+    for number in evidence.unrelated_pitches():
+        first = slices[number].start
+        return Finding(
+            FindingKind.UNRELATED_PITCH,
+            True,
+            (first,),
+            (patterns[first],),
+            value=_seen_pitch(sample, number),
+            coarser=patterns[slices[number - 1].start],
+        )
+    if evidence.is_uneven:
+        frames = tuple(range(slices[0].start, slices[0].stop))
+        return Finding(FindingKind.UNIDENTIFIED_FRAME, True, frames, tuple(patterns[slices[0]]))
+    if evidence.has_wrong_bits:
+        return Finding(FindingKind.CODE_DISAGREES, True, value=evidence.wrong_bits)
+    return None
+
+
+def _seen_pitch(sample: Sample, number: int) -> float:
+    """Return the pitch of fringes in the image if the coarser ones have theirs [projector px], negative if mirrored."""
+    coarse, fine = (float(np.angle(np.mean(sample.growth(each)))) for each in (number - 1, number))
+    return sample.layout.pitches[number - 1] * coarse / fine if fine else math.inf

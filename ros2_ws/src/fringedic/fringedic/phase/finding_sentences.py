@@ -1,0 +1,172 @@
+"""Sentences about the findings of the checks of a stack."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from fringedic.phase.findings import Finding, FindingKind
+
+_LAG = "settle_ms is shorter than the projector's delay (fringedic timing measures it)"
+_RAISE = "raise settle_ms above the projector's delay (fringedic timing measures it)"
+_SAME_PITCH = 0.1  # relative difference below which fringes of a pitch are displaced, not of another pitch
+
+
+def describe(finding: Finding) -> str:
+    """Return the sentence about a finding.
+
+    Examples
+    --------
+    >>> describe(Finding(FindingKind.MOTION_ACROSS, fault=True, value=0.5, limit=0.2))
+    'the surface moved by 0.50 px across the image while its frames were taken; 0.2 is allowed'
+    """
+    words = _WORDS[finding.kind](finding)
+    if finding.fault and not math.isnan(finding.limit):
+        words += f"; {finding.limit:g} is allowed"
+    if finding.exposure_time is not None:
+        return f"exposed for {1e3 * finding.exposure_time:g} ms: {words}"
+    return words
+
+
+def _saturated(finding: Finding) -> str:
+    words = f"{finding.value:.0%} of the image saturates"
+    return f"{words}: shorten the exposure, close the aperture or dim the projector" if finding.fault else words
+
+
+def _dark(finding: Finding) -> str:
+    return (
+        f"the image is dark, grey level {finding.value:.1f} at most pixels: check that the projector is on, the lens "
+        "open and the exposure long enough"
+    )
+
+
+def _frozen(finding: Finding) -> str:
+    return (
+        f"all frames of pitch {finding.patterns[0].pitch:g} px show the same image: the projector does not change its "
+        "pattern, or its delay exceeds settle_ms (fringedic timing measures the delay)"
+    )
+
+
+def _interchanged(finding: Finding) -> str:
+    first, second = finding.frames
+    patterns = " and ".join(str(each) for each in finding.patterns)
+    return (
+        f"frames {first} and {second} are interchanged ({patterns}): frames are out of order, or some show an earlier "
+        f"pattern because {_LAG}"
+    )
+
+
+def _late(_: Finding) -> str:
+    return (
+        "every frame shows the pattern of the frame before: the camera is one frame ahead of the projector; " + _RAISE
+    )
+
+
+def _doubled(finding: Finding) -> str:
+    return (
+        f"frame {finding.frames[0]} shows the pattern of the frame before, and all frames after it are late by one: a "
+        f"frame was delivered twice, or {_LAG}"
+    )
+
+
+def _missing(finding: Finding) -> str:
+    return (
+        f"frame {finding.frames[0]} is missing: it and all frames after it show the pattern of the frame after; the "
+        "camera or its driver dropped a frame"
+    )
+
+
+def _partly_late(finding: Finding) -> str:
+    return (
+        f"every frame shows {finding.value:.0%} of the pattern before: its exposure begins before the projector has "
+        f"changed; {_RAISE}"
+    )
+
+
+def _other_pattern(finding: Finding) -> str:
+    return (
+        f"frame {finding.frames[0]} does not show its pattern ({finding.patterns[0]}): the projector showed another "
+        f"one, or the frame was taken while the pattern changed, because {_LAG}"
+    )
+
+
+def _unrelated_pitch(finding: Finding) -> str:
+    fine, coarse = finding.patterns[0], finding.coarser
+    assert coarse is not None
+    words = f"fringes of pitch {fine.pitch:g} px do not continue those of pitch {coarse.pitch:g} px"
+    if coarse.shifts == 3:
+        words += " (three shifts do not detect gamma: measure the response curve or show four)"
+    if finding.value < 0:
+        return (
+            f"{words}: one of them grows the wrong way, so frames are out of order or the projector's image is mirrored"
+        )
+    if abs(finding.value / fine.pitch - 1) > _SAME_PITCH:
+        return (
+            f"{words}: in the image their pitch is {finding.value:.3g} px if the other is right; the projector shows "
+            "another pattern than recorded, or scales its image"
+        )
+    return f"{words}: they are displaced; the projector shows other shifts than recorded, or frames are out of order"
+
+
+def _unidentified_frame(finding: Finding) -> str:
+    return (
+        f"one of frames {finding.frames[0]} to {finding.frames[-1]} does not show its fringes of pitch "
+        f"{finding.patterns[0].pitch:g} px; with three shifts the check cannot identify it: show four shifts or more"
+    )
+
+
+def _code_disagrees(finding: Finding) -> str:
+    return (
+        f"Gray code and fringes disagree at {finding.value:.0%} of the image: the projector showed other patterns than "
+        "recorded, or frames were taken while they changed"
+    )
+
+
+def _flicker(finding: Finding) -> str:
+    return (
+        f"the light changes by {finding.light_change:.1%} between the frames (flicker), which causes a phase error of "
+        f"{finding.value:.4f} fringe"
+    ).replace("%", " %", 1)
+
+
+def _motion_across(finding: Finding) -> str:
+    return f"the surface moved by {finding.value:.2f} px across the image while its frames were taken"
+
+
+def _motion_along(finding: Finding) -> str:
+    return (
+        "the surface moved along the projector's light while its frames were taken: the fringes shift by "
+        f"{finding.value:.4f} fringe"
+    )
+
+
+def _relative_one_image(_: Finding) -> str:
+    return "the phase of one image is relative: true up to the same number of whole fringes everywhere"
+
+
+def _relative_one_pitch(finding: Finding) -> str:
+    return (
+        f"the phase of one pitch of {finding.patterns[0].pitch:g} px is relative: unwrapped over the image, true up to "
+        "whole fringes, and wrong behind steps and shadows"
+    )
+
+
+_WORDS: dict[FindingKind, Callable[[Finding], str]] = {
+    FindingKind.SATURATED: _saturated,
+    FindingKind.DARK: _dark,
+    FindingKind.FROZEN: _frozen,
+    FindingKind.INTERCHANGED: _interchanged,
+    FindingKind.LATE: _late,
+    FindingKind.DOUBLED: _doubled,
+    FindingKind.MISSING: _missing,
+    FindingKind.PARTLY_LATE: _partly_late,
+    FindingKind.OTHER_PATTERN: _other_pattern,
+    FindingKind.UNRELATED_PITCH: _unrelated_pitch,
+    FindingKind.UNIDENTIFIED_FRAME: _unidentified_frame,
+    FindingKind.CODE_DISAGREES: _code_disagrees,
+    FindingKind.FLICKER: _flicker,
+    FindingKind.MOTION_ACROSS: _motion_across,
+    FindingKind.MOTION_ALONG: _motion_along,
+    FindingKind.RELATIVE_ONE_IMAGE: _relative_one_image,
+    FindingKind.RELATIVE_ONE_PITCH: _relative_one_pitch,
+}

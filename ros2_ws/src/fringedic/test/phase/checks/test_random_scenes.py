@@ -1,0 +1,72 @@
+"""Scenes as laboratories have them; benchmarks/stack_checks.py measures thousands of them."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from fringedic.patterns.sequences import PatternSequence, fringe_sequence, gray_code_sequence
+from fringedic.phase.checks.stack import inspect_stack
+from fringedic.phase.findings import Finding, FindingKind
+from fringedic.phase.settings import PhaseSettings
+from fringedic.virtual_rig import FringeScene
+
+SMALL = FringeScene(seed=5, specimen=0.15, grey=55.0, read_noise=1.5, last_column=1900.0)
+PITCHES = fringe_sequence(1920, 4, [1920, 480, 120], 8)
+
+
+def inspect(scene: FringeScene, sequence: PatternSequence, order: Sequence[int] | None = None) -> list[Finding]:
+    images = list(sequence)
+    shown = range(len(images)) if order is None else order
+    frames = np.array([scene.expose(images[each], index) for index, each in enumerate(shown)])
+    return inspect_stack(frames, sequence.patterns, PhaseSettings(saturation=scene.saturation))
+
+
+@pytest.mark.parametrize("specimen", [0.1, 0.2])
+@pytest.mark.parametrize("bits", [8, 12])
+def test_a_small_specimen_before_a_dark_background_is_accepted(specimen: float, bits: int) -> None:
+    scene = FringeScene(
+        seed=3, specimen=specimen, grey=55.0, texture=0.45, read_noise=1.5, last_column=1900.0, bits=bits
+    )
+    assert inspect(scene, PITCHES) == []
+
+
+@pytest.mark.parametrize("gamma", [1.6, 2.2])
+def test_a_nonlinear_projector_is_accepted_at_any_pitch_in_the_image(gamma: float) -> None:
+    """22 px of the camera were twice the step between the sampled columns."""
+    scene = FringeScene(rows=600, columns=900, gamma=gamma, grey=80.0, last_column=800.0, texture=0.05, relief=0.0)
+    pitch = 22.0 * 800 / 900
+    assert inspect(scene, fringe_sequence(800, 4, [800, 120, pitch], 12)) == []
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_random_good_stacks_are_accepted(seed: int) -> None:
+    scene = FringeScene.random(seed, 800)
+    found = inspect(
+        scene, gray_code_sequence(800, 4, 40, 4) if seed % 2 else fringe_sequence(800, 4, [800, 160, 40], 6)
+    )
+    assert [each.kind for each in found if each.kind is not FindingKind.SATURATED] == []
+
+
+@pytest.mark.parametrize("frame", [3, 10, 18])
+def test_a_missing_frame_is_named(frame: int) -> None:
+    order = [*range(frame), *range(frame + 1, 24), 23]
+    (fault,) = inspect(SMALL, PITCHES, order)
+    assert (fault.kind, fault.frames, fault.fault) == (FindingKind.MISSING, (frame,), True)
+
+
+@pytest.mark.parametrize("frame", [3, 10, 18])
+def test_a_frame_delivered_twice_is_named(frame: int) -> None:
+    order = [*range(frame), *range(frame - 1, 23)]
+    (fault,) = inspect(SMALL, PITCHES, order)
+    assert (fault.kind, fault.frames) == (FindingKind.DOUBLED, (frame,))
+
+
+def test_interchanged_bits_of_a_gray_code_are_named() -> None:
+    """The parity of the bits does not show it; the numbers of the half periods jump."""
+    sequence = gray_code_sequence(800, 4, 40, 4)
+    scene = FringeScene(seed=2, grey=60.0, last_column=790.0, relief=3.0)
+    order = list(range(len(sequence)))
+    order[2], order[4] = 4, 2
+    (fault,) = inspect(scene, sequence, order)
+    assert (fault.kind, fault.frames) == (FindingKind.INTERCHANGED, (2, 4))
