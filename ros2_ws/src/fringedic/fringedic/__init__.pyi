@@ -14,6 +14,8 @@ from .correlation import accumulate as accumulate
 from .correlation import measure_displacement as measure_displacement
 from .errors import FringedicError as FringedicError
 from .frames.region import Region as Region
+from .models import compare_model as compare_model
+from .models import read_model as read_model
 from .patterns import ResponseCurve as ResponseCurve
 from .patterns import fringe_sequence as fringe_sequence
 from .patterns import gray_code_sequence as gray_code_sequence

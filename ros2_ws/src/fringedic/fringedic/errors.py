@@ -123,6 +123,10 @@ class DatasetError(FringedicError, ValueError):
     """A file is not a dataset of this library, two datasets cannot be compared, or a probe measures nothing."""
 
 
+class ModelError(FringedicError, ValueError):
+    """A file is not a model that can be compared, its place is not determined, or it does not cover the measurement."""
+
+
 class RigSetupError(FringedicError, ValueError):
     """A measurement before the test gives no result."""
 
@@ -179,6 +183,7 @@ _EXTRAS = {
     "figures": "drawing",
     "report": "a report",
     "paraview": "a file for ParaView",
+    "models": "reading a model",
     "zarr": "a Zarr dataset",
 }
 
@@ -190,7 +195,8 @@ def optional_import(extra: str) -> Iterator[None]:
     Parameters
     ----------
     extra
-        The extra of this library that installs the package: ``figures``, ``report``, ``paraview`` or ``zarr``.
+        The extra of this library that installs the package: ``figures``, ``report``, ``paraview``,
+        ``models`` or ``zarr``.
 
     Raises
     ------

@@ -23,6 +23,7 @@ import fringedic.export
 import fringedic.figures
 import fringedic.results
 from fringedic.errors import FringedicError
+from fringedic.models import Model
 from fringedic.rig_setup.response import response_patterns
 
 pytestmark = pytest.mark.filterwarnings("ignore::RuntimeWarning", "ignore:Degrees of freedom")
@@ -66,6 +67,12 @@ EXPERIMENT = xr.concat([MAPS] * 2, dim="step").assign(
     time=("step", np.array([0, 1], "datetime64[ns]")),
     error=("step", ["", ""]),
 )
+MEASURED = EXPERIMENT.assign(reference_step=("step", [0, 0])).assign_attrs(
+    parameters='[{"parameters": {"dic": {"window": 16, "method": "dense"}}}]'
+)
+CORNERS = np.array([(x, y, 0.0) for x in (-0.1, 0.1) for y in (-0.1, 0.1)])
+TRIANGLES = np.array([[0, 2, 3], [0, 3, 1]])
+MODEL = Model("plane", CORNERS, TRIANGLES, False, np.array([0.0, 5.0]), np.array([0 * CORNERS, 1e-3 * CORNERS]))
 SEQUENCE = fringedic.fringe_sequence(80, 6, [80, 10], 4)
 FRAMES = np.array([0.8 * image.astype(np.float32) + 10 for image in SEQUENCE])
 ANGLES = [math.radians(angle) for angle in (0, -15, -10, 10, 15)]
@@ -183,6 +190,8 @@ CALLS = {
     fringedic.figures.save_pictures: {"dataset": EXPERIMENT.isel(step=[0], row=slice(0, 3)), "folder": NOWHERE},
     fringedic.export.export_dataset: {"dataset": EXPERIMENT, "folder": NOWHERE, "formats": ["csv"], "steps": [1]},
     fringedic.results.compare_with_truth: {"dataset": EXPERIMENT, "truth_path": NOWHERE},
+    fringedic.compare_model: {"experiment": MEASURED, "model": MODEL, "steps": [1], "load": "force", "loads": {1: 2.0}},
+    fringedic.read_model: {"file": NOWHERE, "unit": "mm", "displacement": "u", "loads": [1.0]},
     fringedic.open_experiment: {"path": NOWHERE},
     fringedic.measure_images: {
         "images": [NOWHERE, NOWHERE],
@@ -200,6 +209,7 @@ CALLS = {
 FILES = {  # their call does not work, because there is no such file
     fringedic.results.compare_with_truth,
     fringedic.open_experiment,
+    fringedic.read_model,
     fringedic.measure_images,
     fringedic.process_bag,
     fringedic.write_report,

@@ -14,6 +14,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import pyvista
 from scipy.ndimage import gaussian_filter
 from typer.main import get_command
 
@@ -23,7 +24,7 @@ ROOT = Path(__file__).parents[4]
 WITHOUT_ROS = ROOT / "tests" / "without_ros"
 BAG = ROOT / "ros2_ws" / "src" / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
 TABLE = re.findall(
-    r"^\| `fringedic (\w+) ?([^`]*)` \| .* \| (yes|no)([^|]*) \|$", (ROOT / "docs" / "command.md").read_text(), re.M
+    r"^\| `fringedic ([\w-]+) ?([^`]*)` \| .* \| (yes|no)([^|]*) \|$", (ROOT / "docs" / "command.md").read_text(), re.M
 )
 ROS_FREE_OPTION = re.compile(r"no with `(--[a-z]+)`")
 
@@ -85,6 +86,10 @@ def commands(folder: Path) -> dict[str, list[str]]:
         "process": ["process", bag, "--output", dataset],
         "export": ["export", dataset, "--to", "netcdf", "--output", str(folder / "exported")],
         "report": ["report", dataset, "--output", str(folder / "report.html")],
+        "compare-model": [
+            *("compare-model", dataset, str(folder / "plate.vtp"), "--unit", "mm", "--by", "position"),
+            *("--load=100", "--output", str(folder / "compared")),
+        ],
         # a recording of an experiment is read and refused, because a calibration of this size is too long for a test
         "calibrate": ["calibrate", "--from", bag, "--output", str(folder / "calibration")],
     }
@@ -108,6 +113,9 @@ def outcomes(folder: Path) -> dict[str, Outcome]:
     rng = np.random.default_rng(5)
     texture = gaussian_filter(rng.normal(size=(160, 200)), 1.5)
     grey = 128 + 35 * texture / texture.std()
+    sheet = pyvista.Plane(i_size=400, j_size=400).triangulate()
+    sheet.point_data["displacement"] = 1e-3 * sheet.points
+    sheet.save(folder / "plate.vtp")
     for number in range(3):
         noisy = grey + rng.normal(0, 2, grey.shape)
         cv2.imwrite(str(folder / f"static-{number}.png"), np.clip(noisy, 0, 255).astype(np.uint8))
@@ -171,3 +179,6 @@ def test_results_are_written(folder: Path, outcomes: dict[str, Outcome]) -> None
     for name in (*names, "without_ros.nc", "report.html"):
         assert (folder / name).exists(), name
     assert list((folder / "exported").glob("*.nc"))
+    page = (folder / "compared" / "comparison.html").read_text(encoding="utf-8")
+    assert "The shape is" in page
+    assert list((folder / "compared").glob("*_vtk/*.pvd"))

@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 import typer
 
 from fringedic.errors import FringedicError
-from fringedic_bringup.command import calibration, experiments, images, recordings, rig_setup
+from fringedic_bringup.command import calibration, experiments, images, models, recordings, rig_setup
 from fringedic_bringup.command.app import app
 
 __all__ = [
@@ -17,6 +17,7 @@ __all__ = [
     "experiments",
     "images",
     "main",
+    "models",
     "recordings",
     "rig_setup",
 ]  # importing them adds their subcommands

@@ -1,0 +1,319 @@
+"""Measured displacement and strain beside those of a model: differences in units of their standard uncertainty."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from fringedic.errors import ModelError
+from fringedic.inputs.arguments import check_arguments, dataset, number, of_type, one_of, optional, several, whole
+from fringedic.models.agreement import AGREEMENT, Agreement, assess
+from fringedic.models.levelling import Levelling, levelling_of
+from fringedic.models.model import Model
+from fringedic.models.placement import Placement, PointPair, place_model
+from fringedic.models.sampling import Samples, facing, sample
+from fringedic.results.motion import in_space
+from fringedic.results.quantities import MAP_DIMENSIONS
+
+_POSITION, _DISPLACEMENT = ("x", "y", "z"), ("u", "v", "w")
+_STRAINS = (("e_11", "e_22", "e_12"), ("e_xx", "e_yy", "e_xy"))
+_KEPT = ("experiment", "software", "commit", "parameters", "calibration", "facts", "pixel_size")
+Pair = tuple[Sequence[float], Sequence[float]]
+"""(column, row) [px of the reference image] of a point, and its (x, y, z) [m] in the frame of the model."""
+
+
+class _Fields(NamedTuple):
+    """Maps of the compared quantities (quantity, row, column), with their names."""
+
+    names: tuple[str, ...]
+    values: np.ndarray
+
+
+def _load_of_each_step(value: object) -> dict[int, float]:
+    if not isinstance(value, Mapping):
+        raise ValueError("a load for each step by its number, such as {1: 250.0}")
+    return {whole()(step): number()(load) for step, load in value.items()}
+
+
+@check_arguments(
+    ModelError,
+    experiment=dataset(over=("step", "row", "column")),
+    model=of_type(Model),
+    pairs=several(several(several(number()), length=2)),
+    steps=optional(several(whole(), least=1)),
+    load=one_of("force", "position"),
+    loads=optional(_load_of_each_step),
+)
+def compare_model(
+    experiment: xr.Dataset,
+    model: Model,
+    *,
+    pairs: Sequence[Pair] = (),
+    steps: Iterable[int] | None = None,
+    load: str = "force",
+    loads: Mapping[int, float] | None = None,
+) -> xr.Dataset:
+    """Compare the measured displacement and strain of each step with those of a model.
+
+    The model is aligned with the measured reference surface (`place_model`), its displacement since the load of the
+    reference step is interpolated at the load of each step, sampled at the measured points, and filtered as the
+    measurement filters that of the surface. The variance of the difference is that of the measurement plus that of the
+    alignment: the change of the model's fields when it moves by the six errors of its placement.
+
+    Parameters
+    ----------
+    experiment
+        From `fringedic.open_experiment`, with uncertainties; images alone need a scale.
+    model
+        From `read_model`, with displacement.
+    pairs
+        At least three points ((column, row), (x, y, z)): where they are in the reference image [px], and in the model
+        [m]. Without them the model has to be in the rig frame already, and its placement in directions that the shape
+        does not determine counts as exact.
+    steps
+        Numbers of the steps; by default all with a displacement and a load within those of the model.
+    load
+        Which value of a step the loads of the model are: ``"force"`` [N] or ``"position"`` of the crosshead [m].
+    loads
+        Load of the model for each step by number, instead of the recorded value.
+
+    Returns
+    -------
+    Dataset
+        Over (step, row, column), float32, for u, v, w [m] and the strain components [1]: the measured map with
+        ``sigma_``, ``model_``, ``difference_`` (measured minus model), ``sigma_difference_`` and ``normalized_``, the
+        difference over its standard uncertainty. ``x``, ``y``, ``z`` and ``distance`` of the reference surface from the
+        model along z [m]. Over (step, quantity) the values of `fringedic.models.agreement`. ``load`` of each step.
+        The attribute ``placement`` (JSON) contains the rigid transformation with its standard uncertainties.
+
+    Raises
+    ------
+    ModelError
+        The model has no displacement or does not cover the load of any step, the dataset has no displacement,
+        uncertainty or load, or as of `place_model`.
+
+    Examples
+    --------
+    >>> experiment = fringedic.open_experiment("recordings/plate-7/bag")  # doctest: +SKIP
+    >>> model = read_model("plate.vtu", unit="mm", loads=[1000.0])  # doctest: +SKIP
+    >>> comparison = compare_model(experiment, model)  # doctest: +SKIP
+    >>> float(comparison.within_2_sigma.sel(step=3, quantity="u"))  # doctest: +SKIP
+    0.951
+    """
+    if not len(model.loads):
+        raise ModelError(f"{model.name}: has no displacement; export it at the nodes, or name its field")
+    levelling = levelling_of(experiment)
+    of_step = _loads(experiment, model, load, loads)
+    chosen = _choose(experiment, model, of_step, steps)
+    placement: Placement | None = None
+    compared: list[xr.Dataset] = []
+    for number_of_step in chosen:
+        step = in_space(experiment.sel(step=number_of_step)).transpose(..., "row", "column", missing_dims="ignore")
+        _require_maps(step)
+        reference = of_step.get(int(step["reference_step"]), 0.0)
+        if placement is None:
+            placement = _place(step, model, pairs, reference)
+        comparison = _Comparison(step, model, placement, levelling, (reference, of_step[number_of_step]))
+        compared.append(comparison.result().assign_coords(step=number_of_step))
+    assert placement is not None
+    joined = xr.concat(compared, "step", coords="minimal", compat="override", join="override")
+    return joined.assign_attrs(
+        {name: experiment.attrs[name] for name in _KEPT if name in experiment.attrs}
+    ).assign_attrs(model=model.name, load=load, placement=_placement_text(placement))
+
+
+def _loads(experiment: xr.Dataset, model: Model, load: str, loads: Mapping[int, float] | None) -> dict[int, float]:
+    """Return the load of each step that has one."""
+    if loads is not None:
+        return dict(loads)
+    if load not in experiment or experiment[load].dtype.kind != "f" or not np.isfinite(experiment[load].values).any():
+        raise ModelError(
+            f"the dataset has no {load}, by which the load steps of {model.name} are found: give the load of each "
+            "step, such as loads={1: 250.0}"
+        )
+    values = zip(experiment["step"].values.tolist(), experiment[load].values.tolist(), strict=True)
+    return {step: value for step, value in values if np.isfinite(value)}
+
+
+def _choose(
+    experiment: xr.Dataset, model: Model, of_step: Mapping[int, float], steps: Iterable[int] | None
+) -> list[int]:
+    """Return the steps to compare: displaced, with a load within those of the model."""
+    references = dict(
+        zip(experiment["step"].values.tolist(), experiment["reference_step"].values.tolist(), strict=True)
+    )
+    wanted = list(references) if steps is None else list(steps)
+    displaced = [step for step in wanted if references.get(step, -1) not in (-1, step) and step in of_step]
+    if not displaced:
+        raise ModelError(f"none of the steps {wanted} has both a displacement and a load; choose other steps")
+    covered = [step for step in displaced if model.covers(of_step[step])]
+    if not covered or (steps is not None and len(covered) < len(wanted)):
+        first, last = (extreme(of_step[step] for step in displaced) for extreme in (min, max))
+        raise ModelError(
+            f"{model.name}: its loads, {model.loads[0]:g} to {model.loads[-1]:g}, and those of the steps, {first:g} to "
+            f"{last:g}, do not overlap: check the unit (N, m) and the sign, compute further load steps, or choose steps"
+        )
+    return covered
+
+
+def _require_maps(step: xr.Dataset) -> None:
+    needed = (*_POSITION, *_DISPLACEMENT, "sigma_u", "sigma_v")
+    missing = [name for name in needed if name not in step or step[name].dtype.kind != "f"]
+    if missing:
+        raise ModelError(
+            f"step {int(step.step)} has no {', '.join(missing)}: a comparison needs positions, displacement and their "
+            "uncertainty in metres; images alone need a scale (--pixel-size-mm)"
+        )
+
+
+def _place(step: xr.Dataset, model: Model, pairs: Sequence[Pair], load: float) -> Placement:
+    surface = np.stack([step[name].values.astype(float) for name in _POSITION])
+    distances = np.hypot(*(np.diff(surface[axis], axis=1) for axis in (0, 1)))
+    measured = [PointPair(_measured_at(step, surface, pair[0]), _three(pair[1])) for pair in pairs]
+    return place_model(surface, model, measured, spacing=float(np.nanmedian(distances)), load=load)
+
+
+def _three(position: Sequence[float]) -> tuple[float, float, float]:
+    if len(position) != 3:
+        raise ModelError(
+            f"the point {tuple(position)} of the model has {len(position)} coordinates; it needs (x, y, z) in m"
+        )
+    return float(position[0]), float(position[1]), float(position[2])
+
+
+def _measured_at(step: xr.Dataset, surface: np.ndarray, at: Sequence[float]) -> tuple[float, float, float]:
+    """Return the position in space of a pixel: of the plane through the nearest measured points."""
+    row, column = np.meshgrid(step["row"].values, step["column"].values, indexing="ij")
+    known = np.isfinite(surface).all(axis=0)
+    offset = np.stack([column[known] - at[0], row[known] - at[1]])
+    distance = np.hypot(*offset)
+    near = np.argsort(distance)[:9]
+    spacing = abs(float(step["column"][1] - step["column"][0]))
+    if len(near) < 9 or distance[near[0]] > 10 * spacing:
+        raise ModelError(f"nothing is measured near the point {tuple(at)} px (column, row); choose another point pair")
+    basis = np.column_stack([np.ones(9), *offset[:, near]])
+    found = np.linalg.lstsq(basis, surface[:, known][:, near].T, rcond=None)[0][0]
+    return _three(found.tolist())
+
+
+class _Comparison:
+    """One step beside the model at its load."""
+
+    def __init__(
+        self, step: xr.Dataset, model: Model, placement: Placement, levelling: Levelling, loads: tuple[float, float]
+    ) -> None:
+        self._step, self._placement, self._levelling, self._loads = step, placement, levelling, loads
+        self._positions = np.stack([step[name].values.astype(float) for name in _POSITION])
+        self._known = np.isfinite(self._positions).all(axis=0) & np.isfinite(step["u"].values)
+        before, after = (model.displacement_at(load) for load in loads)
+        self._nodes, self._motion, self._model = model.nodes + before, after - before, model
+
+    def result(self) -> xr.Dataset:
+        """Return the maps of the step and its agreement."""
+        measured, sigma = self._measured()
+        sampled = self._sample(self._placement)
+        modelled = self._levelled(sampled)
+        unfiltered = self._fields(sampled)
+        variance = sigma.values**2
+        moved = []
+        for deviation in self._placement.deviations():
+            change = self._fields(self._sample(self._placement.moved(deviation))).values - unfiltered.values
+            variance = variance + change**2
+            moved.append(change)
+        deviation_of_difference = np.sqrt(variance)
+        difference = measured.values - modelled.values
+        maps: dict[str, np.ndarray] = dict(zip(_POSITION, self._positions, strict=True))
+        maps["distance"] = self._positions[2] - self._height(self._samples(self._placement))
+        agreements = []
+        for place, name in enumerate(measured.names):
+            maps[name], maps[f"sigma_{name}"] = measured.values[place], sigma.values[place]
+            maps[f"model_{name}"], maps[f"difference_{name}"] = modelled.values[place], difference[place]
+            maps[f"sigma_difference_{name}"] = deviation_of_difference[place]
+            maps[f"normalized_{name}"] = difference[place] / deviation_of_difference[place]
+            changes = [each[place] for each in moved]
+            agreements.append(assess(measured.values[place], sigma.values[place], modelled.values[place], changes))
+        return self._dataset(maps, measured.names, agreements)
+
+    def _measured(self) -> tuple[_Fields, _Fields]:
+        names = [*(name for name in _DISPLACEMENT if f"sigma_{name}" in self._step), *self._strain_names()]
+        values, sigmas = (
+            np.stack([self._step[f"{prefix}{name}"].values.astype(float) for name in names])
+            for prefix in ("", "sigma_")
+        )
+        return _Fields(tuple(names), values), _Fields(tuple(names), sigmas)
+
+    def _strain_names(self) -> tuple[str, ...]:
+        for names in _STRAINS:
+            if self._levelling.strain_window and all(f"sigma_{name}" in self._step for name in names):
+                return names
+        return ()
+
+    def _samples(self, placement: Placement) -> Samples:
+        nodes = placement.apply(self._nodes)
+        triangles = facing(nodes, self._model.triangles) if self._model.closed else self._model.triangles
+        return sample(nodes, triangles, self._positions[:, self._known].T)
+
+    def _height(self, samples: Samples) -> np.ndarray:
+        """Return z of the model under the measured points, (row, column)."""
+        heights = np.full(self._known.shape, np.nan)
+        heights[self._known] = samples.interpolate(self._placement.apply(self._nodes))[:, 2]
+        return heights
+
+    def _sample(self, placement: Placement) -> np.ndarray:
+        """Return the displacement of the model in the rig frame at the measured points, (3, row, column)."""
+        maps = np.full((3, *self._known.shape), np.nan)
+        maps[:, self._known] = (self._samples(placement).interpolate(self._motion) @ placement.rotation.T).T
+        return maps
+
+    def _levelled(self, maps: np.ndarray) -> _Fields:
+        return self._fields(self._levelling.displacement(maps))
+
+    def _fields(self, filtered: np.ndarray) -> _Fields:
+        """Return the compared quantities of a displacement (3, row, column)."""
+        names = tuple(name for name in _DISPLACEMENT if f"sigma_{name}" in self._step)
+        fields = [filtered[_DISPLACEMENT.index(name)] for name in names]
+        if strains := self._strain_names():
+            fields += list(self._levelling.strain(self._positions, filtered, self._step))
+        return _Fields((*names, *strains), np.stack(fields))
+
+    def _dataset(
+        self, maps: Mapping[str, np.ndarray], names: tuple[str, ...], agreements: Sequence[Agreement]
+    ) -> xr.Dataset:
+        shape = MAP_DIMENSIONS[1:]
+        fields: dict[str, object] = {}
+        for name, values in maps.items():
+            strain = "e_" in name
+            units = "sigma" if name.startswith("normalized") else "1" if strain else "m"
+            fields[name] = (shape, values.astype(np.float32), {"units": units})
+        for name, (units, long_name) in AGREEMENT.items():
+            values = np.array([getattr(each, name) for each in agreements], float)
+            fields[name] = ("quantity", values, {"units": units, "long_name": long_name})
+        fields["load_of_model"] = ((), self._loads[1], {"long_name": "load that the model was interpolated at"})
+        for name in ("force", "position", "reference_step", "time"):
+            if name in self._step:
+                fields[name] = self._step[name].variable
+        coordinates = {
+            name: self._step[name] for name in ("row", "column", "x_mm", "y_mm") if name in self._step.coords
+        }
+        return xr.Dataset(fields, {**coordinates, "quantity": list(names)})
+
+
+def _placement_text(placement: Placement) -> str:
+    """Return the rigid transformation and its uncertainty as JSON."""
+    free = None if placement.free is None else placement.free.__dict__
+    return json.dumps(
+        {
+            "rotation": placement.rotation.tolist(),
+            "translation": placement.translation.tolist(),
+            "centre": placement.centre.tolist(),
+            "sigma_translation": np.sqrt(np.diag(placement.covariance)[:3]).tolist(),
+            "sigma_rotation": np.sqrt(np.diag(placement.covariance)[3:]).tolist(),
+            "residual": placement.residual,
+            "points": placement.used,
+            "free": free,
+        }
+    )

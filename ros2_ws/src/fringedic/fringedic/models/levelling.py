@@ -1,0 +1,133 @@
+"""Levelling: a model's displacement is filtered as the measurement filters that of the surface.
+
+The in-plane displacement passes through the windows of its method, whose transfer function is that of
+`fringedic.correlation.transfer`, the height through the Gaussian that smoothed it; the strain is that of
+`surface_strain` with the same window.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import xarray as xr
+
+from fringedic.correlation.transfer import NARROWER, ORDER, window_deviation
+from fringedic.errors import ModelError
+from fringedic.surface.strain import surface_strain
+
+_ITERATIONS = 12  # of the fixed point; test_waves_keep_the_share_of_the_transfer_function
+
+
+@dataclass(frozen=True)
+class Levelling:
+    """What the measurement does to the displacement of a surface.
+
+    Attributes
+    ----------
+    window, method
+        Of the in-plane displacement, as in `measure_displacement` [px].
+    z_filter
+        Standard deviation of the Gaussian that smoothed the heights [px].
+    strain_window
+        Of the strain [px]; 0 without strain.
+    spacing
+        Distance of the points [px].
+    """
+
+    window: int
+    method: str
+    z_filter: float
+    strain_window: int
+    spacing: int
+
+    def displacement(self, maps: np.ndarray) -> np.ndarray:
+        """Return maps of u, v, w (3, row, column) as they would be measured; NaN stays NaN."""
+        known = np.isfinite(maps).all(axis=0)
+        u, v, w = np.where(known, maps, 0.0).astype(np.float32)
+        if self.z_filter > 0:
+            w = _normalised(known, _gaussian(self.z_filter / self.spacing))(w)
+        return np.where(known, np.stack([self._in_plane(u, known), self._in_plane(v, known), w]), np.nan)
+
+    def _in_plane(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
+        if self.method == "zoi":
+            return _normalised(known, _zone(self.window, self.spacing))(values)
+        return _fixed_point(values, known, window_deviation(self.window) / self.spacing)
+
+    def strain(self, positions: np.ndarray, maps: np.ndarray, grid: xr.Dataset) -> np.ndarray:
+        """Return e_11, e_22, e_12 (3, row, column) of a filtered displacement at positions (3, row, column) [m]."""
+        fields = dict(zip(("x", "y", "z", "u", "v", "w"), (*positions, *maps), strict=True))
+        cloud = xr.Dataset(
+            {name: (("row", "column"), values) for name, values in fields.items()},
+            {name: grid[name] for name in ("row", "column")},
+        )
+        found = surface_strain(cloud, window=self.strain_window)
+        return np.stack([found[name].values for name in ("e_11", "e_22", "e_12")])
+
+
+def levelling_of(experiment: xr.Dataset) -> Levelling:
+    """Return the filters that a dataset was measured with.
+
+    Raises
+    ------
+    ModelError
+        The dataset does not contain its parameters.
+    """
+    recorded = json.loads(experiment.attrs.get("parameters", "[]"))
+    if not recorded:
+        raise ModelError("the dataset has no parameters of its measurement; open a dataset of this version")
+    parameters: dict[str, dict[str, Any]] = recorded[-1]["parameters"]
+    coupling, strain = parameters.get("coupling", {}), parameters.get("strain", {})
+    columns = experiment["column"].values
+    return Levelling(
+        window=int(parameters["dic"]["window"]),
+        method=str(parameters["dic"].get("method", "dense")),
+        z_filter=float(coupling.get("z_filter_px", 0.0)),
+        strain_window=int(strain.get("strain_window_px", coupling.get("strain_window_px", 0))),
+        spacing=int(columns[1] - columns[0]) if len(columns) > 1 else 1,
+    )
+
+
+def _fixed_point(values: np.ndarray, known: np.ndarray, deviation: float) -> np.ndarray:
+    """Return the fixed point u = S u + W (values - S u) of the dense method with windows cut off at edges.
+
+    S = 1 - (1 - V)^ORDER; W and V are Gaussians of standard deviations `deviation` and NARROWER `deviation` [points].
+    Inside the surface the transfer function is that of `fringedic.correlation.transfer`; at an edge normalised windows
+    follow the displacement as subsets do.
+    """
+    wide, narrow = (_normalised(known, _gaussian(each)) for each in (deviation, NARROWER * deviation))
+    result = values
+    for _ in range(_ITERATIONS):
+        left = result
+        for _ in range(ORDER):
+            left = left - narrow(left)
+        predicted = result - left
+        result = predicted + wide(values - predicted)
+    return result
+
+
+def _normalised(known: np.ndarray, taps: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the separable filter that weighs only known points; 0 elsewhere."""
+
+    def smooth(values: np.ndarray) -> np.ndarray:
+        return np.asarray(cv2.sepFilter2D(values, cv2.CV_32F, taps, taps, borderType=cv2.BORDER_CONSTANT))
+
+    share = np.where(known, smooth(known.astype(np.float32)), np.float32(1))
+    return lambda values: known * smooth(values) / share
+
+
+def _gaussian(deviation: float) -> np.ndarray:
+    reach = int(4 * deviation) + 1
+    taps = np.exp(-0.5 * (np.arange(-reach, reach + 1) / deviation) ** 2)
+    return np.asarray(taps / taps.sum())
+
+
+def _zone(window: int, spacing: int) -> np.ndarray:
+    """Return the weights of a zone, the square of its bi-triangular window, at the points."""
+    reach = (window - 1) // (2 * spacing)
+    taps = np.maximum(0, 1 - np.abs(np.arange(-reach, reach + 1)) * 2 * spacing / (window - 1)) ** 2
+    return np.asarray(taps / taps.sum())

@@ -1,0 +1,264 @@
+"""Finite-element models and nominal shapes: the surface of a mesh, and the displacement of its nodes at each load."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from fringedic.errors import ModelError, optional_import
+from fringedic.inputs.arguments import check_arguments, number, one_of, optional, path, several, text
+
+if TYPE_CHECKING:
+    import pyvista
+
+UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "inch": 25.4e-3}
+_LARGEST_FILE = 2**30  # byte; its surface is far smaller
+_VTK_SUFFIXES = {".vtk", ".vtu", ".vtp", ".stl", ".ply", ".obj"}
+_MESHIO_SUFFIXES = {".inp", ".msh", ".bdf", ".nas", ".med", ".xdmf"}
+_LONGEST_CAUSE = 150  # characters
+_PREFIX = "displacement at load "
+
+
+@dataclass(frozen=True)
+class Model:
+    """The surface of a mesh and its motion.
+
+    Attributes
+    ----------
+    name
+        Of its file.
+    nodes : (node, 3)
+        Positions without load [m], in the frame of the model.
+    triangles : (triangle, 3)
+        Numbers of their nodes.
+    closed
+        Whether the triangles enclose a volume, counterclockwise seen from outside. Of a closed surface only the side
+        towards the camera is compared.
+    loads : (load,)
+        Force [N] or crosshead position [m] of each load, increasing; empty for a nominal shape.
+    displacement : (load, node, 3)
+        Displacement of the nodes [m].
+    """
+
+    name: str
+    nodes: np.ndarray
+    triangles: np.ndarray
+    closed: bool
+    loads: np.ndarray
+    displacement: np.ndarray
+
+    def displacement_at(self, load: float) -> np.ndarray:
+        """Return the displacement of the nodes (node, 3) [m] at a load, linear between the loads of the model.
+
+        Raises
+        ------
+        ModelError
+            The load is outside the loads of the model.
+        """
+        if not self.covers(load):
+            raise ModelError(
+                f"{self.name}: the load {load:g} is outside the model's loads, {self.loads[0]:g} to "
+                f"{self.loads[-1]:g}; compute this load step, or choose other steps"
+            )
+        place = float(np.interp(load, self.loads, np.arange(len(self.loads))))
+        first = min(int(place), len(self.loads) - 2)
+        return np.asarray(
+            (first + 1 - place) * self.displacement[first] + (place - first) * self.displacement[first + 1]
+        )
+
+    def covers(self, load: float) -> bool:
+        """Return whether a load is within the loads of the model, up to 0.1 % of their range."""
+        tolerance = 1e-3 * float(np.ptp(self.loads))
+        return bool(self.loads[0] - tolerance <= load <= self.loads[-1] + tolerance)
+
+
+@check_arguments(
+    ModelError,
+    file=path,
+    unit=one_of(*UNITS),
+    displacement=optional(text),
+    loads=optional(several(number(), least=1)),
+)
+def read_model(
+    file: str | os.PathLike[str],
+    *,
+    unit: str,
+    displacement: str | None = None,
+    loads: Sequence[float] | None = None,
+) -> Model:
+    """Read a mesh of surface or volume elements with the displacement of its nodes.
+
+    Elements with nodes on their edges (quadratic ones) are divided there, so that all nodes are used. A model without
+    load at the load 0 is added if the loads of the file start above 0.
+
+    Parameters
+    ----------
+    file
+        Mesh: VTK, VTU, VTP, STL, PLY or OBJ; Abaqus ``.inp``, gmsh ``.msh``, Nastran, MED or XDMF; or a ``.pvd``, whose
+        files are the load steps.
+    unit
+        Of lengths and displacements in the file: ``"m"``, ``"mm"``, ``"um"`` or ``"inch"``. A mesh does not contain it.
+    displacement
+        Name of the field of displacement vectors at the nodes; by default the only vector field. A file without one
+        is a nominal shape.
+    loads
+        Force [N] or crosshead position [m] of each load step of the file; by default the times of a ``.pvd``.
+
+    Returns
+    -------
+    Model
+        In metres.
+
+    Raises
+    ------
+    ModelError
+        The file cannot be read, is larger than 1 GB, or contains no surface, nodes that are NaN, or not the
+        displacement; the number of loads is not that of its load steps, or a load occurs twice.
+    FringedicError
+        The extra ``models`` is not installed.
+
+    Examples
+    --------
+    >>> model = read_model("plate.vtu", unit="mm", loads=[1000.0])  # doctest: +SKIP
+    >>> model.loads  # doctest: +SKIP
+    array([   0., 1000.])
+    """
+    source = Path(file)
+    _require_readable(source)
+    meshes = _load_steps(source) if source.suffix.lower() == ".pvd" else {0.0: _read_mesh(source)}
+    found = [_displacement(mesh, displacement, source.name) for mesh in meshes.values()]
+    fields = [each for each in found if each is not None]
+    given = (list(meshes) if loads is None else loads) if fields else []
+    if fields and loads is None and source.suffix.lower() != ".pvd":
+        raise ModelError(f"{source.name}: the load of its displacement is unknown: give loads=[...] in N, or in m")
+    if len(given) != len(fields) or len(set(given)) != len(given):
+        raise ModelError(
+            f"{source.name}: has {len(fields)} load steps with a displacement, and {len(set(given))} different loads "
+            "are given: give one load for each step"
+        )
+    first = next(iter(meshes.values()))
+    return _model(source.name, first, dict(zip(given, fields, strict=True)), UNITS[unit])
+
+
+def _require_readable(source: Path) -> None:
+    if not source.is_file():
+        raise ModelError(f"{source}: no such model file; give a mesh such as model.vtu")
+    if source.stat().st_size > _LARGEST_FILE:
+        raise ModelError(
+            f"{source.name}: has {source.stat().st_size / 1e9:.1f} GB, the limit is 1.1 GB: export only the surface of "
+            "the part, or fewer fields"
+        )
+
+
+@contextmanager
+def _damage_named(source: Path) -> Iterator[None]:
+    """Raise ModelError for everything that readers of foreign formats raise; one of them ends the process."""
+    try:
+        yield
+    except ModelError:
+        raise
+    except (Exception, SystemExit) as error:
+        cause = " ".join(str(error).split())[:_LONGEST_CAUSE]
+        raise ModelError(
+            f"{source.name}: cannot be read as a mesh ({cause}); write it again, for example as .vtu"
+        ) from error
+
+
+def _read_mesh(source: Path) -> pyvista.DataSet:
+    with optional_import("models"):
+        import meshio  # type: ignore[import-untyped]
+        import pyvista
+    suffix = source.suffix.lower()
+    if suffix not in _VTK_SUFFIXES | _MESHIO_SUFFIXES:
+        known = ", ".join(sorted(_VTK_SUFFIXES | _MESHIO_SUFFIXES))
+        raise ModelError(
+            f"{source.name}: {suffix or 'a file without suffix'} is not read; convert it to one of {known}"
+        )
+    with _damage_named(source):
+        mesh = pyvista.read(source) if suffix in _VTK_SUFFIXES else pyvista.from_meshio(meshio.read(source))
+    return mesh
+
+
+def _load_steps(source: Path) -> dict[float, pyvista.DataSet]:
+    """Return the meshes of a series by their times."""
+    with optional_import("models"):
+        import pyvista
+    with _damage_named(source):
+        reader = pyvista.PVDReader(source)
+        times = list(reader.time_values)
+        meshes = {}
+        for time in times:
+            reader.set_active_time_value(time)
+            meshes[float(time)] = reader.read().combine()
+    if len({mesh.n_points for mesh in meshes.values()}) != 1:
+        raise ModelError(f"{source.name}: its files have different numbers of nodes; write one mesh for all load steps")
+    return meshes
+
+
+def _displacement(mesh: pyvista.DataSet, name: str | None, source: str) -> np.ndarray | None:
+    """Return the vectors (node, 3) of the displacement; None for a mesh without vectors that names none."""
+    others = {mesh.point_data.active_normals_name, mesh.point_data.active_texture_coordinates_name}
+    vectors = [each for each in mesh.point_data if np.ndim(mesh.point_data[each]) == 2 and each not in others]
+    if name is None and len(vectors) > 1:
+        raise ModelError(f"{source}: has the vector fields {', '.join(vectors)}; name the one of the displacement")
+    if name is not None and name not in vectors:
+        raise ModelError(
+            f"{source}: has no vectors {name!r} at its nodes, it has {', '.join(vectors) or 'none'}; export the "
+            "displacement at the nodes, or name one of these"
+        )
+    if not vectors:
+        return None
+    field = np.asarray(mesh.point_data[name or vectors[0]], float)
+    if field.shape[1] not in (2, 3):
+        raise ModelError(f"{source}: {name or vectors[0]} has {field.shape[1]} components; a displacement has 3")
+    return np.pad(field, ((0, 0), (0, 3 - field.shape[1])))
+
+
+def _model(name: str, mesh: pyvista.DataSet, fields: dict[float, np.ndarray], scale: float) -> Model:
+    """Return the model of a mesh with displacements by load; fields move with the nodes to the surface."""
+    for load, field in fields.items():
+        mesh.point_data[f"{_PREFIX}{load}"] = field
+    surface = _surface(name, mesh)
+    nodes, triangles = scale * np.asarray(surface.points, float), surface.regular_faces.astype(np.int64)
+    moved = {load: scale * np.asarray(surface.point_data[f"{_PREFIX}{load}"], float) for load in sorted(fields)}
+    missing = sum(int(np.count_nonzero(~np.isfinite(each).all(axis=1))) for each in (nodes, *moved.values()))
+    if missing:
+        raise ModelError(
+            f"{name}: {missing} nodes have a position or displacement that is not finite; compute it again"
+        )
+    if moved and min(moved) > 0:  # from the state without load
+        moved = {0.0: np.zeros_like(nodes), **moved}
+    elif len(moved) == 1:
+        raise ModelError(f"{name}: one load step at {min(moved):g} cannot be interpolated; add a load step beyond it")
+    closed = surface.n_open_edges == 0
+    if closed and _volume(nodes, triangles) < 0:
+        triangles = triangles[:, ::-1]
+    displacement = np.array(list(moved.values())) if moved else np.empty((0, *nodes.shape))
+    return Model(name, nodes, np.ascontiguousarray(triangles), closed, np.array(list(moved), float), displacement)
+
+
+def _surface(name: str, mesh: pyvista.DataSet) -> pyvista.PolyData:
+    """Return the triangles of the surface; of a mesh with volume elements without its separate surface elements."""
+    import pyvista
+
+    grid = mesh.cast_to_unstructured_grid()
+    _, examples, kinds = np.unique(grid.celltypes, return_index=True, return_inverse=True)
+    dimensions = np.array([grid.get_cell(index).dimension for index in examples.tolist()], int)[kinds]
+    if not dimensions.size or dimensions.max() < 2:
+        raise ModelError(f"{name}: contains no surface and no volume elements; export the mesh of the part")
+    grid = grid.extract_cells(dimensions == dimensions.max())
+    surface = grid.extract_surface(nonlinear_subdivision=1, algorithm="dataset_surface").triangulate()
+    cleaned = surface.clean()
+    assert isinstance(cleaned, pyvista.PolyData)
+    return cleaned
+
+
+def _volume(nodes: np.ndarray, triangles: np.ndarray) -> float:
+    first, second, third = (nodes[triangles[:, corner]] for corner in range(3))
+    return float(np.einsum("ij,ij->", first, np.cross(second, third)) / 6)

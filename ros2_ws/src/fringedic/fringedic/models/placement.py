@@ -1,0 +1,343 @@
+"""Alignment of a model with the measured surface: a rigid transformation with its covariance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from fringedic.errors import ModelError
+from fringedic.models.correlated import correlated_points
+from fringedic.models.model import Model
+from fringedic.models.sampling import facing, node_normals, sample
+
+_MOST_POINTS = 20_000  # of the measured surface; more do not change the result within its uncertainty
+_ITERATIONS = 50
+_TUKEY = 4.685  # width of the biweight in standard deviations: 95 % efficiency for normal errors
+_SMALLEST_SCALE = 1e-7  # residual of computed data over the size of the surface
+_TURNING = 0.1  # singular value above which a free motion contains a rotation
+_SINGULAR = 1e-5  # ratio of eigenvalues below which a direction is not determined, whatever the noise
+_FEWEST = 50  # points of the surface
+_MISFIT = 10.0  # standard deviations of a clicked point
+_MIRRORED = 0.3  # residual of the mirrored model over that of the model
+_SHAPES = {  # number of free translations and rotations (slippage analysis)
+    (2, 1): "a plane",
+    (1, 1): "a cylinder",
+    (0, 3): "a sphere",
+    (0, 1): "a surface of revolution",
+    (1, 0): "an extruded profile",
+}
+
+
+class PointPair(NamedTuple):
+    """A point on the measured surface and the same point of the model, both [m].
+
+    Attributes
+    ----------
+    measured
+        (x, y, z) in the rig frame.
+    model
+        (x, y, z) in the frame of the model.
+    """
+
+    measured: tuple[float, float, float]
+    model: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class FreeDirections:
+    """Motions of the model that the shape does not determine.
+
+    Attributes
+    ----------
+    shape
+        What the surface resembles, such as ``a plane``.
+    translations, rotations
+        Unit vectors in the rig frame: directions of free translations, axes of free rotations.
+    """
+
+    shape: str
+    translations: tuple[tuple[float, float, float], ...]
+    rotations: tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a model is in the rig frame: X = rotation x + translation.
+
+    Attributes
+    ----------
+    rotation : (3, 3)
+        Of the frame of the model.
+    translation : (3,)
+        In the rig frame [m].
+    centre : (3,)
+        Point of the rig frame that errors of the rotation turn about [m].
+    covariance : (6, 6)
+        Of the errors of translation [m] and rotation vector [rad] about the centre. It is 0 for directions that neither
+        the shape nor point pairs determine: the model stays there where it was given.
+    residual
+        Robust standard deviation of the distances between measured points and model [m].
+    used
+        Number of measured points that lie on the model.
+    free
+        What the shape does not determine; None if it determines everything.
+    """
+
+    rotation: np.ndarray
+    translation: np.ndarray
+    centre: np.ndarray
+    covariance: np.ndarray
+    residual: float = 0.0
+    used: int = 0
+    free: FreeDirections | None = None
+
+    def apply(self, points: np.ndarray) -> np.ndarray:
+        """Return points (point, 3) of the model in the rig frame [m]."""
+        return np.asarray(points @ self.rotation.T + self.translation)
+
+    def moved(self, motion: np.ndarray) -> Placement:
+        """Return the placement after a further translation [m] and rotation [rad] about the centre, shape (6,)."""
+        turn = Rotation.from_rotvec(motion[3:]).as_matrix()
+        shift = turn @ (self.translation - self.centre) + self.centre + motion[:3]
+        return replace(self, rotation=turn @ self.rotation, translation=shift)
+
+    def deviations(self) -> np.ndarray:
+        """Return independent errors of one standard deviation (number, 6), whose products sum up to the covariance."""
+        values, vectors = np.linalg.eigh(self.covariance)
+        kept = values > 1e-12 * max(values.max(), 1e-30)
+        return np.asarray((vectors[:, kept] * np.sqrt(values[kept])).T)
+
+
+def place_model(
+    surface: np.ndarray, model: Model, pairs: Sequence[PointPair] = (), *, spacing: float, load: float | None = None
+) -> Placement:
+    """Align a model with a measured surface by point-to-plane least squares (Chen and Medioni 1992).
+
+    The distances of measured points to the model along its normals, weighted by Tukey's biweight so that parts which
+    only one of both contains have no influence, and the distances of the point pairs are minimised (Gauss-Newton).
+    Their covariance is that of the residuals, with the correlation of neighbouring points.
+
+    Parameters
+    ----------
+    surface : (3, row, column)
+        Measured x, y, z [m] in the rig frame, NaN where not measured.
+    model
+        To be aligned.
+    pairs
+        At least three that do not lie on a line, the coarse start; they also determine directions that the shape does
+        not. Without them the model has to be in the rig frame already, up to a few points.
+    spacing
+        Distance of measured points [m]: standard deviation of each coordinate of a point pair, and of a direction that
+        counts as not determined.
+    load
+        At which the surface was measured; by default without load.
+
+    Returns
+    -------
+    Placement
+        With its covariance.
+
+    Raises
+    ------
+    ModelError
+        The pairs do not fit together, the model misses the measured surface, or it is mirrored.
+
+    References
+    ----------
+    Y. Chen, G. Medioni (1992), Object modelling by registration of multiple range images, Image and Vision Computing
+    10, 145-155.
+    N. Gelfand, L. Guibas (2004), Shape segmentation using local slippage analysis, Symposium on Geometry Processing.
+    """
+    nodes = model.nodes if load is None else model.nodes + model.displacement_at(load)
+    step = max(1, int(np.ceil(np.sqrt(surface[0].size / _MOST_POINTS))))
+    thinned = surface[:, ::step, ::step]
+    alignment = _Alignment(thinned, replace(model, nodes=nodes), list(pairs), spacing)
+    placed = alignment.run(alignment.start())
+    mirror = alignment.mirrored(placed)
+    if mirror < _MIRRORED * placed.residual:
+        raise ModelError(
+            f"{model.name}: mirrored, it fits the surface to {1e6 * mirror:.0f} µm, as it is to "
+            f"{1e6 * placed.residual:.0f} µm: the mesh is mirrored or shows the other side; mirror it"
+        )
+    return placed
+
+
+class _Fit(NamedTuple):
+    """Residuals of the measured points (NaN beside the model) with derivatives and weights.
+
+    `scale` is their robust standard deviation, `variance` its square times the number of correlated points.
+    """
+
+    residuals: np.ndarray
+    derivatives: np.ndarray
+    weights: np.ndarray
+    scale: float
+    variance: float
+
+
+class _System(NamedTuple):
+    """Normal equations at a placement: gradient, covariance of the solution, and what the shape leaves free."""
+
+    fit: _Fit
+    gradient: np.ndarray
+    covariance: np.ndarray
+    lengths: np.ndarray
+    free: FreeDirections | None
+
+
+class _Alignment:
+    """Gauss-Newton iterations of one model on one surface."""
+
+    def __init__(self, surface: np.ndarray, model: Model, pairs: list[PointPair], spacing: float) -> None:
+        self._shape = surface.shape[1:]
+        self._points = surface.reshape(3, -1).T.astype(float)
+        self._model, self._spacing = model, spacing
+        self._pairs = np.array(pairs, float).reshape(-1, 2, 3)
+        measured = self._points[np.isfinite(self._points).all(axis=1)]
+        if len(measured) < _FEWEST:
+            raise ModelError(f"only {len(measured)} points of the surface are measured; choose another reference step")
+        if not (spacing > 0 and np.ptp(measured[:, 0]) > 0 and np.ptp(measured[:, 1]) > 0):
+            raise ModelError("the measured points lie on a line or at one place; choose another reference step")
+        self._centre = measured.mean(axis=0)
+        self._length = float(np.sqrt(np.mean(np.sum((measured - self._centre) ** 2, axis=1))))
+
+    def start(self) -> Placement:
+        """Return the transformation of the point pairs (Kabsch 1976); without them that of a model in the rig frame."""
+        zero = np.zeros((6, 6))
+        if not len(self._pairs):
+            return Placement(np.eye(3), np.zeros(3), self._centre, zero)
+        measured, modelled = self._pairs[:, 0], self._pairs[:, 1]
+        spread = np.linalg.svd(modelled - modelled.mean(axis=0), compute_uv=False)
+        if len(self._pairs) < 3 or spread[1] < 2 * self._spacing:
+            raise ModelError("the point pairs do not determine a position: give at least three that are not on a line")
+        turn, _ = Rotation.align_vectors(measured - measured.mean(axis=0), modelled - modelled.mean(axis=0))
+        rotation = turn.as_matrix()
+        placed = Placement(rotation, measured.mean(axis=0) - rotation @ modelled.mean(axis=0), self._centre, zero)
+        misfit = float(np.sqrt(np.mean(np.sum((placed.apply(modelled) - measured) ** 2, axis=1))))
+        if misfit > _MISFIT * self._spacing:
+            raise ModelError(
+                f"{self._model.name}: the point pairs miss each other by {1e3 * misfit:.2f} mm: check their order and "
+                "the unit of the mesh, and whether the mesh is mirrored"
+            )
+        return placed
+
+    def run(self, placed: Placement) -> Placement:
+        """Return the placement with the least residual, and its covariance.
+
+        What the shape determines depends on the residual, which is known after a first fit.
+        """
+        variance = self._fit(self._iterate(placed, None)).variance
+        placed = self._iterate(placed, variance)
+        system = self._system(placed, variance)
+        return replace(
+            placed,
+            covariance=system.covariance,
+            residual=system.fit.scale,
+            used=int(np.count_nonzero(np.isfinite(system.fit.residuals))),
+            free=system.free,
+        )
+
+    def _iterate(self, placed: Placement, variance: float | None) -> Placement:
+        for _ in range(_ITERATIONS):
+            system = self._system(placed, variance)
+            step = system.covariance @ system.gradient
+            placed = placed.moved(step)
+            if np.abs(step * system.lengths).max() < 1e-4 * self._spacing:
+                break
+        return placed
+
+    def mirrored(self, placed: Placement) -> float:
+        """Return the residual of the mirrored model, infinite where it misses the surface."""
+        among = (
+            self._pairs[:, 1] if len(self._pairs) else (self._centre - placed.translation)[np.newaxis] @ placed.rotation
+        )
+        centre = among.mean(axis=0)
+        normal = np.linalg.svd(among - centre)[2][2] if len(among) > 2 else placed.rotation[2]
+        nodes = self._model.nodes - 2 * np.outer((self._model.nodes - centre) @ normal, normal)
+        other = replace(self._model, nodes=nodes, triangles=np.ascontiguousarray(self._model.triangles[:, ::-1]))
+        alignment = _Alignment(self._points.T.reshape(3, *self._shape), other, [], self._spacing)
+        alignment._pairs = self._pairs
+        try:
+            return alignment.run(placed).residual
+        except ModelError:
+            return np.inf
+
+    def _system(self, placed: Placement, variance: float | None) -> _System:
+        """Return the normal equations of a Gauss-Newton step.
+
+        The model moves by (t, r), a measured point at the distance d along the normal n of the model point q gives
+        d - n . t - ((q - c) x n) . r, a pair with the difference e gives e - t - r x (m - c).
+        """
+        fit = self._fit(placed)
+        lengths = np.array([1, 1, 1, *3 * [self._length]])  # rotations count as the displacement that they cause
+        found = np.isfinite(fit.residuals)
+        weighted = fit.derivatives[found] * (fit.weights[found] / (variance or fit.variance))[:, np.newaxis]
+        information, gradient = weighted.T @ fit.derivatives[found], weighted.T @ fit.residuals[found]
+        values, vectors = np.linalg.eigh(information / np.outer(lengths, lengths))
+        free = values < _SINGULAR * values.max()
+        if variance is not None:
+            free |= values < 1 / self._spacing**2
+        kept = vectors[:, ~free] / lengths[:, np.newaxis]
+        covariance = (kept / values[~free]) @ kept.T
+        if len(self._pairs):
+            derivatives, differences = self._pair_equations(placed)
+            information = information + derivatives.T @ derivatives / self._spacing**2
+            gradient = gradient + derivatives.T @ differences / self._spacing**2
+            scaled = np.linalg.inv(information / np.outer(lengths, lengths))
+            covariance = scaled / np.outer(lengths, lengths)
+        return _System(fit, gradient, covariance, lengths, _name_free(vectors[:, free]))
+
+    def _pair_equations(self, placed: Placement) -> tuple[np.ndarray, np.ndarray]:
+        """Return derivatives (3 pairs, 6) and differences (3 pairs,) of the point pairs."""
+        modelled = placed.apply(self._pairs[:, 1])
+        rows = []
+        for x, y, z in modelled - self._centre:
+            rows.append(np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]]))
+        return np.vstack(rows), (self._pairs[:, 0] - modelled).ravel()
+
+    def _fit(self, placed: Placement) -> _Fit:
+        nodes = placed.apply(self._model.nodes)
+        triangles = facing(nodes, self._model.triangles) if self._model.closed else self._model.triangles
+        if not len(triangles):
+            raise ModelError(f"{self._model.name}: no side of the model faces the camera; check the point pairs")
+        samples = sample(nodes, triangles, self._points)
+        found = samples.found
+        if np.count_nonzero(found) < _FEWEST:
+            raise ModelError(
+                f"{self._model.name}: misses the measured surface, {np.count_nonzero(found)} of its points lie on the "
+                "model: check the unit of the mesh, and give point pairs"
+            )
+        on_model = samples.interpolate(nodes)
+        normal = samples.interpolate(node_normals(nodes, triangles))
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        residuals = np.einsum("pi,pi->p", normal, self._points - on_model)
+        derivatives = np.hstack([normal, np.cross(on_model - self._centre, normal)])
+        known = residuals[np.isfinite(residuals)]
+        scale = max(1.4826 * float(np.median(np.abs(known))), _SMALLEST_SCALE * self._length)
+        weights = np.clip(1 - (residuals / (_TUKEY * scale)) ** 2, 0, None) ** 2
+        kept = np.where(weights > 0, residuals, np.nan).reshape(self._shape)
+        return _Fit(residuals, derivatives, weights, scale, scale**2 * correlated_points(kept))
+
+
+def _name_free(directions: np.ndarray) -> FreeDirections | None:
+    """Return free translations and rotations from their vectors (6, number)."""
+    number = directions.shape[1]
+    if not number:
+        return None
+    _, strength, mixing = np.linalg.svd(directions[3:])
+    turning = int(np.count_nonzero(strength > _TURNING))
+    motions = directions @ mixing.T
+    rotations, translations = motions[3:, :turning], motions[:3, turning:]
+    return FreeDirections(
+        _SHAPES.get((number - turning, turning), "a surface with symmetry"), _unit(translations), _unit(rotations)
+    )
+
+
+def _unit(vectors: np.ndarray) -> tuple[tuple[float, float, float], ...]:
+    """Return unit vectors of columns (3, number) whose largest component is positive."""
+    columns = (column / np.linalg.norm(column) * np.sign(column[np.argmax(np.abs(column))]) for column in vectors.T)
+    return tuple((float(x), float(y), float(z)) for x, y, z in columns)

@@ -1,0 +1,147 @@
+"""The page of a comparison with a model: one HTML file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import xarray as xr
+
+from fringedic.errors import DatasetError
+from fringedic.figures.maps import maps_figure
+from fringedic.figures.panels import Panel, panel_of
+from fringedic.provenance import git_commit, software
+from fringedic.report.embedding import base64_png
+from fringedic.report.templates import render_page
+from fringedic.results.quantities import number_text, people_unit
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+COLUMNS = (
+    "step",
+    "load",
+    "quantity",
+    "points",
+    "RMS difference",
+    "its uncertainty",
+    "within 2 sigma [%]",
+    "RMS over sigma",
+    "systematic",
+    "largest region [points]",
+    "factor on the model",
+)
+
+
+def write_model_comparison(comparison: xr.Dataset, output: Path, *, overwrite: bool = False) -> Path:
+    """Write the page of a comparison: a table of every step, maps of the last one, the placement of the model.
+
+    Parameters
+    ----------
+    comparison
+        From `fringedic.compare_model`.
+    output
+        HTML file.
+    overwrite
+        Replace an existing file.
+
+    Raises
+    ------
+    DatasetError
+        The file exists already or cannot be written.
+    FringedicError
+        A package of the extra ``report`` is not installed.
+    """
+    if output.exists() and not overwrite:
+        raise DatasetError(f"{output} exists already; choose another --output or ask to overwrite it")
+    last = comparison.isel(step=-1)
+    page = render_page(
+        "model_comparison.html.j2",
+        title=f"{comparison.attrs.get('experiment', 'experiment')} and {comparison.attrs['model']}",
+        software=f"{software()}, commit {git_commit()}",
+        sentences=[*agreement_sentences(last), *placement_sentences(comparison)],
+        columns=COLUMNS,
+        rows=[row for step in comparison["step"].values for row in _rows(comparison.sel(step=step))],
+        shown=int(last["step"]),
+        maps={name: base64_png(_maps(last, name)) for name in comparison["quantity"].values.tolist()},
+    )
+    try:
+        output.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise DatasetError(f"{output}: cannot be written: {error.strerror}") from error
+    return output
+
+
+def agreement_sentences(step: xr.Dataset) -> list[str]:
+    """Return one sentence for each quantity of a step: how many points agree, and the factor on the model."""
+    sentences = []
+    for name in step["quantity"].values.tolist():
+        found = step.sel(quantity=name)
+        factor, sigma = float(found["factor"]), float(found["sigma_factor"])
+        sentences.append(
+            f"{name}: {100 * float(found['within_2_sigma']):.1f} % of {int(found['points'])} points within 2 sigma "
+            f"(95 % expected of noise); the model times {factor:.4f} ± {2 * sigma:.4f} (95 %) fits best"
+        )
+    return sentences
+
+
+def placement_sentences(comparison: xr.Dataset) -> list[str]:
+    """Return how well the model is aligned, and what its shape does not determine."""
+    placement: dict[str, Any] = json.loads(comparison.attrs["placement"])
+    shift = ", ".join(number_text(1e6 * each) for each in placement["sigma_translation"])
+    turn = ", ".join(number_text(1e3 * each) for each in placement["sigma_rotation"])
+    sentences = [
+        f"Alignment: {placement['points']} points, residual {number_text(1e6 * placement['residual'])} µm; standard "
+        f"uncertainty of the translation {shift} µm along x, y, z, of the rotation {turn} mrad about them."
+    ]
+    if placement["free"] is not None:
+        free = placement["free"]
+        directions = [f"translation along {_vector(each)}" for each in free["translations"]]
+        directions += [f"rotation about {_vector(each)}" for each in free["rotations"]]
+        sentences.append(
+            f"The shape is {free['shape']} and does not determine the {' and the '.join(directions)}: point pairs at "
+            "features such as a hole or a corner determine them."
+        )
+    return sentences
+
+
+def _vector(direction: list[float]) -> str:
+    return f"({', '.join(f'{each:.2f}' for each in direction)})"
+
+
+def _rows(step: xr.Dataset) -> list[list[str]]:
+    rows = []
+    for name in step["quantity"].values.tolist():
+        found, unit = step.sel(quantity=name), people_unit(step[name])
+        rms, sigma, systematic = (
+            f"{number_text(float(found[each]) / unit.factor)} {unit.text}"
+            for each in ("rms_difference", "rms_sigma", "systematic")
+        )
+        rows.append(
+            [
+                str(int(step["step"])),
+                number_text(float(step["load_of_model"])),
+                name,
+                str(int(found["points"])),
+                rms,
+                sigma,
+                f"{100 * float(found['within_2_sigma']):.1f}",
+                f"{float(found['normalized_rms']):.2f}",
+                systematic,
+                str(int(found["largest_region"])),
+                f"{float(found['factor']):.4f} ± {float(found['sigma_factor']):.4f}",
+            ]
+        )
+    return rows
+
+
+def _maps(step: xr.Dataset, name: str) -> Figure:
+    title = panel_of(name).title
+    panels = (
+        Panel(name, f"measured {title}"),
+        Panel(f"model_{name}", "model, filtered as the measurement"),
+        Panel(f"difference_{name}", "measured minus model", symmetric=True),
+        Panel(f"normalized_{name}", "difference over its uncertainty", symmetric=True),
+    )
+    return maps_figure(step, panels, title=f"step {int(step['step'])}, {name}")

@@ -1,0 +1,239 @@
+"""Differences from a model: of noise alone when it is right, found when it is wrong."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvista
+import xarray as xr
+from scipy.spatial.transform import Rotation
+
+import fringedic
+from fringedic.errors import ModelError
+from fringedic.models import Model, compare_model, read_model
+from fringedic.models.levelling import Levelling
+
+ROW, COLUMN = np.meshgrid(np.arange(0, 320, 4), np.arange(0, 400, 4), indexing="ij")
+PIXEL = 50e-6
+X, Y = PIXEL * (COLUMN - 200.0), -PIXEL * (ROW - 160.0)
+SIGMA = {"u": 0.3e-6, "v": 0.3e-6, "w": 2e-6}
+LEVELLING = Levelling(32, "dense", 2.0, 41, 4)
+TURN = Rotation.from_euler("xyz", [2.0, -1.0, 30.0], degrees=True).as_matrix()
+SHIFT = np.array([1e-3, 2e-3, -0.5e-3])
+
+
+def height(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return 6 * x**2 + 4 * x * y + 0.3e-3 * np.sin(500 * x) * np.cos(400 * y)
+
+
+def moved(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Displacement at 1000 N [m]: tension along x with a wave."""
+    return np.stack([2e-3 * x + 1e-6 * np.sin(800 * y), -0.6e-3 * y, 0.05 * x * (x + y)], axis=-1)
+
+
+def model_of(factor: float = 1.0, loads: tuple[float, ...] = (0.0, 1000.0)) -> Model:
+    """The sheet in a frame of its own."""
+    number = 121
+    x, y = (each.ravel() for each in np.meshgrid(*2 * [np.linspace(-12e-3, 12e-3, number)], indexing="ij"))
+    nodes = (np.column_stack([x, y, height(x, y)]) - SHIFT) @ TURN
+    first = (np.arange(number - 1)[:, None] * number + np.arange(number - 1)).ravel()
+    quads = np.stack([first, first + number, first + number + 1, first + 1], axis=1)
+    triangles = np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    motion = factor * moved(x, y) @ TURN
+    displacement = np.array([load / 1000 * motion for load in loads])
+    return Model("sheet.vtu", nodes, triangles, False, np.array(loads), displacement)
+
+
+def pairs() -> list[tuple[tuple[float, float], tuple[float, float, float]]]:
+    found = []
+    for row, column in ((10, 10), (70, 15), (60, 90)):
+        x, y = X[row, column], Y[row, column]
+        own = (np.array([x, y, height(x, y)]) - SHIFT) @ TURN
+        found.append(((float(COLUMN[row, column]), float(ROW[row, column])), tuple(own.tolist())))
+    return found
+
+
+def experiment(seed: int = 1) -> xr.Dataset:
+    """Return three steps measured with white noise: the reference, 500 N and 1000 N."""
+    generator = np.random.default_rng(seed)
+    z = height(X, Y)
+    maps: dict[str, list[np.ndarray]] = {name: [] for name in (*"xyzuvw", *(f"sigma_{name}" for name in "uvw"))}
+    strains: list[np.ndarray] = []
+    grid = xr.Dataset(coords={"row": ROW[:, 0], "column": COLUMN[0]})
+    for force in (0.0, 500.0, 1000.0):
+        true = LEVELLING.displacement(np.moveaxis(force / 1000 * moved(X, Y), -1, 0))
+        strains.append(LEVELLING.strain(np.stack([X, Y, z]), true, grid))
+        for name, values in zip("xyz", (X, Y, z), strict=True):
+            maps[name].append(values + (generator.normal(0, 2e-6, z.shape) if name == "z" else 0))
+        for name, values in zip("uvw", true, strict=True):
+            maps[name].append(values + generator.normal(0, SIGMA[name], z.shape))
+            maps[f"sigma_{name}"].append(np.full(z.shape, SIGMA[name]))
+    dimensions = ("step", "row", "column")
+    fields: dict[str, object] = {name: (dimensions, np.array(values, np.float32)) for name, values in maps.items()}
+    for place, name in enumerate(("e_11", "e_22", "e_12")):
+        values = np.array([each[place] for each in strains])
+        fields[name] = (dimensions, values + generator.normal(0, 20e-6, values.shape))
+        fields[f"sigma_{name}"] = (dimensions, np.full(values.shape, 20e-6))
+    fields |= {"force": ("step", [0.0, 500.0, 1000.0]), "reference_step": ("step", [0, 0, 0])}
+    parameters = {"dic": {"window": 32, "method": "dense"}, "coupling": {"z_filter_px": 2.0, "strain_window_px": 41}}
+    attributes = {"experiment": "sheet", "parameters": json.dumps([{"from_step": 0, "parameters": parameters}])}
+    return xr.Dataset(fields, {"step": [0, 1, 2], "row": ROW[:, 0], "column": COLUMN[0]}, attributes)
+
+
+@pytest.fixture(scope="module")
+def right() -> xr.Dataset:
+    return fringedic.compare_model(experiment(), model_of(), pairs=pairs())
+
+
+def test_a_right_model_differs_by_noise_alone(right: xr.Dataset):
+    assert right.step.values.tolist() == [1, 2]
+    assert right.load_of_model.values.tolist() == [500.0, 1000.0]
+    for name in ("u", "v", "w", "e_11", "e_22", "e_12"):
+        agreement = right.sel(quantity=name)
+        assert 0.9 < float(agreement.normalized_rms[-1]) < 1.1, name
+        assert 0.93 < float(agreement.within_2_sigma[-1]) < 0.97, name
+    factor = right.sel(quantity="e_11", step=2)
+    assert abs(float(factor.factor) - 1) < 3 * float(factor.sigma_factor) < 0.01
+
+
+def test_maps_belong_together(right: xr.Dataset):
+    step = right.sel(step=2)
+    assert np.allclose(step.u - step.model_u, step.difference_u, atol=1e-11, equal_nan=True)
+    assert np.allclose(step.difference_u / step.sigma_difference_u, step.normalized_u, rtol=1e-3, equal_nan=True)
+    assert bool((step.sigma_difference_u >= step.sigma_u * (1 - 1e-6)).where(step.normalized_u.notnull(), True).all())
+    assert abs(float(step.distance.median())) < 1e-6
+    placement = json.loads(right.attrs["placement"])
+    assert np.abs(np.array(placement["rotation"]) - TURN).max() < 1e-3
+
+
+def test_a_modulus_that_is_2_percent_wrong_is_found():
+    found = compare_model(experiment(), model_of(1 / 1.02), pairs=pairs(), steps=[2]).sel(step=2, quantity="e_11")
+    assert float(found.factor) == pytest.approx(1.02, abs=3 * float(found.sigma_factor))
+    assert float(found.factor) - 1 > 2 * float(found.sigma_factor)
+    assert float(found.normalized_rms) > 1.2
+    assert float(found.systematic) == pytest.approx(0.02 * 2e-3 / 1.02, rel=0.2)
+
+
+def test_loads_can_be_given_for_each_step_and_start_at_the_reference():
+    data = experiment().drop_vars("force")
+    with pytest.raises(ModelError, match="no force"):
+        compare_model(data, model_of(), pairs=pairs())
+    model = model_of(loads=(-1000.0, 0.0, 1000.0))
+    model = replace(model, nodes=model.nodes - model.displacement_at(-500.0))  # so that the sheet is that at -500 N
+    shifted = compare_model(data, model, pairs=pairs(), loads={0: -500.0, 2: 500.0})
+    assert shifted.step.values.tolist() == [2]
+    assert 0.9 < float(shifted.normalized_rms.sel(quantity="u", step=2)) < 1.1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda data: (data, model_of(loads=(2000.0, 3000.0)), {}), "do not overlap"),
+        (lambda data: (data, model_of(loads=(0.0, 600.0)), {"steps": [1, 2]}), "do not overlap"),
+        (lambda data: (data, model_of(), {"steps": [0]}), "has both a displacement and a load"),
+        (lambda data: (data, replace(model_of(), loads=np.empty(0)), {}), "has no displacement"),
+        (lambda data: (data.drop_vars("sigma_u"), model_of(), {}), "sigma_u"),
+        (lambda data: (data.assign_attrs(parameters="[]"), model_of(), {}), "no parameters"),
+        (lambda data: (data, model_of(), {"pairs": 3 * [((4e3, 0.0), (0.0, 0.0, 0.0))]}), "nothing is measured"),
+        (lambda data: (data, model_of(), {"pairs": [((40.0, 0.0), (0.0, 0.0))] * 3}), "has 2 coordinates"),
+        (lambda data: (data, model_of(), {"loads": [1.0]}), "loads"),
+    ],
+)
+def test_input_that_cannot_be_compared_is_refused(change, message):
+    data, model, options = change(experiment())
+    with pytest.raises(ModelError, match=message) as raised:
+        compare_model(data, model, **{"pairs": pairs(), **options})
+    assert len(str(raised.value)) <= 500
+
+
+def block(quadratic: bool = False) -> pyvista.UnstructuredGrid:
+    """A block of 4 x 2 x 1 with the displacement (x, 0, 0) / 1000, in mm."""
+    grid = pyvista.ImageData(dimensions=(5, 3, 2)).cast_to_unstructured_grid()
+    if quadratic:
+        corners = np.array(
+            [[0, 0, 0], [4, 0, 0], [4, 2, 0], [0, 2, 0], [0, 0, 1], [4, 0, 1], [4, 2, 1], [0, 2, 1]], float
+        )
+        edges = [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)]
+        points = np.vstack([corners, [(corners[a] + corners[b]) / 2 for a, b in edges]])
+        grid = pyvista.UnstructuredGrid(np.array([20, *range(20)]), [pyvista.CellType.QUADRATIC_HEXAHEDRON], points)
+    grid.point_data["displacement"] = np.column_stack([grid.points[:, 0] / 1000, *2 * [np.zeros(grid.n_points)]])
+    return grid
+
+
+@pytest.mark.parametrize("quadratic", [False, True])
+@pytest.mark.parametrize("suffix", [".vtu", ".inp"])
+def test_surface_and_displacement_of_a_block_are_read(tmp_path: Path, quadratic: bool, suffix: str):
+    file = tmp_path / f"block{suffix}"
+    if suffix == ".inp":
+        pyvista.save_meshio(file, block(quadratic))
+        with pytest.raises(ModelError, match="no vectors 'displacement'"):
+            read_model(file, unit="mm", displacement="displacement")
+        model = read_model(file, unit="mm")
+        assert not len(model.loads)
+    else:
+        block(quadratic).save(file)
+        model = read_model(file, unit="mm", loads=[200.0])
+        assert model.loads.tolist() == [0.0, 200.0]
+        assert np.allclose(model.displacement_at(100.0)[:, 0], model.nodes[:, 0] / 2000)
+    assert model.closed
+    assert np.allclose(model.nodes.max(axis=0), [4e-3, 2e-3, 1e-3])
+    first, second, third = (model.nodes[model.triangles[:, corner]] for corner in range(3))
+    volume = np.einsum("ij,ij->", first, np.cross(second, third)) / 6
+    assert volume == pytest.approx(8e-9)
+
+
+def test_load_steps_of_a_series_and_an_stl(tmp_path: Path):
+    lines = []
+    for load in (100, 300):
+        grid = block()
+        grid.point_data["displacement"] = grid.point_data["displacement"] * load
+        grid.save(tmp_path / f"{load}.vtu")
+        lines.append(f'<DataSet timestep="{load}" part="0" file="{load}.vtu"/>')
+    head = '<?xml version="1.0"?><VTKFile type="Collection" version="0.1" byte_order="LittleEndian"><Collection>'
+    (tmp_path / "plate.pvd").write_text(f"{head}{''.join(lines)}</Collection></VTKFile>")
+    model = read_model(tmp_path / "plate.pvd", unit="mm")
+    assert model.loads.tolist() == [0.0, 100.0, 300.0]
+    assert np.allclose(model.displacement_at(200.0)[:, 0], 0.2 * model.nodes[:, 0])
+    pyvista.Cube().triangulate().save(tmp_path / "cube.stl")
+    nominal = read_model(tmp_path / "cube.stl", unit="inch")
+    assert nominal.closed
+    assert np.ptp(nominal.nodes[:, 0]) == pytest.approx(25.4e-3)
+
+
+def test_files_that_are_no_model_are_refused(tmp_path: Path):
+    grid = block()
+    grid.save(tmp_path / "block.vtu")
+    grid.point_data["velocity"] = grid.point_data["displacement"]
+    grid.save(tmp_path / "two.vtu")
+    grid = block()
+    grid.points[3] = np.nan
+    grid.save(tmp_path / "nan.vtu")
+    (tmp_path / "text.msh").write_text("no mesh")
+    (tmp_path / "text.vtu").write_text("no mesh")
+    (tmp_path / "huge.vtu").touch()
+    with open(tmp_path / "huge.vtu", "r+b") as stream:
+        stream.truncate(2**31)
+    pyvista.Line().save(tmp_path / "line.vtp")
+    cases = [
+        ("block.vtu", {"unit": "furlong"}, "unit"),
+        ("block.vtu", {}, "load of its displacement is unknown"),
+        ("block.vtu", {"loads": [1.0, 2.0]}, "one load for each step"),
+        ("block.vtu", {"loads": [0.0]}, "cannot be interpolated"),
+        ("block.vtu", {"loads": [1.0], "displacement": "U"}, "no vectors 'U'"),
+        ("two.vtu", {"loads": [1.0]}, "vector fields displacement, velocity"),
+        ("nan.vtu", {"loads": [1.0]}, "1 nodes have a position"),
+        ("text.msh", {}, "cannot be read as a mesh"),
+        ("text.vtu", {}, "surface|cannot be read"),
+        ("huge.vtu", {}, "2.1 GB"),
+        ("line.vtp", {}, "no surface"),
+        ("missing.vtu", {}, "no such model file"),
+        ("block.exo", {}, "no such model file"),
+    ]
+    for name, options, message in cases:
+        with pytest.raises(ModelError, match=message) as raised:
+            read_model(tmp_path / name, **{"unit": "mm", **options})
+        assert len(str(raised.value)) <= 500
