@@ -2,7 +2,7 @@
 # make check  style, types, import contracts, unit tests of the library
 # make test   make check with coverage, then tests of the nodes, the running system, the pages and the notebooks
 # make test-stock     the tests that need a sourced ROS 2 installation with its tools
-# make test-hardware  the tests that need system packages for real devices
+# make test-hardware  the tests that need system packages: real devices, a browser
 # make docs   the documentation site in docs/_build/html; warnings are errors
 # make bench  measured figures with their targets
 # make setup  environment, ROS 2 and workspace, which the other targets need and call
@@ -33,7 +33,7 @@ test-stock: setup
 	@$(ENVIRONMENT) && python -m pytest -m stock
 
 test-hardware: setup
-	@setup/hardware.sh && $(ENVIRONMENT) && python -m pytest -m hardware
+	@setup/hardware.sh && $(ENVIRONMENT) && python -m pytest -m "hardware or browser"
 
 docs: setup
 	@$(ENVIRONMENT) && python -m sphinx --fail-on-warning --keep-going --quiet docs docs/_build/html

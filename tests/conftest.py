@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import Browser, sync_playwright
 from running_system import CONFIG, RecordedExperiment, processes_of, record_experiment, shared_result
 
 from fringedic_bringup.launch.processes import node_environment, private_domain, remove_stale_segments
@@ -39,3 +41,16 @@ def recorded(tiny: Path, tmp_path_factory: pytest.TempPathFactory) -> RecordedEx
 def experiment(recorded: RecordedExperiment) -> RunReport:
     """Return the report of the recorded experiment."""
     return recorded.report
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """Return chromium; a test that needs it is skipped where it is not installed."""
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("chromium is not installed: sudo apt-get install chromium")
+    arguments = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with sync_playwright() as playwright:
+        running = playwright.chromium.launch(executable_path=chromium, args=arguments)
+        yield running
+        running.close()

@@ -17,6 +17,7 @@ from typing import Any, Self, TypeVar
 
 import pytest
 from pymodbus.client import ModbusTcpClient
+from served import free_port as free_port
 from typer.testing import CliRunner
 
 from fringedic_bringup.command.main import app

@@ -13,7 +13,7 @@ from experiment_node.active_goal import ActiveGoal
 from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.frame_taker import FrameTaker
 from experiment_node.running_step import RunningStep
-from experiment_node.topics import PUBLISHED, READERS
+from experiment_node.topics import PUBLISHED, READERS, WATCHERS
 from fringedic_msgs.action import MeasureStep
 from fringedic_ros.matching import Matching
 from fringedic_ros.qos import EVENTS
@@ -46,7 +46,7 @@ class Readiness:
         self._connected_at = time.monotonic()
         self._graph_changed = True
         self._known_endpoints: list[int] = []
-        self._matching = Matching(node, PUBLISHED, READERS)
+        self._matching = Matching(node, PUBLISHED, (*READERS, *WATCHERS))
 
     def subscribe(self, kind: type[Any], topic: str, callback: Callable[[Any], None]) -> None:
         """Subscribe to a topic of every step, and keep in mind whether its publisher is connected."""

@@ -61,3 +61,5 @@ PROCESSING_INPUTS = {"phase": PHASE_INPUTS, "dic": DIC_INPUTS, "coupling": COUPL
 
 # Nodes that must not miss a message of the processing nodes.
 READERS = (*PUBLISHED, "recorder", "experiment", "player")
+# Nodes that may miss messages. Their subscriptions count, so that none of them is taken for one of the readers.
+WATCHERS = ("operator",)

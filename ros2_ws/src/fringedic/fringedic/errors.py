@@ -175,6 +175,10 @@ class StepFailedError(FringedicError, RuntimeError):
     """A load step or a movement of the machine ended with an error code."""
 
 
+class OperatorError(FringedicError, RuntimeError):
+    """A request of the operator's page is refused; the message says what to do instead."""
+
+
 class WaitTimeoutError(FringedicError, TimeoutError):
     """A node, an answer or a message did not come in time; the message names it."""
 
@@ -182,6 +186,7 @@ class WaitTimeoutError(FringedicError, TimeoutError):
 _EXTRAS = {
     "figures": "drawing",
     "report": "a report",
+    "operator": "the operator's page",
     "paraview": "a file for ParaView",
     "models": "reading a model",
     "zarr": "a Zarr dataset",
@@ -195,7 +200,7 @@ def optional_import(extra: str) -> Iterator[None]:
     Parameters
     ----------
     extra
-        The extra of this library that installs the package: ``figures``, ``report``, ``paraview``,
+        The extra of this library that installs the package: ``figures``, ``report``, ``operator``, ``paraview``,
         ``models`` or ``zarr``.
 
     Raises

@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 import pyvista
+from running_system import free_port
 from scipy.ndimage import gaussian_filter
 from typer.main import get_command
 
@@ -30,7 +31,7 @@ ROS_FREE_OPTION = re.compile(r"no with `(--[a-z]+)`")
 
 # Runs the commands given as JSON one after the other, and writes their exit codes and outputs as JSON.
 RUNNER = """
-import json, sys, threading, time, traceback
+import json, os, signal, socket, sys, threading, time, traceback
 from typer.testing import CliRunner
 from fringedic_bringup.command.main import app
 
@@ -44,10 +45,18 @@ def draw():
             pygame.event.post(pygame.event.Event(kind, pos=place, button=1))
     pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_RETURN))
 
+def end(port):
+    "Presses Ctrl-C when the page of `fringedic view` is served."
+    while socket.socket().connect_ex(("127.0.0.1", port)):
+        time.sleep(0.05)
+    os.kill(os.getpid(), signal.SIGINT)
+
 results = {}
 for title, words in json.load(sys.stdin).items():
     if words[0] == "region" and "--help" not in words:
         threading.Thread(target=draw, daemon=True).start()
+    if words[0] == "view" and "--help" not in words:
+        threading.Thread(target=end, args=[int(words[-1])], daemon=True).start()
     done = CliRunner().invoke(app, words)
     error = "".join(traceback.format_exception(done.exception)) if done.exception else ""
     results[title] = [done.exit_code, done.output, error]
@@ -90,6 +99,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
             *("compare-model", dataset, str(folder / "plate.vtp"), "--unit", "mm", "--by", "position"),
             *("--load=100", "--output", str(folder / "compared")),
         ],
+        "view": ["view", dataset, "--port", str(free_port())],
         # a recording of an experiment is read and refused, because a calibration of this size is too long for a test
         "calibrate": ["calibrate", "--from", bag, "--output", str(folder / "calibration")],
     }

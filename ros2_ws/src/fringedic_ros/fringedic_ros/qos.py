@@ -1,6 +1,7 @@
 """All QoS profiles of the system, by their purpose.
 
-A lost frame ruins a step: all profiles are reliable. The depth is the number of messages that a reader may fall behind.
+A lost frame ruins a step: all profiles of the measurement are reliable. The depth is the number of messages that a
+reader may fall behind.
 """
 
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -38,6 +39,14 @@ LATEST = _reliable(1)
 
 CLOCK = _reliable(10)
 """`/clock` of a replay."""
+
+PREVIEWS = QoSProfile(
+    history=HistoryPolicy.KEEP_LAST,
+    depth=1,
+    reliability=ReliabilityPolicy.BEST_EFFORT,
+    durability=DurabilityPolicy.VOLATILE,
+)
+"""Frames for people who watch: a reader that is slow, or ends, has no effect on the camera."""
 
 DIAGNOSTICS = _reliable(10)
 """`/diagnostics`."""

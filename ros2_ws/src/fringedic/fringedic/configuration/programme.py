@@ -162,6 +162,11 @@ class Programme(Section):
     )
     steps: list[Entry] | None = Field(None, min_length=1, description="Steps, ramps and cycles in their order.")
     ramp: Ramp | None = Field(None, description="Equal steps, instead of the key steps.")
+    on_operator_lost: Literal["continue", "hold"] = Field(
+        "continue",
+        description="With `fringedic operate`, when the page of the driver is closed: continue, or pause after the "
+        "present step with the machine on hold.",
+    )
 
     @model_validator(mode="after")
     def _can_be_done(self) -> Programme:

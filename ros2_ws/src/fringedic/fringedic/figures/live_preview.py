@@ -8,9 +8,13 @@ from functools import reduce
 import cv2
 import numpy as np
 
+from fringedic.errors import ImageError
+from fringedic.frames.image_quality import full_scale_of
 from fringedic.rig_setup.live_figures import Figures
 
 PREVIEW_WIDTH = 640
+MOST_PIXELS = 1_000_000  # of a picture for a browser
+JPEG_QUALITY = 80
 RED, BLUE, YELLOW = (255, 0, 0), (0, 60, 255), (255, 220, 0)
 
 
@@ -43,3 +47,46 @@ def preview(image: np.ndarray, figures: Figures, *, width: int = PREVIEW_WIDTH) 
     if (wide, high) != (columns, rows):
         cv2.rectangle(picture, (column, row), (column + wide - 1, row + high - 1), YELLOW, 2)
     return picture
+
+
+def browser_picture(image: np.ndarray) -> bytes:
+    """Return a frame as a JPEG of at most one megapixel, with saturated pixels in red.
+
+    Parameters
+    ----------
+    image
+        uint8 or uint16 (row, column) [grey level].
+
+    Returns
+    -------
+    bytes
+        The JPEG. A pixel of it is red when any of the pixels under it is saturated.
+
+    Raises
+    ------
+    ImageError
+        The image cannot be encoded.
+
+    Examples
+    --------
+    >>> browser_picture(np.zeros((4, 6), np.uint8))[:3].hex()
+    'ffd8ff'
+    """
+    full = full_scale_of([image])
+    factor = math.ceil(math.sqrt(image.size / MOST_PIXELS))
+    saturated = image >= full
+    grey = image if image.dtype == np.uint8 else cv2.convertScaleAbs(image, alpha=255 / full)
+    if factor > 1:
+        size = image.shape[1] // factor, image.shape[0] // factor
+        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    any_saturated = bool(saturated.any())
+    picture = grey
+    if any_saturated:
+        if factor > 1:
+            saturated = cv2.resize(saturated.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0
+        picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+        picture[saturated] = RED[::-1]
+    encoded, data = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
+    if not encoded:
+        raise ImageError("the frame cannot be encoded as JPEG")
+    return data.tobytes()

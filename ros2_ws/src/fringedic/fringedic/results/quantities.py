@@ -147,3 +147,16 @@ def number_text(value: float) -> str:
     if abs(value) >= 1e4:
         return f"{value:.0f}"
     return np.format_float_positional(value, precision=4, fractional=False, trim="-")
+
+
+def sigma_of(name: str) -> str | None:
+    """Return the map that contains the standard deviation of a map; None when there is none.
+
+    Examples
+    --------
+    >>> sigma_of("e_11"), sigma_of("displacement_x"), sigma_of("phase"), sigma_of("texture")
+    ('sigma_e_11', 'displacement_sigma_x', 'phase_sigma', None)
+    """
+    first, _, last = name.rpartition("_")
+    candidates = (f"sigma_{name}", f"{first}_sigma_{last}", f"{name}_sigma")
+    return next((candidate for candidate in candidates if candidate in MAPS), None)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -16,6 +15,7 @@ from rich.console import Console
 
 from fringedic.errors import ConfigurationError, FringedicError, RecordingError
 from fringedic.inputs.yaml_text import load_yaml
+from fringedic_bringup.procedures.folders import output_folder
 
 if TYPE_CHECKING:
     from fringedic.frames.region import Region
@@ -203,24 +203,6 @@ def title_of(bag: Path) -> str:
     return bag.absolute().parent.name if bag.name == "bag" else bag.stem
 
 
-def output_folder(folder: Path) -> Path:
-    """Return a folder after a check that it can be created and written, before anything is measured.
-
-    Raises
-    ------
-    ConfigurationError
-        It cannot.
-    """
-    place = folder.absolute()
-    while not place.exists():
-        place = place.parent
-    if not place.is_dir():
-        raise ConfigurationError(f"--output {folder}: {place} is a file; choose another folder")
-    if not os.access(place, os.W_OK | os.X_OK):
-        raise ConfigurationError(f"--output {folder}: {place} cannot be written; choose another folder")
-    return folder
-
-
 @contextmanager
 def kept_if_filled(folder: Path) -> Iterator[None]:
     """Create a folder for results, and remove it when nothing was written into it."""
@@ -244,18 +226,3 @@ def output_file(file: Path, overwrite: bool) -> Path:
     if file.exists() and not overwrite:
         raise ConfigurationError(f"{file} exists already; choose another --output, or replace it with --overwrite")
     return file
-
-
-def unused_folder(folder: Path) -> Path:
-    """Return the first folder of demo, demo-2, demo-3 ... that does not exist.
-
-    Raises
-    ------
-    ConfigurationError
-        It cannot be created.
-    """
-    candidate, number = folder, 1
-    while candidate.exists():
-        number += 1
-        candidate = folder.with_name(f"{folder.name}-{number}")
-    return output_folder(candidate)

@@ -17,10 +17,10 @@ from fringedic_bringup.command.app import (
     console,
     output_file,
     say,
-    unused_folder,
 )
 from fringedic_bringup.display.progress import LiveProgress
 from fringedic_bringup.launch.rig_files import rig_path_of
+from fringedic_bringup.procedures.folders import unused_folder
 from fringedic_bringup.procedures.outcome import CalibrationReport
 
 

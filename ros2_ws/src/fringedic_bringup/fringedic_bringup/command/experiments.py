@@ -24,14 +24,13 @@ from fringedic_bringup.command.app import (
     calibration_file,
     console,
     for_each,
-    output_folder,
     parameter_values,
     say,
     title_of,
-    unused_folder,
 )
 from fringedic_bringup.display.progress import LiveProgress, report_table
 from fringedic_bringup.launch.rig_files import rig_path_of
+from fringedic_bringup.procedures.folders import output_folder, unused_folder
 from fringedic_bringup.procedures.outcome import RunReport
 
 

@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 import typer
 
 from fringedic.errors import FringedicError
-from fringedic_bringup.command import calibration, experiments, images, models, recordings, rig_setup
+from fringedic_bringup.command import calibration, experiments, images, models, operator, recordings, rig_setup
 from fringedic_bringup.command.app import app
 
 __all__ = [
@@ -18,6 +18,7 @@ __all__ = [
     "images",
     "main",
     "models",
+    "operator",
     "recordings",
     "rig_setup",
 ]  # importing them adds their subcommands

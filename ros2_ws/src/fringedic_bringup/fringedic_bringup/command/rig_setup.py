@@ -10,9 +10,10 @@ from typing import Annotated
 import typer
 
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import Overwrite, Rig, app, console, output_file, output_folder, say, unused_folder
+from fringedic_bringup.command.app import Overwrite, Rig, app, console, output_file, say
 from fringedic_bringup.display.progress import LiveProgress
 from fringedic_bringup.launch.rig_files import rig_path_of
+from fringedic_bringup.procedures.folders import output_folder, unused_folder
 from fringedic_bringup.procedures.setup_patterns import LivePattern, ShownPattern
 
 

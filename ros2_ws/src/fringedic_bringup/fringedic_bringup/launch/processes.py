@@ -57,6 +57,8 @@ class RunningGraph:
         ROS_DOMAIN_ID of all nodes; None takes the one of the environment.
     environment
         Further environment variables.
+    owner
+        Whether these nodes own the rig, which has one owner; False for nodes that look at the rig of another.
 
     Raises
     ------
@@ -65,18 +67,26 @@ class RunningGraph:
     """
 
     def __init__(
-        self, graph: Graph, logs: Path, *, domain: int | None = None, environment: Mapping[str, str] | None = None
+        self,
+        graph: Graph,
+        logs: Path,
+        *,
+        domain: int | None = None,
+        environment: Mapping[str, str] | None = None,
+        owner: bool = True,
     ) -> None:
         self.graph = graph
         self.logs = Path(logs)
         self.environment = node_environment(domain) | dict(environment or {})
+        self._owner = owner
         self._lease = RigLease(int(self.environment.get("ROS_DOMAIN_ID") or 0), graph.namespace, self.logs.parent)
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._may_end: set[str] = set()
 
     def __enter__(self) -> RunningGraph:
         executables = {entry.name: _executable(entry) for entry in self.graph.nodes}
-        self._lease.__enter__()
+        if self._owner:
+            self._lease.__enter__()
         try:
             self.logs.mkdir(parents=True, exist_ok=True)
             for entry in self.graph.nodes:
@@ -90,7 +100,8 @@ class RunningGraph:
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self.stop()
-        self._lease.__exit__(kind, error, traceback)
+        if self._owner:
+            self._lease.__exit__(kind, error, traceback)
 
     def pid(self, name: str) -> int:
         """Return the process id of a node."""

@@ -19,13 +19,14 @@ from fringedic.errors import FringedicError, NodeDiedError, StepFailedError, Wai
 from fringedic.report.programme import block_end_sentence, condition_sentence
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.procedures.outcome import Progress, StepReport
+from fringedic_bringup.procedures.outcome import Progress, RunControl, StepReport
 from fringedic_msgs.action import MeasureStep
 
 MOST_DEATHS = 3  # of one node without a measured step in between; after more, a restart does not remove the cause
 MOST_SILENCES = 3  # missing answers without a measured step in between, although every node runs
 WITH_REFERENCE = ("dic", "coupling")  # keep the reference step in memory and lose it when they end
 INTERRUPTION_S = 5.0  # wait for the answer to hold and cancel
+PAUSE_S = 30 * 86400.0  # longest pause
 RESTART_S = 40.0  # from the start of a node until it is ready and its predecessor's lease has ended
 
 
@@ -65,6 +66,7 @@ def drive(
     *,
     domain: int | None = None,
     before: RecordedSteps | None = None,
+    control: RunControl | None = None,
 ) -> Driven:
     """Move, hold and measure, step by step; a failed step is reported and the next one follows.
 
@@ -83,6 +85,8 @@ def drive(
         ROS_DOMAIN_ID; None takes the one of the environment.
     before
         Steps of the programme that an earlier run has done: they are left out.
+    control
+        Pauses or ends the programme on request of an operator.
 
     Raises
     ------
@@ -91,12 +95,18 @@ def drive(
     WaitTimeoutError
         The nodes are not ready in time, or the strain that a condition needs has no publisher.
     """
-    with RigClient(running.graph.namespace, domain=domain, watch=running.check, name="programme") as rig:
+    control = control or RunControl()
+
+    def watch() -> None:
+        running.check()
+        control.check()
+
+    with RigClient(running.graph.namespace, domain=domain, watch=watch, name="programme") as rig:
         rig.wait_until_ready(running.graph.names)
         if any(until.needs_strain for until in programme.conditions()):
             rig.wait_for_strain()
         count = sum(step.mode != "none" for step in programme.load_steps())
-        driver = _Driver(running, rig, progress, count - 1)
+        driver = _Driver(running, rig, progress, control, count - 1)
         measured = 0
         if before is not None:
             measured, rig.last_step = len(before.measured), before.last
@@ -138,9 +148,11 @@ class _Driver:
         A node has ended: results of its step are missing, or it lost the reference that it kept in memory.
     """
 
-    def __init__(self, running: RunningGraph, rig: RigClient, progress: Progress, last: int) -> None:
+    def __init__(
+        self, running: RunningGraph, rig: RigClient, progress: Progress, control: RunControl, last: int
+    ) -> None:
         self.reports: list[StepReport] = []
-        self._running, self._rig, self._progress = running, rig, progress
+        self._running, self._rig, self._progress, self._control = running, rig, progress, control
         self._number, self._last = 0, last
         self.interrupted = False
         self._restarted = False  # a node was started again since the last successful step
@@ -152,6 +164,9 @@ class _Driver:
         """Execute a step, and repeat it when a node ends meanwhile; return the readings for the conditions."""
         self._number = self._rig.last_step + 1  # the number that the step gets in the recording
         self._last = max(self._last, self._number)
+        if not self._control.may_begin():
+            self._tell("paused")
+            self._with_restarts(lambda: self._rig.wait_for(self._control.may_begin, PAUSE_S, lambda: "resume"))
         return self._with_restarts(lambda: self._move_and_measure(step))
 
     def finish(self) -> None:
@@ -181,7 +196,7 @@ class _Driver:
                 return self._move_and_measure(step)
             if step.mode != "none":
                 number = max([self._rig.last_step, *(report.step for report in self.reports)], default=0)
-                self.reports.append(StepReport(max(number, 0), error=str(error)))
+                self._report(StepReport(max(number, 0), error=str(error)))
             return None
         self._restarted, self._silences = False, 0
         self._deaths.clear()
@@ -189,8 +204,12 @@ class _Driver:
             self.interrupted = True  # the experiment node replaced it
         if moved:
             self._progress.note(moved)
-        self.reports.append(_report(step, result))
+        self._report(_report(step, result))
         return Reading(result.force_mean, self._rig.strain_of_step, result.valid_fraction)
+
+    def _report(self, report: StepReport) -> None:
+        self.reports.append(report)
+        self._control.measured(report)
 
     def _move(self, step: ProgrammeStep) -> str:
         """Move, and return the reason when the move ended before its position; empty otherwise."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -9,7 +10,7 @@ from builtin_interfaces.msg import Time
 from rclpy.client import Client
 from sensor_msgs.msg import Image
 
-from fringedic.errors import StepFailedError
+from fringedic.errors import StepFailedError, WaitTimeoutError
 from fringedic.frames.records import FrameRecord, frame_record
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic_bringup.client import RigClient
@@ -19,6 +20,7 @@ from fringedic_ros.images import image_array
 from fringedic_ros.qos import IMAGES
 from fringedic_ros.stamps import to_nanoseconds
 
+CONNECTING_S = 2.0  # for a frame that may be lost because the camera is not connected yet
 FRAME_TIMEOUT_S = 30.0  # for an image and its record after the answer of the camera
 WHITE = ProjectedPattern(PatternKind.WHITE)
 SETUP = ProjectedPattern(PatternKind.OTHER)
@@ -34,6 +36,7 @@ class ExposingClient(RigClient):
         self._shows = self.node.create_client(ShowPattern, "projector/show")
         self._captures = self.node.create_client(CaptureFrame, "camera/capture")
         self._image: Image | None = None
+        self._connected = False  # a frame has arrived
         self._exposure: Exposure | None = None
         self._shown_at, self._pattern = Time(), SETUP
         self.node.create_subscription(Image, "camera/image_raw", self._take_image, IMAGES)
@@ -87,6 +90,27 @@ class ExposingClient(RigClient):
             The camera node does not answer, or the frame did not arrive.
         """
         self._await_service(self._captures)
+        if not self._connected:
+            self._connect(exposure_time)
+        return self._capture(exposure_time, FRAME_TIMEOUT_S)
+
+    def _connect(self, exposure_time: float) -> None:
+        """Take frames until one arrives.
+
+        The camera counts its subscribers; another one, such as the operator's page, may be connected before this one.
+        """
+        end = time.monotonic() + FRAME_TIMEOUT_S
+        while not self._connected:
+            try:
+                self._capture(exposure_time, CONNECTING_S)
+            except WaitTimeoutError:
+                if time.monotonic() > end:
+                    raise
+            else:
+                self._connected = True
+
+    def _capture(self, exposure_time: float, timeout_s: float) -> tuple[np.ndarray, FrameRecord]:
+        """Take one frame and wait for its image and its record."""
         request = CaptureFrame.Request(
             experiment="single frames",
             count=1,
@@ -109,7 +133,7 @@ class ExposingClient(RigClient):
                 each is not None and each.header.stamp == response.stamp for each in (self._image, self._exposure)
             )
 
-        self.wait_for(arrived, FRAME_TIMEOUT_S, lambda: "camera/image_raw: the frame was taken but did not arrive")
+        self.wait_for(arrived, timeout_s, lambda: "camera/image_raw: the frame was taken but did not arrive")
         assert self._image is not None, "it arrived"
         assert self._exposure is not None, "it arrived"
         return image_array(self._image), frame_record(self._exposure)

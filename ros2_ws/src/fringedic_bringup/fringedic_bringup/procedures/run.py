@@ -32,7 +32,7 @@ from fringedic.results import compare_with_truth, dataset_from_derived, open_exp
 from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.driving import RecordedSteps, drive, next_part
-from fringedic_bringup.procedures.outcome import Progress, RunReport, StepReport
+from fringedic_bringup.procedures.outcome import Progress, RunControl, RunReport, StepReport
 from fringedic_msgs.msg import StepStatus
 
 Reconstruct = Callable[[xr.DataArray], xr.Dataset]
@@ -83,6 +83,7 @@ def run_experiment(
     *,
     domain: int | None = None,
     resume: bool = False,
+    control: RunControl | None = None,
 ) -> RunReport:
     """Run a programme on a rig and leave recording, dataset, pictures, report and logs in a folder.
 
@@ -105,6 +106,8 @@ def run_experiment(
     resume
         Go on with the programme where the recording in the folder ends; all steps are then measured again from the
         recorded frames, against the first one.
+    control
+        Pauses or ends the programme on request of an operator.
 
     Raises
     ------
@@ -134,7 +137,7 @@ def run_experiment(
             progress.note(words)
     progress.stage(f"{programme.experiment}: starting {len(graph.nodes)} nodes")
     with RunningGraph(graph, folder / "logs", domain=domain) as running:
-        driven = drive(running, programme, progress, domain=domain, before=before)
+        driven = drive(running, programme, progress, domain=domain, before=before, control=control)
         progress.stage(f"{programme.experiment}: closing the recording")
     join_parts(folder / "bag", progress, rig.recording.split)
     progress.stage(f"{programme.experiment}: writing dataset, pictures and report")

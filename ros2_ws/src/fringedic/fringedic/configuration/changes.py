@@ -1,0 +1,85 @@
+"""Changes of a rig file by a program: settings that a measurement recommends."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from fringedic.configuration.rig_file import load_rig_file
+from fringedic.errors import ConfigurationError
+from fringedic.inputs.yaml_text import load_yaml
+
+
+def change_rig_file(path: str | os.PathLike[str], settings: str) -> Path:
+    """Change settings in a rig file; the file before stays beside it.
+
+    Parameters
+    ----------
+    path
+        The rig file. Its comments are lost, its keys keep their order.
+    settings
+        YAML of the changed keys, such as ``camera: {settle_ms: 20}``; other keys keep their values.
+
+    Returns
+    -------
+    Path
+        The file before, with the time in its name.
+
+    Raises
+    ------
+    ConfigurationError
+        The settings are no YAML of keys, or the changed file would not be valid; nothing is changed then.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> file = Path(tempfile.mkdtemp(), "rig.yaml")
+    >>> _ = file.write_text("{camera: {source: virtual}, virtual_rig: {preset: plate, size: tiny}}")
+    >>> before = change_rig_file(file, "camera: {settle_ms: 20}")
+    >>> load_rig_file(file).camera.settle_time, load_rig_file(before).camera.settle_time
+    (0.02, 0.0)
+    """
+    file = Path(path)
+    try:
+        changes = load_yaml(settings)
+    except yaml.YAMLError as error:
+        raise ConfigurationError(f"settings: {error}") from error
+    if not isinstance(changes, dict) or not changes:
+        raise ConfigurationError("settings: are not 'key: value'; write for example camera: {settle_ms: 20}")
+    load_rig_file(file)
+    text = file.read_text("utf-8")
+    candidate = file.with_name(f".{file.stem}.candidate{file.suffix}")  # beside it, for its relative paths
+    try:
+        candidate.write_text(yaml.safe_dump(_merged(load_yaml(text), changes), sort_keys=False, allow_unicode=True))
+        load_rig_file(candidate)
+        before = _unused(file, datetime.now().strftime("%Y-%m-%dT%H-%M-%S"))
+        before.write_text(text, "utf-8")
+        candidate.replace(file)
+    except OSError as error:
+        raise ConfigurationError(f"{file}: cannot be changed: {error.strerror}") from error
+    finally:
+        candidate.unlink(missing_ok=True)
+    return before
+
+
+def _merged(old: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a mapping with changes; mappings in it are merged, everything else is replaced."""
+    merged = dict(old)
+    for key, value in changes.items():
+        both = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
+        merged[key] = _merged(merged[key], value) if both else value
+    return merged
+
+
+def _unused(file: Path, stamp: str) -> Path:
+    """Return a name for the file before that no other one has."""
+    candidate, number = file.with_name(f"{file.stem}.before-{stamp}{file.suffix}"), 1
+    while candidate.exists():
+        number += 1
+        candidate = file.with_name(f"{file.stem}.before-{stamp}-{number}{file.suffix}")
+    return candidate

@@ -1,0 +1,330 @@
+"""The web application: page, maps, files, commands and the stream of states and images."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import functools
+import json
+import math
+from collections.abc import Awaitable, Callable, Mapping
+from pathlib import Path
+from typing import Any, Literal, Protocol, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.routing import Mount, Route, WebSocketRoute
+from starlette.staticfiles import StaticFiles
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from fringedic.errors import FringedicError, OperatorError
+from fringedic.figures.palettes import PALETTES, palette
+from fringedic.frames.region import Point
+from fringedic.page import maps
+from fringedic.page.access import Wheel
+from fringedic.page.guard import REPORT_POLICY
+from fringedic.page.streams import Client, Hub
+
+PAGE = Path(__file__).with_name("static")
+LARGEST_BODY = 500_000  # [byte] of a command; the longest is a programme
+STATE_PERIOD_S = 0.2
+SHOWN_FILES = {".html", ".png", ".yaml"}
+Measurement = Literal["timing", "response", "calibrate", "check", "region", "noise", "advise"]
+Procedure = Literal[Measurement, "live", "confirm", "settings", "run", "by_hand"]
+Pattern = Literal["white", "fringes", "focus", "crosshair", "axes", "camera_focus", "projector_focus"]
+
+
+class _Command(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+
+class Start(_Command):
+    """Starts a procedure; the fields are those of ``fringedic_msgs/StartProcedure``, the distance in mm."""
+
+    procedure: Procedure
+    pattern: Pattern = "white"
+    text: str = Field("", max_length=400_000)
+    distance_mm: float = Field(5.0, gt=0, le=1000)
+    steps: int = Field(10, ge=3, le=1000)
+
+
+class Control(_Command):
+    """Controls the procedure that runs."""
+
+    command: Literal["pause", "resume", "stop", "confirm", "refuse"]
+
+
+class Measure(_Command):
+    """Measures one step by hand."""
+
+    mode: Literal["fringes", "white"] = "fringes"
+    set_reference: bool = False
+
+
+class TurnWheel(_Command):
+    """Asks for the wheel, or hands it over."""
+
+    action: Literal["ask", "give"]
+
+
+class Hold(_Command):
+    """Requests a hold of the machine."""
+
+
+CommandT = TypeVar("CommandT", bound=_Command)
+COMMANDS: dict[str, type[_Command]] = {"start": Start, "control": Control, "measure": Measure, "hold": Hold}
+FOR_EVERYBODY = ("hold",)  # also without the wheel
+
+
+class Rig(Protocol):
+    """What the page shows and drives: a running rig, or a recording."""
+
+    @property
+    def maps(self) -> maps.StepMaps:
+        """The maps of the steps."""
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the state, without the maps, as plain values: topic -> data, published when they change."""
+
+    def folders(self) -> Mapping[str, Path]:
+        """Return the folders whose files the page may show, by their names."""
+
+    async def do(self, command: Any) -> str:
+        """Execute a command and return a sentence about its effect.
+
+        Raises
+        ------
+        OperatorError
+            It is refused.
+        """
+
+
+def make_app(rig: Rig, hub: Hub, wheel: Wheel) -> Starlette:
+    """Return the application, without the `Guard` that has to stand before it.
+
+    Parameters
+    ----------
+    rig
+        What is shown.
+    hub
+        Distributes images, which the owner publishes, and states.
+    wheel
+        The session that drives.
+    """
+    site = _Site(rig, hub, wheel)
+    return Starlette(
+        routes=[
+            Route("/", site.index),
+            Mount("/page", StaticFiles(directory=PAGE)),
+            Route("/maps/{step:int}/{name}", site.tile),
+            Route("/cloud/{step:int}/{name}", site.cloud),
+            Route("/line/{step:int}/{name}", site.line),
+            Route("/gauge", site.gauge),
+            Route("/palettes", site.palettes),
+            Route("/files/{folder}/{name}", site.file),
+            Route("/do/{name}", site.do, methods=["POST"]),
+            WebSocketRoute("/stream", site.stream),
+        ],
+        lifespan=site.lifespan,
+    )
+
+
+def _answering(
+    endpoint: Callable[[_Site, Request], Awaitable[Response]],
+) -> Callable[[_Site, Request], Awaitable[Response]]:
+    """Turn errors of the library into answers with one sentence."""
+
+    @functools.wraps(endpoint)
+    async def answer(site: _Site, request: Request) -> Response:
+        try:
+            return await endpoint(site, request)
+        except FringedicError as error:
+            return JSONResponse({"message": str(error)}, 409)
+
+    return answer
+
+
+class _Site:
+    def __init__(self, rig: Rig, hub: Hub, wheel: Wheel) -> None:
+        self._rig, self._hub, self._wheel = rig, hub, wheel
+
+    @contextlib.asynccontextmanager
+    async def lifespan(self, _: Starlette) -> Any:
+        """Publish the state while the server runs."""
+        task = asyncio.create_task(self._publish_changes())
+        yield
+        task.cancel()
+
+    async def index(self, _: Request) -> Response:
+        return FileResponse(PAGE / "index.html")
+
+    @_answering
+    async def tile(self, request: Request) -> Response:
+        found = await run_in_threadpool(maps.tile, self._rig.maps, *_step_and_name(request))
+        rows, columns = found.values.shape
+        geometry = {"X-Rows": str(rows), "X-Columns": str(columns), "X-Spacing": str(found.spacing)}
+        return Response(found.values.astype("<f4").tobytes(), media_type="application/octet-stream", headers=geometry)
+
+    @_answering
+    async def cloud(self, request: Request) -> Response:
+        points = await run_in_threadpool(maps.cloud, self._rig.maps, *_step_and_name(request))
+        return Response(points.astype("<f4").tobytes(), media_type="application/octet-stream")
+
+    @_answering
+    async def line(self, request: Request) -> Response:
+        ends = _point(request, "from"), _point(request, "to")
+        return JSONResponse(plain(await run_in_threadpool(maps.line, self._rig.maps, *_step_and_name(request), *ends)))
+
+    @_answering
+    async def gauge(self, request: Request) -> Response:
+        ends, subset = (_point(request, "from"), _point(request, "to")), _number(request, "subset")
+        return JSONResponse(plain(await run_in_threadpool(maps.gauge, self._rig.maps, *ends, subset)))
+
+    @_answering
+    async def palettes(self, _: Request) -> Response:
+        return JSONResponse(await run_in_threadpool(_palettes))
+
+    async def file(self, request: Request) -> Response:
+        folder = self._rig.folders().get(request.path_params["folder"])
+        name = Path(request.path_params["name"]).name
+        if folder is None or Path(name).suffix not in SHOWN_FILES or not (folder / name).is_file():
+            return JSONResponse({"message": f"there is no file {name}"}, 404)
+        policy = {"Content-Security-Policy": REPORT_POLICY} if name.endswith(".html") else {}
+        return FileResponse(folder / name, headers=policy)
+
+    @_answering
+    async def do(self, request: Request) -> Response:
+        name, session = request.path_params["name"], request.state.session
+        if name == "wheel":
+            action = _parsed(TurnWheel, await _body(request)).action
+            (self._wheel.ask if action == "ask" else self._wheel.give)(session)
+            return JSONResponse({"message": ""})
+        if name not in COMMANDS:
+            raise OperatorError(f"{name[:40]}: there is no such command")
+        command = _parsed(COMMANDS[name], await _body(request))
+        if name not in FOR_EVERYBODY:
+            self._wheel.require(session)
+        return JSONResponse({"message": await self._rig.do(command)})
+
+    async def stream(self, socket: WebSocket) -> None:
+        await socket.accept()
+        client = Client(socket.state.session)
+        self._hub.clients.add(client)
+        self._wheel.connect(client.session, socket.client.host if socket.client else "")
+        for topic, text in self._topics().items():
+            client.put(topic, functools.partial(str, text))
+        self._offer_wheel(client)
+        tasks = [asyncio.create_task(each) for each in (_until_closed(socket), _send(socket, client))]
+        try:
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            for task in tasks:
+                task.cancel()
+            self._hub.clients.discard(client)
+            self._wheel.disconnect(client.session)
+
+    async def _publish_changes(self) -> None:
+        """Publish every part of the state, and the wheel, after each change."""
+        published: dict[str, str] = {}
+        while True:
+            await asyncio.sleep(STATE_PERIOD_S)
+            now = self._topics() | {"wheel": repr((self._wheel.driver, self._wheel.asking, self._wheel.present))}
+            changed = {topic: text for topic, text in now.items() if published.get(topic) != text}
+            published = now
+            if changed.pop("wheel", None) is not None:
+                for client in self._hub.clients:
+                    self._offer_wheel(client)
+            for topic, text in changed.items():
+                self._hub.publish(topic, functools.partial(str, text))
+
+    def _offer_wheel(self, client: Client) -> None:
+        client.put("wheel", lambda: _message("wheel", self._wheel.seen_by(client.session)))
+
+    def _topics(self) -> dict[str, str]:
+        return {topic: _message(topic, data) for topic, data in self._rig.snapshot().items()}
+
+
+def _message(topic: str, data: Any) -> str:
+    return json.dumps({"topic": topic, "data": plain(data)})
+
+
+async def _send(socket: WebSocket, client: Client) -> None:
+    while True:
+        message = await client.take()
+        if isinstance(message, bytes):
+            await socket.send_bytes(message)
+        else:
+            await socket.send_text(message)
+
+
+def _palettes() -> dict[str, list[int]]:
+    return {name: palette(name).ravel().tolist() for name in PALETTES}
+
+
+async def _until_closed(socket: WebSocket) -> None:
+    with contextlib.suppress(WebSocketDisconnect):
+        while True:
+            await socket.receive()
+
+
+def plain(value: Any) -> Any:
+    """Return nested values with None in place of numbers that JSON does not have."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: plain(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(each) for each in value]
+    return value
+
+
+async def _body(request: Request) -> bytes:
+    """Return the body of a command.
+
+    Raises
+    ------
+    OperatorError
+        It is not JSON, as that of a form of another site, or too long.
+    """
+    if request.headers.get("content-type") != "application/json":
+        raise OperatorError("a command has to be JSON")
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > LARGEST_BODY:
+            raise OperatorError(f"the text is longer than {LARGEST_BODY // 1000} kB: shorten it")
+    return body
+
+
+def _parsed(kind: type[CommandT], body: bytes) -> CommandT:
+    try:
+        return kind.model_validate_json(body)
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise OperatorError(f"{'.'.join(map(str, first['loc'])) or 'command'}: {first['msg']}") from error
+
+
+def _step_and_name(request: Request) -> tuple[int, str]:
+    return request.path_params["step"], request.path_params["name"]
+
+
+def _point(request: Request, key: str) -> Point:
+    column, _, row = request.query_params.get(key, "").partition(",")
+    return _finite(key, column), _finite(key, row)
+
+
+def _number(request: Request, key: str) -> float:
+    return _finite(key, request.query_params.get(key, ""))
+
+
+def _finite(key: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise OperatorError(f"{key} is '{text[:40]}': give a number")
+    return value

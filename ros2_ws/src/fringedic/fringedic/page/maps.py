@@ -1,0 +1,249 @@
+"""Maps of the steps of an experiment, from its dataset or from the messages of a running test."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+import threading
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import xarray as xr
+
+from fringedic.errors import DatasetError
+from fringedic.frames.region import Point
+from fringedic.results import extensometer, open_experiment, profile
+from fringedic.results.quantities import MAPS, people_unit, sigma_of
+
+MOST_VALUES = 1_000_000  # of a tile
+MOST_POINTS = 60_000  # of a cloud in the browser
+MOST_BYTES = 2_000_000_000  # of the maps of a running test
+_POSITION, _DISPLACEMENT = ("x", "y", "z"), ("u", "v", "w")
+_OF_A_GAUGE = (*_POSITION, *_DISPLACEMENT, "sigma_u", "sigma_v", "sigma_w")
+
+
+class StepMaps(Protocol):
+    """The maps of an experiment, step by step."""
+
+    def names(self) -> dict[int, list[str]]:
+        """Return the names of the measured maps of each step."""
+
+    def dataset(self, step: int, names: Sequence[str]) -> xr.Dataset:
+        """Return maps of one step over (row, column).
+
+        Raises
+        ------
+        DatasetError
+            The step has no such map.
+        """
+
+
+class RecordedMaps:
+    """The maps of a recorded experiment.
+
+    Parameters
+    ----------
+    path
+        As of `fringedic.open_experiment`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.experiment = open_experiment(path)
+        self._lock = threading.Lock()  # the file is read by one thread at a time
+        with self._lock:
+            self._names = {int(step): self._measured(int(step)) for step in self.experiment.step.values}
+
+    def names(self) -> dict[int, list[str]]:
+        """Return the names of the measured maps of each step."""
+        return self._names
+
+    def dataset(self, step: int, names: Sequence[str]) -> xr.Dataset:
+        """Return maps of one step."""
+        _require(self._names, step, names)
+        with self._lock:
+            return self.experiment[list(names)].sel(step=step).load()
+
+    def _measured(self, step: int) -> list[str]:
+        """Return the maps with a value in the middle rows, which are enough to know whether a map was measured."""
+        if self.experiment.error.sel(step=step).item():
+            return []
+        one = self.experiment.sel(step=step)
+        middle = one.isel(row=slice(one.sizes["row"] // 2, one.sizes["row"] // 2 + 8))
+        return [name for name in MAPS if name in one and bool(np.isfinite(middle[name].values).any())]
+
+
+class SpooledMaps:
+    """The maps of a running test in a folder, of which the oldest are removed when they become too many.
+
+    Parameters
+    ----------
+    folder
+        Created when it does not exist; the maps in it are those of a server that was ended.
+    most_bytes
+        Largest size of all maps.
+    """
+
+    def __init__(self, folder: Path, most_bytes: int = MOST_BYTES) -> None:
+        self._folder, self._most = folder, most_bytes
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def clear(self) -> None:
+        """Remove all maps: another experiment begins."""
+        shutil.rmtree(self._folder, ignore_errors=True)
+        self._folder.mkdir(parents=True, exist_ok=True)
+
+    def put(self, step: int, maps: Mapping[str, np.ndarray], spacing: int) -> None:
+        """Keep maps of a step; those at every pixel are sampled at the spacing of the points [px]."""
+        place = self._folder / f"{step:06d}"
+        place.mkdir(exist_ok=True)
+        (place / "spacing.json").write_text(json.dumps(spacing))
+        smallest = min(values.shape for values in maps.values())
+        for name, values in maps.items():
+            if name in MAPS:
+                sampled = values if values.shape == smallest else values[::spacing, ::spacing]
+                # renamed when it is complete, because a browser may ask for it meanwhile
+                np.save(place / "new.npy", np.ascontiguousarray(sampled, np.float32))
+                (place / "new.npy").rename(place / f"{name}.npy")
+        self._forget_oldest()
+
+    def names(self) -> dict[int, list[str]]:
+        """Return the names of the maps of each step."""
+        return {
+            int(place.name): [name for name in MAPS if (place / f"{name}.npy").exists()]
+            for place in sorted(self._folder.iterdir())
+        }
+
+    def dataset(self, step: int, names: Sequence[str]) -> xr.Dataset:
+        """Return maps of one step."""
+        _require(self.names(), step, names)
+        place = self._folder / f"{step:06d}"
+        spacing = int(json.loads((place / "spacing.json").read_text()))
+        maps = {name: np.load(place / f"{name}.npy", mmap_mode="r") for name in names}
+        rows, columns = next(iter(maps.values())).shape
+        fields = {name: (("row", "column"), values) for name, values in maps.items()}
+        return xr.Dataset(fields, {"row": spacing * np.arange(rows), "column": spacing * np.arange(columns)})
+
+    def _forget_oldest(self) -> None:
+        places = sorted(self._folder.iterdir())
+        sizes = [sum(file.stat().st_size for file in place.iterdir()) for place in places]
+        while sum(sizes) > self._most and len(places) > 1:
+            shutil.rmtree(places.pop(0))
+            sizes.pop(0)
+
+
+def _require(known: Mapping[int, Sequence[str]], step: int, names: Sequence[str]) -> None:
+    missing = [name for name in names if name not in known.get(step, ())]
+    if missing:
+        raise DatasetError(f"step {step} has no map {', '.join(missing)}: choose a step and a map of the lists")
+
+
+@dataclass(frozen=True)
+class Tile:
+    """A map for the browser.
+
+    Attributes
+    ----------
+    values
+        float32 (row, column) in SI units, NaN where not measured.
+    spacing
+        Distance of two values [px of the reference image]; the first lies at pixel (0, 0).
+    """
+
+    values: np.ndarray
+    spacing: int
+
+
+def tile(maps: StepMaps, step: int, name: str) -> Tile:
+    """Return a map of a step, decimated to at most `MOST_VALUES`; every value is one of the dataset.
+
+    Raises
+    ------
+    DatasetError
+        The step has no such map.
+    """
+    found = maps.dataset(step, [name])
+    values = np.asarray(found[name].values, np.float32)
+    every = math.ceil(math.sqrt(max(values.size, 1) / MOST_VALUES))
+    columns = found["column"].values
+    spacing = int(columns[1] - columns[0]) if len(columns) > 1 else 1
+    return Tile(np.ascontiguousarray(values[::every, ::every]), spacing * every)
+
+
+def cloud(maps: StepMaps, step: int, colour: str) -> np.ndarray:
+    """Return points of a step: x, y, z, u, v, w [m] and the value of a map, decimated to at most `MOST_POINTS`.
+
+    Returns
+    -------
+    ndarray
+        float32 (point, 7); only points of which everything is measured.
+
+    Raises
+    ------
+    DatasetError
+        The step has no surface, or no such map.
+    """
+    found = maps.dataset(step, [*dict.fromkeys((*_POSITION, *_DISPLACEMENT, colour))])
+    every = math.ceil(math.sqrt(found["x"].size / MOST_POINTS))
+    columns = [found[name].values[::every, ::every].ravel() for name in (*_POSITION, *_DISPLACEMENT, colour)]
+    points = np.stack(columns, axis=1).astype(np.float32)
+    return np.ascontiguousarray(points[np.isfinite(points).all(axis=1)])
+
+
+def line(maps: StepMaps, step: int, name: str, start: Point, end: Point) -> dict[str, Any]:
+    """Return a map, and its standard deviation where there is one, along a line of the reference image [px].
+
+    Raises
+    ------
+    DatasetError
+        The step has no such map, or the line leaves the result.
+    """
+    sigma = sigma_of(name)
+    names = [name] if sigma is None or sigma not in maps.names().get(step, ()) else [name, sigma]
+    found = profile(maps.dataset(step, names), names, start, end)
+    values = {key: found[wanted].values.tolist() for key, wanted in zip(("value", "sigma"), names, strict=False)}
+    return {"position": found["position"].values.tolist(), **values}
+
+
+def gauge(maps: StepMaps, first: Point, second: Point, subset: float) -> list[dict[str, float]]:
+    """Return the strain of a virtual extensometer, and its standard deviation, at every step that has one.
+
+    Parameters
+    ----------
+    maps
+        The experiment.
+    first, second
+        (column, row) of the gauge points [px].
+    subset
+        Side of the gauge subsets [px].
+
+    Raises
+    ------
+    DatasetError
+        A gauge point lies outside the result, or no step has a displacement.
+    """
+    readings = []
+    for step, names in maps.names().items():
+        wanted = [name for name in _OF_A_GAUGE if name in names]
+        if set(_POSITION + _DISPLACEMENT) <= set(wanted):
+            found = extensometer(maps.dataset(step, wanted), first, second, subset=subset)
+            values = {str(name): float(found[name]) for name in found}
+            readings.append({"step": step, **values})
+    if not readings:
+        raise DatasetError("no step has a displacement yet: measure two steps")
+    return readings
+
+
+def described(name: str) -> dict[str, Any]:
+    """Return name, meaning, unit for people and standard deviation of a map, for the page."""
+    unit = people_unit(xr.DataArray(name=name))
+    return {
+        "name": name,
+        "meaning": MAPS[name].long_name,
+        "unit": "" if unit.text == "1" else unit.text,
+        "factor": unit.factor,
+        "sigma": sigma_of(name),
+    }

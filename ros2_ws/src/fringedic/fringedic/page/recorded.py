@@ -1,0 +1,60 @@
+"""A finished recording in the page, without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from fringedic.errors import OperatorError
+from fringedic.page.maps import RecordedMaps, described
+from fringedic.results.quantities import MAPS
+
+
+class RecordedRig:
+    """The steps and maps of a recorded experiment; it takes no commands.
+
+    Parameters
+    ----------
+    path
+        A recording or a dataset, as of `fringedic.open_experiment`.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._maps = RecordedMaps(path)
+        source = Path(self.maps.experiment.encoding.get("source", path))
+        self._folder = source.absolute().parent
+        names = self.maps.names()
+        measured = {name for of_step in names.values() for name in of_step}
+        self._snapshot = {
+            "rig": {
+                "kind": "recording",
+                "title": str(self.maps.experiment.attrs.get("experiment", path.stem)),
+                "report": (self._folder / "report.html").exists(),
+            },
+            "steps": [self._step(index, bool(names[step])) for index, step in enumerate(names)],
+            "quantities": [described(name) for name in MAPS if name in measured],
+        }
+
+    @property
+    def maps(self) -> RecordedMaps:
+        """The maps of the steps."""
+        return self._maps
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return title, steps and names of the maps."""
+        return self._snapshot
+
+    def folders(self) -> Mapping[str, Path]:
+        """Return the folder of the dataset, which also contains the report of a run."""
+        return {"run": self._folder}
+
+    async def do(self, command: Any) -> str:  # noqa: ARG002 (that of `Rig`)
+        """Refuse every command."""
+        raise OperatorError("this is a recording: open a rig with 'fringedic operate' to measure")
+
+    def _step(self, index: int, mapped: bool) -> dict[str, Any]:
+        one = self.maps.experiment.isel(step=index)
+        names = ("force", "position", "valid_fraction", "rms_displacement")
+        scalars = {name: float(one[name]) for name in names if name in one}
+        return {"step": int(one.step), "mapped": mapped, "error": str(one.error.item()), **scalars}

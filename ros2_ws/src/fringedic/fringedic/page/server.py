@@ -1,0 +1,151 @@
+"""The web server in a thread of its own, with its address, token and hosts."""
+
+from __future__ import annotations
+
+import asyncio
+import ipaddress
+import socket
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import uvicorn
+
+from fringedic.errors import OperatorError
+from fringedic.page.access import Sessions, Wheel
+from fringedic.page.app import Rig, make_app
+from fringedic.page.guard import Guard
+from fringedic.page.streams import Hub, Payload
+
+LONGEST_MESSAGE = 4096  # [byte] of a browser on the stream: it has nothing to say there
+ENDING_S = 2.0
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where a page is served.
+
+    Attributes
+    ----------
+    host, port
+        Name or address of this computer, and port.
+    token
+        Secret of the printed address.
+    certificate, key
+        Files of TLS; None without.
+    """
+
+    host: str
+    port: int
+    token: str
+    certificate: Path | None = None
+    key: Path | None = None
+
+    @property
+    def url(self) -> str:
+        """Return the address for people, with the token."""
+        scheme = "http" if self.certificate is None else "https"
+        return f"{scheme}://{_bracketed(self.host)}:{self.port}/?token={self.token}"
+
+    @property
+    def is_local(self) -> bool:
+        """Return whether only this computer can reach it."""
+        return _is_loopback(self.host)
+
+    def hosts(self) -> list[str]:
+        """Return the names with port by which browsers may address the server."""
+        names = {_bracketed(self.host)} | ({"localhost"} if self.is_local else {socket.gethostname()})
+        return [f"{name}:{self.port}" for name in names]
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Return a socket that accepts connections at an address.
+
+    Raises
+    ------
+    OperatorError
+        The address is not this computer's, or the port is in use.
+    """
+    try:
+        family, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        return socket.create_server(place[:2], family=family, backlog=64)
+    except OSError as error:
+        raise OperatorError(
+            f"{host} port {port}: the page cannot be served ({error.strerror or error}); end the other program there, "
+            "or choose another --port or --address"
+        ) from error
+
+
+class PageServer:
+    """Serves the page of a rig in a thread until `close`.
+
+    Parameters
+    ----------
+    rig
+        What the page shows and drives.
+    address
+        Where it is served.
+
+    Raises
+    ------
+    OperatorError
+        The port is in use, or a file of TLS cannot be read.
+    """
+
+    def __init__(self, rig: Rig, address: Address) -> None:
+        self.hub, self.wheel = Hub(), Wheel()
+        self._listening = listen(address.host, address.port)
+        app = Guard(
+            make_app(rig, self.hub, self.wheel),
+            Sessions(address.token),
+            address.hosts(),
+            f"fringedic_{address.port}",  # cookies of all ports of a computer are in one jar
+            address.certificate is not None,
+        )
+        config = uvicorn.Config(
+            app,
+            ws="websockets-sansio",
+            ws_max_size=LONGEST_MESSAGE,
+            ws_per_message_deflate=False,
+            log_level="warning",
+            access_log=False,
+            server_header=False,
+            timeout_graceful_shutdown=1,
+            ssl_certfile=address.certificate,
+            ssl_keyfile=address.key,
+        )
+        try:
+            config.load()
+        except OSError as error:
+            self._listening.close()
+            raise OperatorError(f"{address.certificate}, {address.key}: no TLS certificate with its key") from error
+        self._server = uvicorn.Server(config)
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._run, name="page", daemon=True)
+        self._thread.start()
+
+    def publish(self, topic: str, make: Callable[[], Payload]) -> None:
+        """Offer a message to all browsers; from any thread."""
+        if not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self.hub.publish, topic, make)
+
+    def close(self) -> None:
+        """End all connections and the thread."""
+        self._server.should_exit = True
+        self._thread.join(ENDING_S)
+
+    def _run(self) -> None:
+        with asyncio.Runner(loop_factory=lambda: self._loop) as runner:
+            runner.run(self._server.serve(sockets=[self._listening]))
+
+
+def _is_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host

@@ -1,0 +1,34 @@
+// Curves over the steps of the experiment: force and position, and the other values of each step.
+
+import { chart } from "./chart.js";
+import { make, options } from "./elements.js";
+import { listen } from "./stream.js";
+
+const VALUES = {
+  step: ["step", 1], position: ["position [mm]", 1e3], force: ["force [N]", 1],
+  valid_fraction: ["measured part [%]", 100], rms_displacement: ["RMS displacement [µm]", 1e6],
+};
+const kept = { x: "position", y: "force" };
+
+export function show(place) {
+  const choice = (axis) => {
+    const select = make("select", { id: `curve-${axis}`, onchange: () => { kept[axis] = select.value; paint(); } });
+    options(select, Object.entries(VALUES).map(([key, [label]]) => [key, label]), kept[axis]);
+    return select;
+  };
+  const drawn = make("div"), table = make("table");
+  let steps = [];
+  const paint = () => {
+    const [[x, across], [y, up]] = [VALUES[kept.x], VALUES[kept.y]];
+    const value = (step, name, factor) => step[name] === null || step[name] === undefined ? NaN : step[name] * factor;
+    drawn.replaceChildren(chart(steps.map((step) => [value(step, kept.x, across), value(step, kept.y, up)]), { x, y }));
+    table.replaceChildren(make("tr", {}, make("th", {}, x), make("th", {}, y)),
+      ...steps.map((step) => make("tr", {}, ...[[kept.x, across], [kept.y, up]].map(([name, factor]) => make("td", {}, cell(value(step, name, factor)))))));
+  };
+  place.replaceChildren(make("section", { class: "panel" },
+    make("div", { class: "row" }, make("label", {}, "Across", choice("x")), make("label", {}, "Up", choice("y"))), drawn,
+    make("details", {}, make("summary", {}, "Values"), make("div", { class: "scroll" }, table))));
+  return listen("steps", (found) => { steps = found; paint(); });
+}
+
+const cell = (value) => (Number.isFinite(value) ? String(Number(value.toPrecision(6))) : "–");

@@ -1,0 +1,80 @@
+// Runs a programme: its table, start, pause, stop, steps by hand; state of machine, recorder and calibration.
+
+import { make, number } from "./elements.js";
+import { LiveImage } from "./live_image.js";
+import { isBusy, procedurePanel } from "./procedure.js";
+import { command } from "./server.js";
+import { latest, listen } from "./stream.js";
+
+export function show(place) {
+  const image = new LiveImage(), procedure = procedurePanel(["run", "by_hand"]);
+  const start = make("div", { class: "panel", id: "start" }), table = make("table", { id: "steps" });
+  const facts = make("dl", { class: "panel", id: "facts" });
+  place.replaceChildren(make("div", { class: "columns" },
+    make("section", {}, start, procedure.element, make("div", { class: "panel scroll" }, table)),
+    make("section", {}, facts, image.element)));
+  const paint = () => { start.replaceChildren(...startPanel()); table.replaceChildren(...rows()); facts.replaceChildren(...factList()); };
+  const ends = [() => image.end(), procedure.end, ...["rig", "procedure", "steps", "step", "load", "recorder", "hand"].map((topic) => listen(topic, paint))];
+  return () => ends.forEach((end) => end());
+}
+
+let shown = "", text = null;
+
+function startPanel() {
+  const rig = latest("rig") ?? {}, procedure = latest("procedure"), busy = isBusy(procedure);
+  const state = JSON.stringify([rig.operated, rig.measures, rig.file_error, busy, procedure?.procedure, rig.programme, latest("hand"), procedure?.state, rig.load_frame]);
+  if (state === shown && text?.isConnected) return [...text.closest("#start").childNodes]; // a change would take the focus from what is being written
+  shown = state;
+  text = make("textarea", { id: "programme", "aria-label": "Programme in place of that of the rig file", placeholder: "ramp: {to_mm: 1.0, steps: 11}" });
+  const by_hand = busy && procedure.procedure === "by_hand";
+  return [
+    make("h2", {}, "Test"),
+    rig.file_error ? make("p", { class: "bad" }, rig.file_error) : null,
+    rig.load_frame ? make("p", { class: "care" }, "Before the start: the limits of the machine are set, its emergency stop was tested, and nobody is in the frame.") : null,
+    make("div", { class: "row" },
+      make("button", { class: "main", id: "run", disabled: busy || !rig.operated, onclick: () => command("start", { procedure: "run", text: text.value }) }, "Start the programme"),
+      make("button", { id: "by-hand", disabled: busy || !rig.operated, onclick: () => command("start", { procedure: "by_hand" }) }, "Measure by hand"),
+      by_hand || !rig.operated ? make("button", { id: "measure", class: "main", disabled: !rig.measures, onclick: () => command("measure", {}) }, "Measure one step") : null),
+    latest("hand") ? make("p", { id: "hand", role: "status" }, latest("hand")) : null,
+    rig.operated ? null : make("p", { class: "soft" }, "This rig was started elsewhere: its procedures run there."),
+    make("details", {}, make("summary", {}, "Another programme"), text),
+    procedure?.folder && !busy ? make("p", {}, make("a", { href: "/files/run/report.html", target: "_blank", rel: "noopener" }, "Report of the last run"), ` in ${procedure.folder}`) : null,
+  ].filter(Boolean);
+}
+
+const STATES = { failed: "bad", measured: "good" };
+
+function rows() {
+  const programme = (latest("rig")?.programme ?? []).filter(({ mode }) => mode !== "none"), steps = latest("steps") ?? [], procedure = latest("procedure");
+  const running = isBusy(procedure) && procedure.procedure === "run", now = running ? procedure.step : -1;
+  const reports = procedure?.procedure === "run" ? procedure.reports : [];
+  const head = make("tr", {}, ...["step", "target [mm]", "position [mm]", "force [N]", "measured [%]"].map((name) => make("th", {}, name)), make("th", { class: "words" }, "state"));
+  const count = Math.max(running ? procedure.steps : programme.length, reports.length);
+  if (procedure?.procedure === "by_hand" || !count) return [head, ...steps.map((step) => row(step.step, null, step, step.error || step.stage, false))];
+  return [head, ...Array.from({ length: count }, (_, k) => {
+    const done = reports.find((report) => report.step === k), is_now = k === now && !done;
+    const words = done ? done.error || "measured" : is_now ? stage(procedure) : "";
+    return row(k, programme[k]?.position_mm, done, words, is_now);
+  })];
+}
+
+const stage = ({ activity, frame, frames }) => (frames ? `${activity}, frame ${frame} of ${frames}` : activity);
+
+function row(name, target, done, words, now) {
+  const value = (key, factor) => number(done?.[key] === undefined || done[key] === null ? NaN : done[key] * factor, 4);
+  return make("tr", { class: now ? "now" : "" }, make("td", {}, String(name)), make("td", {}, number(target ?? NaN, 4)),
+    make("td", {}, value("position", 1e3)), make("td", {}, value("force", 1)), make("td", {}, value("valid_fraction", 100)),
+    make("td", { class: `words ${done?.error ? STATES.failed : done ? STATES.measured : ""}` }, words));
+}
+
+function factList() {
+  const load = latest("load"), recorder = latest("recorder"), rig = latest("rig") ?? {}, step = latest("step");
+  const entries = [
+    ["machine", load ? `${load.mode}, ${number(load.force, 4)} N, ${number(1e3 * load.position, 4)} mm` : "not connected"],
+    ["step", step ? `${step.step}: ${step.stage}${step.frames ? `, frame ${step.frame} of ${step.frames}` : ""}` : "none yet"],
+    ["recorder", recorder ? `${recorder.state}, ${recorder.images} images, ${recorder.missing_images} lost${recorder.error ? `: ${recorder.error}` : ""}` : "not connected"],
+    ["disk", recorder?.free_gb ? `${recorder.free_gb} GB free${recorder.minutes_left === null ? "" : `, for ${recorder.minutes_left} minutes`}` : "–"],
+    ["calibration", (rig.calibration ?? []).join(" ") || "–"],
+  ];
+  return entries.flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]);
+}

@@ -1,0 +1,66 @@
+// The check list for setting up a rig: state of each item, its measurement, its picture, and what to do next.
+
+import { make } from "./elements.js";
+import { figuresPanel } from "./figures.js";
+import { LiveImage } from "./live_image.js";
+import { isBusy, procedurePanel } from "./procedure.js";
+import { RegionEditor } from "./region.js";
+import { command } from "./server.js";
+import { latest, listen } from "./stream.js";
+
+const LIVE = { axes: "crosshair", camera_focus: "white", projector_focus: "focus" }; // adjusted by hand with the live view
+const STATES = [["", "not done"], ["good", "done"], ["care", "out of date"]];
+const MEASURED = ["timing", "response", "calibrate", "check", "region", "noise", "advise", "settings"];
+let open = "";
+
+export function show(place) {
+  const list = make("ol", { class: "list" }), procedure = procedurePanel(MEASURED), work = make("div");
+  let leave = () => {}, shown = null;
+  place.replaceChildren(make("div", { class: "columns" }, make("section", {}, list), make("section", {}, procedure.element, work)));
+  const choose = (item) => { open = item; paint(); };
+  const paint = () => {
+    list.replaceChildren(...(latest("setup") ?? []).map((item) => entry(item, choose)));
+    if (shown === open) return;
+    shown = open;
+    leave();
+    leave = workplace(work, open);
+  };
+  const ends = [procedure.end, () => leave(), listen("setup", paint), listen("procedure", paint)];
+  return () => ends.forEach((end) => end());
+}
+
+function entry(item, choose) {
+  const [colour, state] = STATES[item.state], when = item.done ? `, ${new Date(1000 * item.done).toLocaleString()}` : "";
+  const chosen = item.item === open;
+  return make("li", { class: `${colour}${chosen ? " now" : ""}`, id: `item-${item.item}` },
+    make("div", { class: "row" }, make("h3", {}, item.title), make("span", { class: colour || "soft" }, `${state}${when}`),
+      chosen ? null : make("button", { onclick: () => choose(item.item), "aria-label": `Open ${item.title}` }, "Open")),
+    make("p", { class: "soft" }, item.next),
+    chosen ? make("div", {}, ...buttons(item.item), item.words.length ? make("pre", {}, item.words.join("\n")) : null,
+      item.picture ? make("img", { src: `${item.picture}?${item.done}`, alt: `Result: ${item.title}` }) : null) : null);
+}
+
+function buttons(item) {
+  const disabled = isBusy(latest("procedure"));
+  const start = (text, content) => make("button", { class: "main start", disabled, onclick: () => command("start", content) }, text);
+  if (item in LIVE) return [make("div", { class: "row" }, start("Show the pattern", { procedure: "live", pattern: LIVE[item] }),
+    make("button", { class: "done", onclick: () => command("start", { procedure: "confirm", pattern: item }) }, "It is adjusted"))];
+  if (item === "region") return [make("p", {}, "Draw on the image, then use the region.")];
+  if (item !== "check") return [start("Measure", { procedure: item })];
+  const distance = make("input", { type: "number", min: 0.1, max: 1000, step: "any", value: 5, id: "distance" });
+  return [make("div", { class: "row" }, make("label", {}, "Gauge block [mm]", distance),
+    make("button", { class: "main start", disabled, onclick: () => command("start", { procedure: item, distance_mm: Number(distance.value) }) }, "Measure"))];
+}
+
+// The image beside an item: live with its figures, or with the editor of the region.
+function workplace(place, item) {
+  if (item === "region") {
+    const editor = new RegionEditor();
+    place.replaceChildren(make("div", { class: "panel" }, editor.element));
+    return () => editor.end();
+  }
+  if (!(item in LIVE)) { place.replaceChildren(); return () => {}; }
+  const image = new LiveImage(), figures = figuresPanel();
+  place.replaceChildren(image.element, figures.element);
+  return () => { image.end(); figures.end(); };
+}

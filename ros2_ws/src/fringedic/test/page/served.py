@@ -1,0 +1,126 @@
+"""A server of the page over a small rig that keeps its commands, and requests to it."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import socket
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from websockets.sync.client import ClientConnection, connect
+
+from fringedic.errors import OperatorError
+from fringedic.page.maps import SpooledMaps
+from fringedic.page.server import Address, PageServer
+
+TOKEN = "secret of this test"
+
+
+class Answer(NamedTuple):
+    """Status, headers and content of an answer."""
+
+    status: int
+    headers: Mapping[str, str]
+    body: bytes
+
+    @property
+    def message(self) -> str:
+        return str(json.loads(self.body)["message"])
+
+
+@dataclass
+class SmallRig:
+    """Two steps with a map each; keeps the commands and refuses a hold."""
+
+    folder: Path
+    commands: list[Any] = field(default_factory=list)
+    state: dict[str, Any] = field(default_factory=lambda: {"rig": {"kind": "rig", "force": float("nan")}})
+
+    def __post_init__(self) -> None:
+        self.maps = SpooledMaps(self.folder / "maps")
+        column, row = np.meshgrid(np.arange(5.0), np.arange(4.0))
+        plane = {"x": 1e-3 * column, "y": -1e-3 * row, "z": 0 * row, "v": 0 * row, "w": 0 * row}
+        sigmas = {"sigma_u": 1e-7 + 0 * row, "sigma_v": 0 * row, "sigma_w": 0 * row}
+        for step in (0, 1):
+            maps = plane | {"u": 1e-5 * step * column, **sigmas}
+            self.maps.put(step, {name: values.astype(np.float32) for name, values in maps.items()}, spacing=8)
+
+    def snapshot(self) -> dict[str, Any]:
+        return self.state
+
+    def folders(self) -> Mapping[str, Path]:
+        return {"run": self.folder}
+
+    async def do(self, command: Any) -> str:
+        self.commands.append(command)
+        if type(command).__name__ == "Hold":
+            raise OperatorError("there is no machine")
+        return "started"
+
+
+@dataclass
+class Site:
+    """A running server with its rig."""
+
+    port: int
+    rig: SmallRig
+    server: PageServer
+
+    @property
+    def origin(self) -> str:
+        return f"http://127.0.0.1:{self.port}"
+
+    def request(self, method: str, path: str, body: str | None = None, **headers: str) -> Answer:
+        """Send a request exactly as given; header names are written with underscores."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=10)
+        named = {name.replace("_", "-"): value for name, value in headers.items()}
+        connection.request(method, path, body, named)
+        answer = connection.getresponse()
+        found = Answer(answer.status, dict(answer.headers), answer.read())
+        connection.close()
+        return found
+
+    def login(self) -> str:
+        """Return the cookie of a new session."""
+        answer = self.request("GET", f"/?token={TOKEN.replace(' ', '%20')}")
+        assert answer.status == 303
+        return answer.headers["set-cookie"].partition(";")[0]
+
+    def get(self, path: str, cookie: str) -> Answer:
+        return self.request("GET", path, Cookie=cookie)
+
+    def post(self, name: str, content: Any, cookie: str) -> Answer:
+        headers = {"Cookie": cookie, "Origin": self.origin, "Content_Type": "application/json"}
+        return self.request("POST", f"/do/{name}", json.dumps(content), **headers)
+
+    def stream(self, cookie: str, origin: str | None = None) -> ClientConnection:
+        headers = {"Cookie": cookie}
+        return connect(
+            f"ws://127.0.0.1:{self.port}/stream",
+            additional_headers=headers,
+            origin=origin or self.origin,  # type: ignore[arg-type]
+            compression=None,
+        )
+
+
+def free_port() -> int:
+    """Return a port of this computer that nobody listens to."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[Site]:
+    """Serve the small rig."""
+    port, rig = free_port(), SmallRig(folder)
+    server = PageServer(rig, Address("127.0.0.1", port, TOKEN))
+    try:
+        yield Site(port, rig, server)
+    finally:
+        server.close()

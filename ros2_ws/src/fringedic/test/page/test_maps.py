@@ -1,0 +1,75 @@
+"""Maps of a running test in a folder, and of a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fringedic.errors import DatasetError
+from fringedic.page import maps
+from fringedic.page.maps import RecordedMaps, SpooledMaps, described, gauge, tile
+
+
+def plane(rows: int, columns: int, value: float = 1.0) -> np.ndarray:
+    return np.full((rows, columns), value, np.float32)
+
+
+def test_maps_of_a_server_that_was_ended_are_found_again(tmp_path: Path) -> None:
+    SpooledMaps(tmp_path).put(3, {"u": plane(4, 5), "not a map": plane(4, 5)}, 2)
+    found = SpooledMaps(tmp_path)
+    assert found.names() == {3: ["u"]}
+    assert found.dataset(3, ["u"])["column"].values.tolist() == [0, 2, 4, 6, 8]
+    found.clear()
+    assert found.names() == {}
+
+
+def test_maps_at_every_pixel_are_sampled_at_the_points(tmp_path: Path) -> None:
+    row, column = np.mgrid[0:7, 0:9].astype(np.float32)
+    spooled = SpooledMaps(tmp_path)
+    spooled.put(0, {"u": plane(4, 5), "shape_z": 10 * row + column}, 2)
+    np.testing.assert_array_equal(tile(spooled, 0, "shape_z").values, (10 * row + column)[::2, ::2])
+
+
+def test_oldest_steps_are_removed_when_the_maps_become_too_many(tmp_path: Path) -> None:
+    spooled = SpooledMaps(tmp_path, most_bytes=3 * 4 * 100 * 100)
+    for step in range(5):
+        spooled.put(step, {"u": plane(100, 100, step)}, 1)
+    assert list(spooled.names()) == [3, 4]
+    with pytest.raises(DatasetError, match="step 0 has no map u: choose"):
+        tile(spooled, 0, "u")
+
+
+def test_large_map_is_decimated_without_interpolation(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(maps, "MOST_VALUES", 100)
+    values = np.arange(30 * 40, dtype=np.float32).reshape(30, 40)
+    spooled = SpooledMaps(tmp_path)
+    spooled.put(0, {"u": values}, 3)
+    found = tile(spooled, 0, "u")
+    assert found.values.size <= 100
+    assert found.spacing == 3 * 4
+    np.testing.assert_array_equal(found.values, values[::4, ::4])
+
+
+def test_gauge_without_displacements_is_refused(tmp_path: Path) -> None:
+    spooled = SpooledMaps(tmp_path)
+    spooled.put(0, {"texture": plane(4, 5)}, 1)
+    with pytest.raises(DatasetError, match="no step has a displacement yet: measure two steps"):
+        gauge(spooled, (0, 0), (2, 2), 1)
+
+
+def test_description_has_the_unit_of_people() -> None:
+    assert described("w") | {"meaning": ""} == {
+        "name": "w",
+        "meaning": "",
+        "unit": "µm",
+        "factor": 1e-6,
+        "sigma": "sigma_w",
+    }
+    assert described("texture")["sigma"] is None
+
+
+def test_recording_without_results_is_refused(tmp_path: Path) -> None:
+    with pytest.raises((DatasetError, OSError), match="nowhere"):
+        RecordedMaps(tmp_path / "nowhere")

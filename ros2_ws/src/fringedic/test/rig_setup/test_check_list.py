@@ -1,0 +1,65 @@
+"""Check list of the set-up: order, results, and what makes them out of date."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+
+from fringedic.errors import RigSetupError
+from fringedic.report.check_list import TITLES, next_sentence
+from fringedic.rig_setup.check_list import CheckList, ItemState, SetupItem, SetupRecord
+
+START = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)
+
+
+def done(*items: SetupItem) -> CheckList:
+    """Return a list on which items were done one minute after the other."""
+    found = CheckList()
+    for minute, item in enumerate(items):
+        found = found.with_record(item, SetupRecord(when=START + timedelta(minutes=minute), words=(item.value,)))
+    return found
+
+
+def states(found: CheckList) -> dict[SetupItem, ItemState]:
+    return {each.item: each.state for each in found.items()}
+
+
+def test_items_are_in_the_order_of_the_page() -> None:
+    assert [each.item for each in CheckList().items()] == list(SetupItem) == list(TITLES)
+    assert set(states(CheckList()).values()) == {ItemState.NOT_DONE}
+    assert len({next_sentence(each) for each in CheckList().items()}) == len(SetupItem)
+
+
+def test_in_order_everything_stays_done() -> None:
+    assert set(states(done(*SetupItem)).values()) == {ItemState.DONE}
+
+
+def test_a_lens_that_is_turned_makes_what_depends_on_it_out_of_date() -> None:
+    found = done(*SetupItem, SetupItem.CAMERA_FOCUS)
+    outdated = {item for item, state in states(found).items() if state is ItemState.OUT_OF_DATE}
+    assert outdated == {
+        SetupItem.RESPONSE,
+        SetupItem.CALIBRATE,
+        SetupItem.REGION,
+        SetupItem.NOISE,
+        SetupItem.ADVISE,
+    }
+    [calibrate] = [each for each in found.items() if each.item is SetupItem.CALIBRATE]
+    assert next_sentence(calibrate) == "Repeat it, because focus and exposure of the camera was done later."
+
+
+def test_saved_list_is_read_again(tmp_path: Path) -> None:
+    found = done(SetupItem.TIMING, SetupItem.NOISE)
+    found.save(tmp_path / "setup.yaml")
+    assert CheckList.load(tmp_path / "setup.yaml") == found
+    assert [path.name for path in tmp_path.iterdir()] == ["setup.yaml"]
+    assert CheckList.load(tmp_path / "none.yaml") == CheckList()
+
+
+@pytest.mark.parametrize("text", ["[1, 2]", "nonsense: {when: 2026-01-01}", "timing: {when: soon}", "a: [", "\xff"])
+def test_a_file_that_is_no_list_is_named(tmp_path: Path, text: str) -> None:
+    (tmp_path / "setup.yaml").write_text(text, "latin-1")
+    with pytest.raises(RigSetupError, match=r"setup.yaml: is no check list of the set-up: correct or remove it"):
+        CheckList.load(tmp_path / "setup.yaml")

@@ -1,0 +1,112 @@
+"""Subcommands with the operator's page."""
+
+from __future__ import annotations
+
+import ipaddress
+import shutil
+import signal
+import threading
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fringedic.errors import ConfigurationError
+from fringedic_bringup.command.app import Bag, Rig, app, say
+from fringedic_bringup.launch.rig_files import rig_path_of
+from fringedic_bringup.procedures.folders import output_folder
+
+if TYPE_CHECKING:
+    from fringedic.page.server import Address
+
+PORT = 8090
+Port = Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")]
+Host = Annotated[str, typer.Option("--address", help="Address of this computer at which the page is served.")]
+Certificate = Annotated[Path | None, typer.Option(help="TLS certificate (PEM).")]
+Key = Annotated[Path | None, typer.Option(help="Private key of the certificate (PEM).")]
+
+
+@app.command(epilog="Example: fringedic view recordings/plate-7/bag")
+def view(
+    bag: Bag,
+    port: Port = PORT,
+    address: Host = "127.0.0.1",
+    certificate: Certificate = None,
+    key: Key = None,
+) -> None:
+    """Show a recording in a browser: maps with their uncertainty, profiles, extensometers, curves, 3D. Without ROS."""
+    from fringedic.page.recorded import RecordedRig
+    from fringedic.page.server import PageServer
+
+    place = page_address(address, port, certificate, key)
+    server = PageServer(RecordedRig(bag), place)
+    announce(place, "see the recording")
+    with suppress(KeyboardInterrupt):
+        threading.Event().wait()
+    server.close()
+
+
+@app.command(epilog="Example: fringedic operate plate.yaml")
+def operate(
+    rig: Rig,
+    attach: Annotated[bool, typer.Option("--attach", help="Join a rig that runs already.")] = False,
+    port: Port = PORT,
+    address: Host = "127.0.0.1",
+    certificate: Certificate = None,
+    key: Key = None,
+) -> None:
+    """Set up, run and watch a test in a browser; prints the address of the page."""
+    from fringedic.configuration.rig_file import load_rig_file
+    from fringedic_bringup.operating.operate import operate as serve
+    from fringedic_bringup.operating.procedures import Place
+
+    path = rig if rig.exists() else own_copy(rig_path_of(rig))
+    load_rig_file(path)
+    place = page_address(address, port, certificate, key)
+    ended = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: ended.set())
+    serve(Place(path), place, attach=attach, ready=lambda: announce(place, "drive the machine"), stop=ended.is_set)
+
+
+def own_copy(installed: Path) -> Path:
+    """Return a copy of an installed rig file in this folder, where settings can be changed.
+
+    Raises
+    ------
+    ConfigurationError
+        It cannot be written.
+    """
+    copy = output_folder(Path()) / installed.name
+    if not copy.exists():
+        shutil.copyfile(installed, copy)
+        say(f"rig file: {copy} (a copy of the installed one, for your settings)")
+    return copy
+
+
+def page_address(host: str, port: int, certificate: Path | None, key: Path | None) -> Address:
+    """Return the address of a page with a new token.
+
+    Raises
+    ------
+    ConfigurationError
+        There is a certificate without its key or the reverse, or the address stands for several.
+    """
+    from fringedic.page.access import new_token
+    from fringedic.page.server import Address
+
+    if (certificate is None) != (key is None):
+        raise ConfigurationError("TLS needs both --certificate and --key")
+    with suppress(ValueError):
+        if ipaddress.ip_address(host).is_unspecified:
+            raise ConfigurationError(f"--address {host}: give one address of this computer, as browsers write it")
+    return Address(host, port, new_token(), certificate, key)
+
+
+def announce(place: Address, reach: str) -> None:
+    """Print the address, and a warning about an address that others can reach."""
+    say(f"page: {place.url}", "Ctrl-C ends")
+    if not place.is_local:
+        lines = "encrypted" if place.certificate is not None else "not encrypted: others can read the token"
+        say(f"warning: everybody in the network who has this address can {reach}; the connection is {lines}")

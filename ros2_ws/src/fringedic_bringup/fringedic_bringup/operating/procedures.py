@@ -1,0 +1,258 @@
+"""The procedures that an operator may start: those of the commands, with the same files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import cv2
+
+from fringedic.configuration.changes import change_rig_file
+from fringedic.configuration.programme import Programme
+from fringedic.configuration.rig_file import RigFile, load_rig_file
+from fringedic.errors import ConfigurationError
+from fringedic.frames.region import Region
+from fringedic.inputs.yaml_text import load_yaml
+from fringedic.report.calibration_sentences import check_sentence, check_warning_sentences
+from fringedic.report.live_view import live_entries
+from fringedic.report.noise_floor import noise_floor_text
+from fringedic.report.settings import settings_report
+from fringedic_bringup.launch.graph import exposing_graph, rig_graph
+from fringedic_bringup.launch.processes import RunningGraph
+from fringedic_bringup.operating.status import Job, Outcome, StoppedError
+from fringedic_bringup.procedures.calibrate import calibrate
+from fringedic_bringup.procedures.check import check
+from fringedic_bringup.procedures.exposing import WHITE, ExposingClient
+from fringedic_bringup.procedures.folders import unused_folder
+from fringedic_bringup.procedures.images import advise_on_images
+from fringedic_bringup.procedures.live import watch
+from fringedic_bringup.procedures.noise import measure_noise
+from fringedic_bringup.procedures.region import SETTLING_S
+from fringedic_bringup.procedures.response import PICTURE as RESPONSE_PICTURE
+from fringedic_bringup.procedures.response import measure_rig_response
+from fringedic_bringup.procedures.run import load_rig, run_experiment, write_results
+from fringedic_bringup.procedures.setup_patterns import LivePattern
+from fringedic_bringup.procedures.timing import measure_rig_timing
+
+TIMING_EXPOSURE_S, TIMING_LONGEST_S = 3e-3, 0.3  # defaults of `fringedic timing`
+IMAGES_AT_REST = 3
+
+
+@dataclass(frozen=True)
+class Request:
+    """What an operator asks for; fields as of ``fringedic_msgs/StartProcedure``."""
+
+    procedure: str
+    pattern: str = ""
+    text: str = ""
+    distance: float = 0.0
+    steps: int = 0
+
+
+@dataclass(frozen=True)
+class Place:
+    """The rig file, and the ROS domain; files are written beside the rig file."""
+
+    rig_path: Path
+    domain: int | None = None
+
+    @property
+    def rig(self) -> RigFile:
+        """The present content of the rig file."""
+        return load_rig_file(self.rig_path)
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the rig file."""
+        return self.rig_path.absolute().parent
+
+    def new_folder(self, job: Job, name: str) -> Path:
+        """Return a folder that does not exist yet, and show it."""
+        folder = unused_folder(self.folder / name)
+        job.writes_into(str(folder))
+        return folder
+
+    def relative(self, file: Path) -> str:
+        """Return a path as the rig file names it."""
+        return os.path.relpath(file, self.folder)
+
+
+def _live(place: Place, job: Job, request: Request) -> Outcome:
+    pattern = LivePattern(request.pattern or LivePattern.WHITE)
+    figures = None
+    with closing(watch(place.rig, place.rig_path, pattern, domain=place.domain)) as views:
+        job.stage("live")
+        for figures in views:  # noqa: B007 (the last ones are used)
+            if job.is_stopping:
+                break
+    if figures is None:
+        return Outcome()
+    entries = live_entries(figures, pattern.kind)
+    focus = f"focus: {100 * figures.focus:.0f} % of the best"
+    return Outcome([focus, *(f"{entry.name}: {entry.value}: {entry.advice}" for entry in entries)])
+
+
+def _timing(place: Place, job: Job, _: Request) -> Outcome:
+    folder = place.new_folder(job, "timing")
+    report = measure_rig_timing(
+        place.rig,
+        place.rig_path,
+        folder,
+        job,
+        exposure_time=TIMING_EXPOSURE_S,
+        longest=TIMING_LONGEST_S,
+        domain=place.domain,
+    )
+    return Outcome(report.words, report.settings, "timing.png")
+
+
+def _response(place: Place, job: Job, _: Request) -> Outcome:
+    folder = place.new_folder(job, "response")
+    report = measure_rig_response(place.rig, place.rig_path, folder, job, domain=place.domain)
+    return Outcome(report.words, report.setting, RESPONSE_PICTURE)
+
+
+def _calibrate(place: Place, job: Job, _: Request) -> Outcome:
+    folder = place.new_folder(job, "calibration")
+    report = calibrate(place.rig, place.rig_path, folder, job, ask=job.ask, domain=place.domain)
+    settings = f"calibration: {place.relative(report.file)}" if report.go else ""
+    return Outcome(report.words, settings, good=report.go)
+
+
+def _check(place: Place, job: Job, request: Request) -> Outcome:
+    folder = place.new_folder(job, "check")
+    result = check(place.rig, place.rig_path, folder, job, distance=request.distance, ask=job.ask, domain=place.domain)
+    return Outcome([check_sentence(result), *check_warning_sentences(result)], good=result.holds)
+
+
+def _region(place: Place, job: Job, request: Request) -> Outcome:
+    region = Region.from_text(request.text)
+    share = 100 * region.mask().mean()
+    if share == 0:
+        raise ConfigurationError("the region is empty: draw a part of the image that is not a hole")
+    picture = place.folder / "region.png"
+    _, corners = region.save(picture)
+    job.writes_into(str(place.folder))
+    change_rig_file(place.rig_path, f"region_file: {corners.name}")
+    return Outcome([f"the region is {share:.0f} % of the image; the rig file uses it"], picture=picture.name)
+
+
+def _noise(place: Place, job: Job, request: Request) -> Outcome:
+    folder = place.new_folder(job, "noise")
+    measured = measure_noise(place.rig, place.rig_path, folder, job, steps=request.steps, domain=place.domain)
+    setting = f"noise_floor_file: {place.relative(folder / 'noise_floor.yaml')}"
+    return Outcome(noise_floor_text(measured.metadata).splitlines(), setting, "noise_floor.png")
+
+
+def _advise(place: Place, job: Job, _: Request) -> Outcome:
+    """Take three images at rest, and recommend window and spacing."""
+    folder = place.new_folder(job, "static")
+    folder.mkdir(parents=True)
+    graph = exposing_graph(place.rig, place.rig_path)
+    files = [folder / f"static_{number}.png" for number in range(1, IMAGES_AT_REST + 1)]
+    job.stage("taking images")
+    with (
+        RunningGraph(graph, folder / "logs", domain=place.domain) as running,
+        ExposingClient(graph.namespace, domain=place.domain, watch=running.check) as client,
+    ):
+        client.wait_until_ready(graph.names)
+        if "projector" in graph.names:
+            client.show(WHITE)
+            client.sleep(SETTLING_S)
+        for number, file in enumerate(files, start=1):
+            job.part(1, 1, "images at rest", number, len(files))
+            cv2.imwrite(str(file), client.expose()[0])
+    advice = advise_on_images(
+        (files[0], files[1], files[2]), wanted_noise=None, wanted_period=None, pixel_size=None, strain_window=5
+    )
+    setting = f"nodes: {{dic: {{window: {advice.window}, spacing: {advice.spacing}}}}}"
+    return Outcome(settings_report(advice).splitlines(), setting)
+
+
+def _settings(place: Place, _: Job, request: Request) -> Outcome:
+    before = change_rig_file(place.rig_path, request.text)
+    return Outcome([f"the rig file is changed; the file before is {before.name}"])
+
+
+def _run(place: Place, job: Job, request: Request) -> Outcome:
+    rig, programme = _programme(place, request.text)
+    folder = _recording_folder(place, job, rig, programme.experiment)
+    job.controlled, job.holds_without_driver = True, programme.on_operator_lost == "hold"
+    report = run_experiment(rig, place.rig_path, programme, folder, job, domain=place.domain, control=job)
+    words = [f"{len(report.steps)} steps in {folder.name}"]
+    words += [f"ended early: {report.ended_early}"] if report.ended_early else []
+    words += [f"no dataset: {report.unmeasured}"] if report.unmeasured else []
+    words += [f"step {step.step} failed: {step.error}" for step in report.steps if step.error]
+    return Outcome(words, good=not report.failed)
+
+
+def _by_hand(place: Place, job: Job, _: Request) -> Outcome:
+    """Start the nodes, and keep them until the operator stops; steps are measured by the action of the rig."""
+    rig = place.rig
+    folder = _recording_folder(place, job, rig, "by_hand")
+    graph = rig_graph(rig, place.rig_path, folder, experiment="by_hand")
+    job.controlled = True
+    job.stage(f"starting {len(graph.nodes)} nodes")
+    with (
+        RunningGraph(graph, folder / "logs", domain=place.domain) as running,
+        ExposingClient(graph.namespace, domain=place.domain, watch=running.check) as client,
+    ):
+        client.wait_until_ready(graph.names)
+        job.stage("ready to measure")
+        while not job.is_stopping:
+            client.sleep(0.2)
+        client.wait_until_recorded()
+    job.stage("writing dataset, pictures and report")
+    report = write_results("by_hand", folder, [])
+    words = [report.unmeasured] if report.unmeasured else [f"dataset and report in {folder.name}"]
+    return Outcome(words, good=not report.unmeasured)
+
+
+def _programme(place: Place, text: str) -> tuple[RigFile, Programme]:
+    """Return the rig, and the programme in a text or in the rig file."""
+    if not text.strip():
+        return load_rig(place.rig_path, None, None)
+    try:
+        programme = Programme.model_validate(load_yaml(text))
+    except ValueError as error:
+        first = str(error).splitlines()
+        raise ConfigurationError(f"programme: {'; '.join(line.strip() for line in first[1:3])}") from error
+    rig = place.rig
+    if programme.specimen is not None:
+        rig = rig.model_copy(update={"specimen": programme.specimen})
+    return rig, programme
+
+
+def _recording_folder(place: Place, job: Job, rig: RigFile, experiment: str) -> Path:
+    stamp = datetime.now(UTC).strftime("%Y-%m-%dT%H-%M-%S")
+    return place.new_folder(job, f"{rig.recording.folder}/{experiment}-{stamp}")
+
+
+PROCEDURES: dict[str, Callable[[Place, Job, Request], Outcome]] = {
+    "live": _live,
+    "timing": _timing,
+    "response": _response,
+    "calibrate": _calibrate,
+    "check": _check,
+    "region": _region,
+    "noise": _noise,
+    "advise": _advise,
+    "settings": _settings,
+    "run": _run,
+    "by_hand": _by_hand,
+}
+
+
+def execute(place: Place, job: Job, request: Request) -> None:
+    """Execute a procedure; its result or the reason of its failure is in the status of the job."""
+    try:
+        job.ended(PROCEDURES[request.procedure](place, job, request))
+    except StoppedError:
+        job.ended(Outcome(["stopped by the operator"], good=False))
+    except Exception as error:
+        # the thread must not end without a word, whatever it was
+        job.failed(str(error) or type(error).__name__)

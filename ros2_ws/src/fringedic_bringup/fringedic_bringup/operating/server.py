@@ -1,0 +1,254 @@
+"""Node `procedures`: starts procedures on request, one at a time, and publishes their state."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from types import TracebackType
+from typing import Any, Self
+
+from std_msgs.msg import Bool
+
+from fringedic.errors import FringedicError, OperatorError
+from fringedic.report.check_list import next_sentence
+from fringedic.rig_setup.check_list import CheckList, ListedItem, SetupItem, SetupRecord
+from fringedic_bringup.operating.procedures import PROCEDURES, Place, Request, execute
+from fringedic_bringup.operating.status import Job, State, Status
+from fringedic_bringup.participant import Participant
+from fringedic_msgs.msg import ProcedureStatus, SetupState, StepReport
+from fringedic_msgs.msg import SetupItem as SetupItemMessage
+from fringedic_msgs.srv import ControlProcedure, StartProcedure
+from fringedic_ros.qos import LATCHED, LATEST
+from fringedic_ros.stamps import to_msg
+
+CHECK_LIST = "setup.yaml"
+CONFIRM = "confirm"  # the procedure that records an item of the live view as done
+LIVE_ITEMS = (SetupItem.AXES, SetupItem.CAMERA_FOCUS, SetupItem.PROJECTOR_FOCUS)
+LONGEST_END_S = 60.0  # of a live view, or of any procedure at the end of the server
+LOST_S = 5.0  # without a sign of the driver's page
+PERIOD_S = 0.05
+
+
+class ProcedureServer:
+    """Serves ``procedures/start`` and ``procedures/control``; publishes ``procedures/status`` and ``procedures/setup``.
+
+    Whenever no other procedure runs, the last live view continues.
+
+    Parameters
+    ----------
+    place
+        The rig.
+    """
+
+    def __init__(self, place: Place) -> None:
+        self._place = place
+        self._participant = Participant("procedures", place.rig.namespace, domain=place.domain)
+        node = self._participant.node
+        self._changed = threading.Event()
+        self._running: Job | None = None
+        self._thread: threading.Thread | None = None
+        self._next: Request | None = None
+        self._live: Request | None = Request("live")
+        self._figures: tuple[str, ...] = ()  # of the last live view
+        self._list = CheckList.load(place.folder / CHECK_LIST)
+        self._driver_seen = time.monotonic()
+        # the result of the last procedure stays there while the live view runs
+        self._statuses = {
+            live: node.create_publisher(ProcedureStatus, f"procedures/{topic}", LATCHED)
+            for live, topic in ((True, "live"), (False, "status"))
+        }
+        self._setups = node.create_publisher(SetupState, "procedures/setup", LATCHED)
+        node.create_subscription(Bool, "operator/driver_present", self._see_driver, LATEST)
+        node.create_service(StartProcedure, "procedures/start", self._start)
+        node.create_service(ControlProcedure, "procedures/control", self._control)
+        self._publish_setup()
+
+    def spin_once(self) -> None:
+        """Run callbacks, begin the next procedure when the one before has ended, and publish changes."""
+        self._participant.spin_once(PERIOD_S)
+        if self._thread is not None and not self._thread.is_alive():
+            self._take_result()
+        if self._thread is None and (request := self._next or self._live) is not None:
+            self._next = None
+            self._begin(request)
+        if self._changed.is_set():
+            self._changed.clear()
+            self._publish()
+        self._pause_without_driver()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        """End the procedure in order, and the node."""
+        self._live = self._next = None
+        if self._running is not None and self._thread is not None:
+            self._running.stop()
+            self._thread.join(LONGEST_END_S)
+        self._participant.close()
+
+    def _start(self, request: StartProcedure.Request, response: StartProcedure.Response) -> StartProcedure.Response:
+        with _answering(response):
+            self._accept(Request(request.procedure, request.pattern, request.text, request.distance, request.steps))
+        return response
+
+    def _accept(self, request: Request) -> None:
+        if request.procedure == CONFIRM:
+            self._confirm(request.pattern)
+            return
+        if request.procedure not in PROCEDURES:
+            raise OperatorError(f"{request.procedure}: there is no such procedure; use {', '.join(PROCEDURES)}")
+        running = self._running
+        if self._next is not None or (running is not None and not running.is_live):
+            what = "a procedure is starting" if running is None else f"{running.status.procedure} is running"
+            raise OperatorError(f"{what}: wait until it has ended, or stop it")
+        if request.procedure == "live":
+            self._live = request
+        else:
+            self._next = request
+        if running is not None:
+            running.stop()
+
+    def _control(
+        self, request: ControlProcedure.Request, response: ControlProcedure.Response
+    ) -> ControlProcedure.Response:
+        with _answering(response):
+            running = self._running
+            if running is None:
+                raise OperatorError("nothing runs: start a procedure first")
+            actions = {
+                request.PAUSE: running.pause,
+                request.RESUME: running.resume,
+                request.STOP: self._stop,
+                request.CONFIRM: lambda: running.answer(True),
+                request.REFUSE: lambda: running.answer(False),
+            }
+            if request.command not in actions:
+                raise OperatorError(f"command {request.command} is unknown")
+            actions[request.command]()
+        return response
+
+    def _stop(self) -> None:
+        if self._running is not None:
+            if self._running.is_live:
+                self._live = None
+            self._running.stop()
+
+    def _begin(self, request: Request) -> None:
+        job = self._running = Job(request.procedure, request.pattern, self._changed.set)
+        self._thread = threading.Thread(target=execute, args=[self._place, job, request], name=request.procedure)
+        self._thread.start()
+        self._changed.set()
+
+    def _take_result(self) -> None:
+        """Keep the result of the procedure that has ended."""
+        job, self._running, self._thread = self._running, None, None
+        if job is None:
+            return
+        self._publish_status(job)
+        status = job.status
+        if job.is_live:
+            self._figures = tuple(status.outcome.words)
+            if status.state == State.FAILED:
+                self._live = None  # the next one would fail, too
+        elif status.procedure in set(SetupItem) and status.state == State.DONE:
+            self._record(
+                SetupItem(status.procedure), tuple(status.outcome.words), status.folder, status.outcome.picture
+            )
+
+    def _confirm(self, item: str) -> None:
+        if item not in LIVE_ITEMS:
+            raise OperatorError(f"{item}: has to be measured; it cannot be confirmed")
+        self._record(SetupItem(item), self._figures)
+
+    def _record(self, item: SetupItem, words: tuple[str, ...], folder: str = "", picture: str = "") -> None:
+        record = SetupRecord(when=datetime.now(UTC), words=words, folder=folder, picture=picture)
+        self._list = self._list.with_record(item, record)
+        try:
+            self._list.save(self._place.folder / CHECK_LIST)
+        except OSError as error:
+            self._participant.node.get_logger().error(f"{CHECK_LIST}: cannot be written: {error.strerror}; make room")
+        self._publish_setup()
+
+    def _see_driver(self, present: Bool) -> None:
+        if present.data:
+            self._driver_seen = time.monotonic()
+
+    def _pause_without_driver(self) -> None:
+        job = self._running
+        if job is not None and job.holds_without_driver and time.monotonic() - self._driver_seen > LOST_S:
+            job.note_pause("the page of the driver is closed: the programme pauses after the present step")
+
+    def _publish(self) -> None:
+        if self._running is not None:
+            self._publish_status(self._running)
+
+    def _publish_status(self, job: Job) -> None:
+        self._statuses[job.is_live].publish(_status_message(job.status))
+
+    def _publish_setup(self) -> None:
+        items = [_item_message(each) for each in self._list.items()]
+        message = SetupState(rig_file=str(self._place.rig_path), items=items)
+        message.header.stamp = to_msg(time.time_ns())
+        self._setups.publish(message)
+
+
+@contextmanager
+def _answering(response: Any) -> Iterator[None]:
+    """Fill the response of a service: success, or the reason of a refusal."""
+    try:
+        yield
+        response.success = True
+    except FringedicError as error:
+        response.success, response.message = False, str(error)
+
+
+def _status_message(status: Status) -> ProcedureStatus:
+    reports = [
+        StepReport(
+            step=each.step,
+            white=each.white,
+            position=each.position,
+            force=each.force,
+            valid_fraction=each.valid_fraction,
+            rms_displacement=each.rms_displacement,
+            processing_time=each.processing_time,
+            error_message=each.error,
+        )
+        for each in status.reports
+    ]
+    message = ProcedureStatus(
+        procedure=status.procedure,
+        state=int(status.state),
+        started=to_msg(round(1e9 * status.started)),
+        activity=status.activity,
+        step=status.step,
+        steps=status.steps,
+        frame=status.frame,
+        frames=status.frames,
+        question=status.question,
+        pattern=status.pattern,
+        folder=status.folder,
+        notes=list(status.notes),
+        words=list(status.outcome.words),
+        settings=status.outcome.settings,
+        error_message=status.error,
+        reports=reports,
+    )
+    message.header.stamp = to_msg(time.time_ns())
+    return message
+
+
+def _item_message(listed: ListedItem) -> SetupItemMessage:
+    message = SetupItemMessage(item=listed.item.value, state=listed.state.value)
+    message.next = next_sentence(listed)
+    if listed.record is not None:
+        message.done = to_msg(round(1e9 * listed.record.when.timestamp()))
+        message.words = list(listed.record.words)
+        message.folder, message.picture = listed.record.folder, listed.record.picture
+    return message

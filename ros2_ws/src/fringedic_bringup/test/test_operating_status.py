@@ -1,0 +1,113 @@
+"""The state of a procedure between its thread and the operator."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from fringedic.errors import OperatorError
+from fringedic_bringup.operating.procedures import Place, Request, execute
+from fringedic_bringup.operating.status import Job, State, StoppedError
+from fringedic_bringup.procedures.outcome import StepReport
+
+
+def job(name: str = "run", *, controlled: bool = True) -> Job:
+    made = Job(name, "", lambda: None)
+    made.controlled = controlled
+    return made
+
+
+def test_programme_pauses_after_the_step_and_continues() -> None:
+    run = job()
+    assert run.may_begin()
+    run.pause()
+    assert run.status.state == State.PAUSING, "the present step is finished"
+    assert not run.may_begin()
+    assert run.status.state == State.PAUSED
+    run.resume()
+    assert run.may_begin()
+    with pytest.raises(OperatorError, match="run is not paused"):
+        run.resume()
+
+
+def test_stop_ends_a_programme_once_so_that_its_results_are_written() -> None:
+    run = job()
+    run.stop()
+    with pytest.raises(StoppedError):
+        run.check()
+    run.check()
+    run.stage("writing the dataset")
+
+
+def test_stop_ends_another_procedure_at_its_next_progress() -> None:
+    timing = job("timing", controlled=False)
+    timing.part(1, 3, "dark")
+    assert (timing.status.step, timing.status.steps) == (0, 3)
+    with pytest.raises(OperatorError, match="timing cannot pause"):
+        timing.pause()
+    timing.stop()
+    with pytest.raises(StoppedError):
+        timing.part(2, 3, "white")
+
+
+@pytest.mark.parametrize(("answer", "expected"), [(True, True), (False, False), (None, False)])
+def test_question_waits_for_the_operator(answer: bool | None, expected: bool) -> None:
+    calibrate, answers = job("calibrate", controlled=False), list[bool]()
+    asking = threading.Thread(target=lambda: answers.append(calibrate.ask("Lay the grid on the plane")))
+    asking.start()
+    end = time.monotonic() + 10
+    while not calibrate.status.question:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    if answer is None:
+        calibrate.stop()
+    else:
+        calibrate.answer(answer)
+    asking.join(10)
+    assert answers == [expected]
+    assert not calibrate.status.question
+    with pytest.raises(OperatorError, match="no question"):
+        calibrate.answer(True)
+
+
+def test_pause_without_a_driver_is_noted_once() -> None:
+    run = job()
+    run.note_pause("the page is closed")
+    run.note_pause("the page is closed")
+    assert run.status.notes == ("the page is closed",)
+    assert not run.may_begin()
+
+
+def test_reports_and_notes_are_kept() -> None:
+    run = job()
+    run.measured(StepReport(0))
+    run.measured(StepReport(1, error="no light"))
+    for number in range(300):
+        run.note(str(number))
+    assert [report.step for report in run.status.reports] == [0, 1]
+    assert run.status.notes[-1] == "299"
+    assert len(run.status.notes) == 200
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        (Request("run", text="ramp: ["), "line 1"),
+        (Request("run", text="{steps: [{position_mm: far}]}"), "programme: steps.0"),
+        (Request("region", text="no region"), "region"),
+        (Request("settings", text="camera: 5"), "camera"),
+        (Request("timing"), "no such"),
+    ],
+)
+def test_whatever_is_wrong_is_a_failure_with_a_reason(tmp_path: Path, request_: Request, words: str) -> None:
+    rig = tmp_path / "rig.yaml"
+    if request_.procedure != "timing":
+        rig.write_text("{camera: {source: virtual}, virtual_rig: {preset: plate, size: tiny}}")
+    failing = job(request_.procedure, controlled=False)
+    execute(Place(rig), failing, request_)
+    assert failing.status.state == State.FAILED
+    assert words.lower() in failing.status.error.lower()
+    assert len(failing.status.error) <= 500

@@ -1,0 +1,274 @@
+"""Shows a rig on the operator's page, and drives it by public services and actions.
+
+The node may be ended at any moment without effect on a measurement.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import struct
+import time
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from pydantic import BaseModel, Field
+from rcl_interfaces.msg import Log
+from rclpy.action import ActionClient
+from rclpy.client import Client
+from rclpy.node import Node
+from rclpy.serialization import deserialize_message
+from rclpy.task import Future
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from std_msgs.msg import Bool
+from std_srvs.srv import Trigger
+
+from fringedic.errors import ConfigurationError, OperatorError
+from fringedic.figures.live_preview import browser_picture
+from fringedic.frames.messages import cloud_arrays
+from fringedic.page.app import Control, Hold, Measure, Start
+from fringedic.page.maps import SpooledMaps, described
+from fringedic.page.server import Address, PageServer
+from fringedic.results.quantities import MAPS
+from fringedic_msgs.action import MeasureStep
+from fringedic_msgs.msg import LiveView, LoadState, NodeStatus, ProcedureStatus, RecorderStatus, SetupState, StepStatus
+from fringedic_msgs.srv import ControlProcedure, StartProcedure
+from fringedic_ros.images import image_array
+from fringedic_ros.main import run
+from fringedic_ros.parameters import declare
+from fringedic_ros.processing import StampJoin
+from fringedic_ros.qos import DERIVED, DIAGNOSTICS, EVENTS, LATCHED, LATEST, PREVIEWS
+from fringedic_ros.stamps import to_nanoseconds
+from fringedic_ros.work import Worker
+from operator_node.rig_file import ShownRigFile
+from operator_node.rig_state import RigState
+
+TOKEN = "FRINGEDIC_OPERATOR_TOKEN"  # an environment variable: parameters are recorded and published
+ANSWER_S = 10.0
+PRESENCE_S = 1.0
+MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
+IN_PLANE = {"dic/displacement": ("displacement_x", "displacement_y")}
+IN_PLANE |= {"dic/sigma": ("displacement_sigma_x", "displacement_sigma_y")}
+JOINED = {
+    "dic": (*IN_PLANE, "dic/camera_info", "dic/status"),
+    "coupling": ("coupling/displacement", "coupling/shape", "dic/camera_info", "coupling/status"),
+}
+
+
+class OperatorParameters(BaseModel):
+    """Parameters of the operator node."""
+
+    rig_file: str = Field("", description="Rig file, for its programme and its region.")
+    address: str = Field("127.0.0.1", description="Address of this computer at which the page is served.")
+    port: int = Field(8090, ge=1, le=65535, description="Port of the page.")
+    certificate: str = Field("", description="TLS certificate (PEM); empty: none.")
+    key: str = Field("", description="Private key of the certificate (PEM).")
+    maps_folder: str = Field("", description="Folder for the maps of the steps; empty: below the ROS log folder.")
+    maximum_rate_hz: float = Field(10.0, gt=0, le=30, description="Largest rate of images for the browsers [Hz].")
+
+
+class OperatorNode(Node):
+    """Web server of the page; subscribes to the public topics of a rig, and calls its services and actions."""
+
+    def __init__(self) -> None:
+        super().__init__("operator")
+        parameters = declare(self, OperatorParameters).value
+        self._period = 1 / parameters.maximum_rate_hz
+        self._state = RigState()
+        self._file = ShownRigFile(Path(parameters.rig_file)) if parameters.rig_file else None
+        self._maps = SpooledMaps(Path(parameters.maps_folder or f"/tmp/fringedic-maps-{os.getpid()}"))
+        self._folders: dict[str, Path] = {}
+        self._joins = {name: StampJoin(topics) for name, topics in JOINED.items()}
+        self._worker = Worker(self)
+        self._last_image = 0.0
+        self._subscribe()
+        self._starts = self.create_client(StartProcedure, "procedures/start")
+        self._controls = self.create_client(ControlProcedure, "procedures/control")
+        self._holds = self.create_client(Trigger, "load_frame/hold")
+        self._measure = ActionClient(self, MeasureStep, "measure_step")
+        self._present = self.create_publisher(Bool, "operator/driver_present", LATEST)
+        self.create_timer(PRESENCE_S, self._publish_presence)
+        self._page = PageServer(self, _address(parameters))
+
+    def destroy_node(self) -> None:
+        """End server, background thread and node."""
+        self._page.close()
+        self._worker.stop()
+        self._measure.destroy()
+        super().destroy_node()
+
+    def _subscribe(self) -> None:
+        state = self._state
+        subscriptions: list[tuple[type[Any], str, Any, Any]] = [
+            (StepStatus, "experiment/step", self._take_step, EVENTS),
+            (LoadState, "load_frame/state", state.take_load, LATEST),
+            (RecorderStatus, "recorder/status", state.take_recorder, LATCHED),
+            (DiagnosticArray, "/diagnostics", state.take_diagnostics, DIAGNOSTICS),
+            (Log, "/rosout", state.take_log, EVENTS),
+            (ProcedureStatus, "procedures/status", self._take_procedure, LATCHED),
+            (ProcedureStatus, "procedures/live", partial(state.take_procedure, topic="live"), LATCHED),
+            (SetupState, "procedures/setup", self._take_setup, LATCHED),
+            (LiveView, "live_view/figures", state.take_figures, DERIVED),
+            *((Image, topic, partial(self._join, topic), DERIVED) for topic in IN_PLANE),
+            (CameraInfo, "dic/camera_info", partial(self._join, "dic/camera_info"), DERIVED),
+            (PointCloud2, "coupling/displacement", partial(self._join, "coupling/displacement"), DERIVED),
+            (PointCloud2, "coupling/shape", partial(self._join, "coupling/shape"), DERIVED),
+            *((NodeStatus, f"{name}/status", partial(self._join, f"{name}/status"), EVENTS) for name in JOINED),
+        ]
+        for kind, topic, callback, profile in subscriptions:
+            self.create_subscription(kind, topic, callback, profile)
+        # the bytes: only the few frames that are shown are decoded
+        self.create_subscription(Image, "camera/image_raw", self._take_image, PREVIEWS, raw=True)
+
+    # what the page shows, as of `fringedic.page.app.Rig`
+
+    @property
+    def maps(self) -> SpooledMaps:
+        """The maps of the running experiment."""
+        return self._maps
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return the state of the rig."""
+        found = self._state.snapshot()
+        names = self._maps.names()
+        measured = {name for of_step in names.values() for name in of_step}
+        found["quantities"] = [described(name) for name in MAPS if name in measured]
+        shown = {} if self._file is None else self._file.shown()
+        found["rig"] = {
+            "kind": "rig",
+            "title": self.get_namespace().strip("/") or "rig",
+            "operated": self._starts.service_is_ready(),
+            "machine": self._holds.service_is_ready(),
+            "measures": self._measure.server_is_ready(),
+            **shown,
+        }
+        return found
+
+    def folders(self) -> Mapping[str, Path]:
+        """Return the folders of the results."""
+        return self._folders
+
+    async def do(self, command: Any) -> str:
+        """Execute a command of the page."""
+        if isinstance(command, Start):
+            request = command.model_dump(exclude={"distance_mm"}) | {"distance": 1e-3 * command.distance_mm}
+            return await self._called(self._starts, StartProcedure.Request(**request))
+        if isinstance(command, Control):
+            code = getattr(ControlProcedure.Request, command.command.upper())
+            return await self._called(self._controls, ControlProcedure.Request(command=code))
+        if isinstance(command, Hold):
+            return await self._called(self._holds, Trigger.Request()) or "the machine was requested to hold"
+        assert isinstance(command, Measure), "there are no other commands"
+        return await self._measure_by_hand(command)
+
+    async def _called(self, client: Client, request: Any) -> str:
+        if not client.service_is_ready():
+            raise OperatorError(
+                f"{client.srv_name}: there is no such service; start the rig, or wait until it is ready"
+            )
+        response = await _answer(client.call_async(request), client.srv_name)
+        if not response.success:
+            raise OperatorError(response.message)
+        return str(response.message)
+
+    async def _measure_by_hand(self, command: Measure) -> str:
+        if not self._measure.server_is_ready():
+            raise OperatorError("no experiment node is running: start measuring by hand, or a programme")
+        goal = MeasureStep.Goal(mode=MODES[command.mode], set_reference=command.set_reference, controller="operator")
+        handle = await _answer(self._measure.send_goal_async(goal), "measure_step")
+        if not handle.accepted:
+            raise OperatorError("measure_step: the experiment node refuses the step; wait until it has started")
+        self._state.set_hand("measuring")
+        handle.get_result_async().add_done_callback(self._take_result)
+        return ""
+
+    def _take_result(self, future: Future) -> None:
+        result = future.result().result
+        failed = f"failed: {result.error_message} (error {result.error_code})"
+        self._state.set_hand(f"step {result.step} {failed if result.error_code else 'is measured'}")
+
+    # messages of the rig
+
+    def _take_step(self, message: StepStatus) -> None:
+        if self._state.take_step(message):
+            self._worker.submit(self._maps.clear)
+
+    def _take_procedure(self, message: ProcedureStatus) -> None:
+        self._folders["run"] = Path(message.folder)
+        self._state.take_procedure(message, "procedure")
+
+    def _take_setup(self, message: SetupState) -> None:
+        self._folders |= {item.item: Path(item.folder) for item in message.items if item.folder}
+        self._state.take_setup(message)
+
+    def _take_image(self, data: bytes) -> None:
+        now = time.monotonic()
+        if now - self._last_image >= self._period and self._page.hub.clients:
+            self._last_image = now
+            self._page.publish("image", partial(_picture, data))
+
+    def _join(self, topic: str, message: Any) -> None:
+        stamp = to_nanoseconds(message.header.stamp)
+        for name, topics in JOINED.items():
+            parts = self._joins[name].add(topic, stamp, message) if topic in topics else None
+            if parts is not None:
+                self._worker.submit(self._keep, parts[f"{name}/status"], parts)
+
+    def _keep(self, status: NodeStatus, parts: Mapping[str, Any]) -> None:
+        """Keep the maps of a step; in the thread of the worker."""
+        maps: dict[str, Any] = {}
+        for topic, names in IN_PLANE.items():
+            if topic in parts:
+                maps |= dict(zip(names, image_array(parts[topic]).transpose(2, 0, 1), strict=True))
+        if "coupling/shape" in parts:
+            maps |= {f"shape_{name}": values for name, values in cloud_arrays(parts["coupling/shape"]).items()}
+            maps |= cloud_arrays(parts["coupling/displacement"])
+        self._maps.put(status.step, maps, max(int(parts["dic/camera_info"].binning_x), 1))
+        self._state.take_maps(status.step, status.valid_fraction, status.rms)
+
+    def _publish_presence(self) -> None:
+        self._present.publish(Bool(data=self._page.wheel.present))
+
+
+def _picture(data: bytes) -> bytes:
+    """Return a camera image for the browser: width, height, stamp [s], JPEG."""
+    message = deserialize_message(data, Image)
+    stamp = 1e-9 * to_nanoseconds(message.header.stamp)
+    return struct.pack("<IId", message.width, message.height, stamp) + browser_picture(image_array(message))
+
+
+async def _answer(future: Future, what: str) -> Any:
+    """Return the result of a future of rclpy in the event loop of the server.
+
+    Raises
+    ------
+    OperatorError
+        There is none in time.
+    """
+    loop, arrived = asyncio.get_running_loop(), asyncio.Event()
+    future.add_done_callback(lambda _: loop.call_soon_threadsafe(arrived.set))
+    try:
+        await asyncio.wait_for(arrived.wait(), ANSWER_S)
+    except TimeoutError as error:
+        raise OperatorError(f"{what} does not answer: see the states of the nodes, and try again") from error
+    return future.result()
+
+
+def _address(parameters: OperatorParameters) -> Address:
+    token = os.environ.get(TOKEN, "")
+    if len(token) < 16:
+        raise ConfigurationError(f"{TOKEN}: give a secret of at least 16 characters, or start 'fringedic operate'")
+    files = [Path(name) if name else None for name in (parameters.certificate, parameters.key)]
+    return Address(parameters.address, parameters.port, token, *files)
+
+
+def main() -> int:
+    """Run the operator node."""
+    return run(OperatorNode)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,67 @@
+"""What the page shows of the rig file: programme, region, calibration; read again after each change."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from fringedic.configuration.rig_file import RigFile, load_rig_file
+from fringedic.configuration.sections import VIRTUAL_RIG
+from fringedic.errors import FringedicError
+from fringedic.frames.region import Region
+from fringedic.report.calibration_sentences import in_force_words
+
+MOST_ROWS = 1000  # of the programme table
+
+
+class ShownRigFile:
+    """Programme, region and calibration of a rig file, as plain values.
+
+    Parameters
+    ----------
+    path
+        The rig file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._changed = -1
+        self._shown: dict[str, Any] = {}
+
+    def shown(self) -> dict[str, Any]:
+        """Return the present content."""
+        try:
+            changed = self._path.stat().st_mtime_ns
+        except OSError:
+            changed = 0
+        if changed != self._changed:
+            self._changed, self._shown = changed, self._read()
+        return self._shown
+
+    def _read(self) -> dict[str, Any]:
+        shown: dict[str, Any] = {"file": self._path.name, "file_error": "", "programme": [], "region": []}
+        try:
+            rig = load_rig_file(self._path)
+            shown |= {"load_frame": rig.load_frame is not None, "stage": rig.virtual_rig is not None}
+            shown |= {"programme": _programme(rig), "calibration": self._calibration(rig)}
+            if rig.region_file is not None:
+                region = Region.load(self._path.parent / rig.region_file)
+                shown["region"] = [{"points": each.points, "hole": each.hole} for each in region.polygons]
+        except FringedicError as error:
+            shown["file_error"] = str(error)
+        return shown
+
+    def _calibration(self, rig: RigFile) -> list[str]:
+        if rig.calibration is None:
+            return ["none: only the displacement in the image is measured"]
+        if isinstance(rig.calibration, str) and rig.calibration != VIRTUAL_RIG:
+            return in_force_words(self._path.parent / rig.calibration, datetime.now(UTC))
+        return ["the values of the virtual rig" if rig.calibration == VIRTUAL_RIG else "values in the rig file"]
+
+
+def _programme(rig: RigFile) -> list[dict[str, Any]]:
+    if rig.programme is None:
+        return []
+    names = ("position_mm", "speed_mm_per_s", "hold_s", "mode", "set_reference")
+    return [{name: getattr(step, name) for name in names} for step in rig.programme.load_steps()[:MOST_ROWS]]

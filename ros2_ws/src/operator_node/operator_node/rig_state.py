@@ -1,0 +1,247 @@
+"""State of a rig for the page, from its messages: nodes, load frame, recorder, steps, procedures, log."""
+
+from __future__ import annotations
+
+import math
+import shutil
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from fringedic.patterns.pattern import PatternKind
+from fringedic.report.check_list import TITLES
+from fringedic.report.live_view import live_entries
+from fringedic.rig_setup.check_list import SetupItem
+from fringedic_msgs.msg import ProcedureStatus, StepStatus
+
+LOG_LINES = 200
+RATE_SPAN_S = 60.0  # over which the use of the disk is averaged
+SILENT_S = 5.0  # without diagnostics, after which a node is called silent
+BUSY = range(ProcedureStatus.RUNNING, ProcedureStatus.DONE)
+STAGES = ("begin", "frames", "processing", "measured", "failed")
+LOAD_MODES = ("unknown", "idle", "moving", "hold", "fault")
+RECORDER_STATES = ("idle", "starting", "recording", "failed")
+LEVELS = {20: "info", 30: "warning", 40: "error", 50: "fatal"}
+PROCEDURE_TITLES = {item.value: title for item, title in TITLES.items()} | {
+    "live": "Live view",
+    "settings": "Change of the rig file",
+    "run": "Programme",
+    "by_hand": "Measuring by hand",
+}
+KINDS = {"white": PatternKind.WHITE, "fringes": PatternKind.FRINGES}
+
+
+class RigState:
+    """The latest messages of a rig as plain values, from any thread.
+
+    Parameters
+    ----------
+    clock
+        Returns the time [s].
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._nodes: dict[str, tuple[float, dict[str, Any]]] = {}
+        self._steps: dict[int, dict[str, Any]] = {}
+        self._mapped: set[int] = set()
+        self._log: deque[dict[str, Any]] = deque(maxlen=LOG_LINES)
+        self._written: deque[tuple[float, int]] = deque()
+        self._parts: dict[str, Any] = {"procedure": None, "live": None, "setup": [], "load": None, "figures": None}
+        self._parts |= {"recorder": None, "step": None, "hand": ""}
+        self._experiment = ""
+        self._is_busy, self._begun = False, 0.0  # of the procedure: whether it runs, and since when
+        self._first_step = 0.0  # when its first step began
+
+    def snapshot(self) -> dict[str, Any]:
+        """Return topics of the page and their data."""
+        now = self._clock()
+        with self._lock:
+            # those of a procedure that has ended have ended with it
+            nodes = [
+                node | ({"level": "silent", "message": "no diagnostics"} if now - seen > SILENT_S else {})
+                for seen, node in self._nodes.values()
+                if now - seen <= SILENT_S or (self._is_busy and seen > self._begun)
+            ]
+            steps = [step | {"mapped": number in self._mapped} for number, step in sorted(self._steps.items())]
+            return {**self._parts, "nodes": nodes, "steps": steps, "log": list(self._log)}
+
+    @property
+    def experiment(self) -> str:
+        """Name of the experiment of the latest step."""
+        return self._experiment
+
+    def take_step(self, message: Any) -> bool:
+        """Take a stage of a step; return whether another experiment has begun."""
+        with self._lock:
+            another: bool = message.experiment != self._experiment
+            if another:
+                self._experiment = message.experiment
+                self._steps.clear()
+                self._mapped.clear()
+            self._parts["step"] = {
+                "step": message.step,
+                "stage": STAGES[message.stage],
+                "frame": message.frame,
+                "frames": message.frames,
+            }
+            row = self._steps.setdefault(message.step, {"step": message.step, "error": ""})
+            row["stage"], row["reference"] = STAGES[message.stage], message.reference
+            if message.stage == StepStatus.ERROR:
+                row["error"] = f"{message.error_message} (error {message.error_code})"
+            elif message.stage == StepStatus.END and self._parts["load"] is not None:
+                row |= {name: self._parts["load"][name] for name in ("force", "position")}
+            return another
+
+    def take_maps(self, step: int, valid_fraction: float, rms: float) -> None:
+        """Take the arrival of a step's maps."""
+        with self._lock:
+            self._mapped.add(step)
+            row = self._steps.setdefault(step, {"step": step, "error": "", "stage": STAGES[StepStatus.END]})
+            row |= {"valid_fraction": valid_fraction, "rms_displacement": rms}
+
+    def take_load(self, message: Any) -> None:
+        """Take a sample of the load frame, rounded so that noise is no change."""
+        rounded = {name: _rounded(getattr(message, name), 4) for name in ("force", "position")}
+        self._set("load", {"mode": LOAD_MODES[message.mode], **rounded})
+
+    def take_recorder(self, message: Any) -> None:
+        """Take the state of the recorder, and estimate how long the disk lasts."""
+        now = self._clock()
+        self._written.append((now, message.bytes))
+        while now - self._written[0][0] > RATE_SPAN_S or self._written[0][1] > message.bytes:
+            self._written.popleft()
+        passed, grown = now - self._written[0][0], message.bytes - self._written[0][1]
+        free = _free_bytes(Path(message.path))
+        rate = grown / passed if passed > 1 else 0.0
+        self._set(
+            "recorder",
+            {
+                "state": RECORDER_STATES[message.state],
+                "images": message.images,
+                "missing_images": message.missing_images,
+                "free_gb": None if free is None else round(1e-9 * free, 1),
+                "minutes_left": None if free is None or rate < 1 else round(free / rate / 60),
+                "error": message.error_message,
+            },
+        )
+
+    def take_diagnostics(self, message: Any) -> None:
+        """Take the diagnostics of nodes."""
+        now = self._clock()
+        with self._lock:
+            for status in message.status:
+                values = {each.key: each.value for each in status.values}
+                level = ("ok", "warning", "error", "silent")[_level(status.level)]
+                node = {"name": status.name, "level": level, "message": status.message, "values": values}
+                self._nodes[status.name] = (now, node)
+
+    def take_log(self, message: Any) -> None:
+        """Take a line of the log."""
+        line = {"time": message.stamp.sec, "level": LEVELS.get(message.level, ""), "node": message.name}
+        with self._lock:
+            self._log.append(line | {"text": message.msg})
+
+    def take_procedure(self, message: Any, topic: str) -> None:
+        """Take the state of the procedure (topic "procedure") or of the live view ("live")."""
+        reports = [
+            {
+                "step": each.step,
+                "position": each.position,
+                "force": each.force,
+                "valid_fraction": each.valid_fraction,
+                "rms_displacement": None if each.white else each.rms_displacement,
+                "error": each.error_message,
+            }
+            for each in message.reports
+        ]
+        names = (
+            "procedure",
+            "state",
+            "activity",
+            "step",
+            "steps",
+            "frame",
+            "frames",
+            "question",
+            "pattern",
+            "settings",
+        )
+        data = {name: getattr(message, name) for name in names}
+        remaining = self._remaining(message, len(reports)) if topic == "procedure" else None
+        data |= {
+            "title": PROCEDURE_TITLES.get(message.procedure, message.procedure),
+            "remaining_s": None if remaining is None else round(remaining),
+            "folder": Path(message.folder).name,
+            "notes": list(message.notes),
+            "words": list(message.words),
+            "error": message.error_message,
+            "reports": reports,
+        }
+        with self._lock:
+            self._parts[topic] = data
+            for report in reports:
+                if report["step"] in self._steps:
+                    self._steps[report["step"]] |= report
+
+    def _remaining(self, message: Any, done: int) -> float | None:
+        """Return the estimated time until the last step is measured [s], None when it is not known."""
+        now, busy = self._clock(), message.state in BUSY
+        if busy and not self._is_busy:
+            self._begun, self._first_step = now, math.nan
+        self._is_busy = busy
+        if message.steps and math.isnan(self._first_step):
+            self._first_step = now
+        return (now - self._first_step) / done * (message.steps - done) if busy and done and message.steps else None
+
+    def take_setup(self, message: Any) -> None:
+        """Take the check list of the set-up."""
+        items = [
+            {
+                "item": each.item,
+                "title": TITLES[SetupItem(each.item)],
+                "state": each.state,
+                "done": each.done.sec,
+                "words": list(each.words),
+                "next": each.next,
+                "picture": f"/files/{each.item}/{each.picture}" if each.picture else "",
+            }
+            for each in message.items
+        ]
+        self._set("setup", items)
+
+    def take_figures(self, message: Any) -> None:
+        """Take the figures of a live image."""
+        live = self._parts["live"]
+        kind = KINDS.get(live["pattern"] if live else "", PatternKind.OTHER)
+        entries = [[each.name, each.value, each.advice, each.good] for each in live_entries(message, kind)]
+        histogram = [sum(message.histogram[k : k + 4]) for k in range(0, len(message.histogram), 4)]
+        self._set("figures", {"focus": message.focus, "entries": entries, "histogram": histogram})
+
+    def set_hand(self, words: str) -> None:
+        """Take a sentence about the step that is measured by hand."""
+        self._set("hand", words)
+
+    def _set(self, topic: str, data: Any) -> None:
+        with self._lock:
+            self._parts[topic] = data
+
+
+def _level(level: bytes | int) -> int:
+    return min(level[0] if isinstance(level, bytes) else int(level), 3)
+
+
+def _rounded(value: float, digits: int) -> float:
+    return float(f"{value:.{digits}g}") if math.isfinite(value) else value
+
+
+def _free_bytes(path: Path) -> int | None:
+    """Return the free space where a recording is, None when it is on another computer."""
+    for place in (path, *path.parents):
+        if place.exists():
+            return shutil.disk_usage(place).free
+    return None

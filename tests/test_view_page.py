@@ -1,0 +1,167 @@
+"""`fringedic view` in a real browser: colours, values and uncertainties of a recording equal those of its dataset."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray as xr
+from browser import NARROW, low_contrasts, opened
+from playwright.sync_api import Browser, Page, expect
+from running_system import RecordedExperiment, free_port, wait_until, without_ros
+
+import fringedic
+from fringedic.figures.palettes import palette
+
+pytestmark = pytest.mark.browser
+VIEWS = {"maps": "canvas.map[aria-label]", "curves": "circle.dot", "space": "#space"}  # and a part of each
+
+
+@pytest.fixture(scope="module")
+def dataset(recorded: RecordedExperiment) -> Iterator[xr.Dataset]:
+    with fringedic.open_experiment(recorded.report.folder / "bag") as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def url(recorded: RecordedExperiment) -> Iterator[str]:
+    """Start the command where ROS cannot be imported, and return the address that it prints."""
+    words = ["view", str(recorded.report.folder / "bag"), "--port", str(free_port())]
+    command = [sys.executable, "-c", "from fringedic_bringup.command.main import main; main()", *words]
+    environment = {**os.environ, "PYTHONPATH": without_ros(), "PYTHONUNBUFFERED": "1"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
+        assert process.stdout is not None
+        yield process.stdout.readline().split()[-1]
+        process.terminate()
+
+
+@pytest.fixture
+def page(browser: Browser, url: str) -> Iterator[Page]:
+    """Return the page of the recording; an error in the browser's console fails the test."""
+    with opened(browser, url) as page:
+        expect(page.locator("canvas.map")).to_have_attribute("aria-label", re.compile("step"))
+        yield page
+
+
+def choose(page: Page, dataset: xr.Dataset, step: int, name: str) -> None:
+    """Choose a map and wait until it is drawn."""
+    page.select_option("#quantity", name)
+    page.select_option("#step", str(step))
+    label = re.compile(re.escape(f"{dataset[name].long_name}, step {step};"))
+    expect(page.locator("canvas.map")).to_have_attribute("aria-label", label)
+
+
+def pixel(page: Page, column: int, row: int) -> list[int]:
+    """Return red, green, blue and opacity of a pixel of the map."""
+    script = "([x, y]) => [...document.querySelector('canvas.map').getContext('2d').getImageData(x, y, 1, 1).data]"
+    found: list[int] = page.evaluate(script, [column, row])
+    return found
+
+
+def point_at(page: Page, dataset: xr.Dataset, column: int, row: int) -> str:
+    """Move the pointer to a point of the result and return the text under the map."""
+    box: Any = page.locator("canvas.map").bounding_box()
+    x = box["x"] + (column + 0.5) / dataset.sizes["column"] * box["width"]
+    y = box["y"] + (row + 0.5) / dataset.sizes["row"] * box["height"]
+    page.mouse.move(x, y)
+    return page.locator("#readout").inner_text()
+
+
+@pytest.mark.parametrize("name", ["v", "w", "e_22"])
+def test_colour_and_hover_text_are_those_of_the_dataset(page: Page, dataset: xr.Dataset, name: str) -> None:
+    choose(page, dataset, 2, name)
+    factor, low, high = 1e-6, -100.0, 500.0
+    page.fill("#low", str(low))
+    page.fill("#high", str(high))
+    page.press("#high", "Tab")
+    values = dataset[name].sel(step=2).values.astype(np.float64) / factor
+    sigmas = dataset[f"sigma_{name}"].sel(step=2).values.astype(np.float64) / factor
+    colours = palette("viridis")
+    measured = np.argwhere(np.isfinite(values) & np.isfinite(sigmas))
+    for row, column in measured[:: len(measured) // 4].tolist():
+        value, sigma = values[row, column], sigmas[row, column]
+        index = int(np.clip((value - low) / (high - low) * 256, 0, 255))
+        assert pixel(page, column, row) == [*colours[index], 255]
+        digits = max(1 - int(np.floor(np.log10(sigma))), 0)
+        unit = "µstrain" if name == "e_22" else "µm"
+        place = f"at column {dataset.column.values[column]}, row {dataset.row.values[row]}"
+        expected = f"{name} = {value:.{digits}f} ± {sigma:.{digits}f} {unit} {place}"
+        assert point_at(page, dataset, column, row) == expected
+    corner = values[0, 0]
+    assert np.isnan(corner)
+    assert pixel(page, 0, 0)[3] == 0
+    assert "not measured" in point_at(page, dataset, 0, 0)
+
+
+def test_profile_and_extensometer_follow_clicks(page: Page, dataset: xr.Dataset) -> None:
+    choose(page, dataset, 2, "v")
+    page.select_option("#tool", "gauge")
+    for column, row in ((20, 8), (20, 22)):
+        point_at(page, dataset, column, row)
+        page.mouse.down()
+        page.mouse.up()
+    expect(page.locator("#strain")).to_contain_text("Step 2")
+    strain = page.locator("#strain").inner_text()
+    first, second = ((int(dataset.column[20]), int(dataset.row[row])) for row in (8, 22))
+    expected = fringedic.extensometer(dataset, first, second, subset=9).sel(step=2)
+    assert strain.startswith(
+        f"Step 2: {1e6 * float(expected.strain):.0f} ± {1e6 * float(expected.sigma_strain):.0f} µm/m"
+    )
+    page.select_option("#tool", "profile")
+    for column, row in ((10, 15), (30, 15)):
+        point_at(page, dataset, column, row)
+        page.mouse.down()
+        page.mouse.up()
+    expect(page.locator("#probe h2")).to_have_text("Profile of v")
+    curve = page.locator("#probe polyline").get_attribute("points")
+    assert curve is not None
+    assert len(curve.split()) == int(dataset.column[30] - dataset.column[10]) + 1
+
+
+def test_cloud_is_drawn_and_turns(page: Page) -> None:
+    page.click("text=3D")
+    expect(page.locator("main p[role=status]")).to_contain_text("points")
+    script = "() => document.querySelector('#space').toDataURL()"
+    before = page.evaluate(script)
+    page.focus("#space")
+    page.keyboard.press("ArrowRight")
+    wait_until(lambda: page.evaluate(script) != before, "another picture", 5)
+
+
+def test_curve_of_force_and_position_shows_every_step(page: Page, dataset: xr.Dataset) -> None:
+    page.click("text=Curves")
+    expect(page.locator("circle.dot")).to_have_count(dataset.sizes["step"])
+    page.click("summary")
+    cells = page.locator("td").all_inner_texts()
+    expected = [
+        f"{float(value):.6g}" for pair in zip(1e3 * dataset.position, dataset.force, strict=True) for value in pair
+    ]
+    assert [float(cell) for cell in cells] == pytest.approx([float(text) for text in expected])
+
+
+def test_map_is_read_with_the_keyboard_alone(page: Page, dataset: xr.Dataset) -> None:
+    for _ in range(30):
+        page.keyboard.press("Tab")
+        if page.evaluate("() => document.activeElement.className") == "map":
+            break
+    page.keyboard.press("ArrowRight")
+    middle = dataset.sizes["column"] // 2 + 1, dataset.sizes["row"] // 2
+    column, row = int(dataset.column[middle[0]]), int(dataset.row[middle[1]])
+    assert page.locator("#readout").inner_text().endswith(f"at column {column}, row {row}")
+
+
+@pytest.mark.parametrize("view", VIEWS)
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_every_view_fits_a_phone_and_has_enough_contrast(page: Page, view: str, scheme: Any) -> None:
+    page.set_viewport_size(NARROW)
+    page.emulate_media(color_scheme=scheme)
+    page.goto(page.url.partition("#")[0] + f"#{view}")
+    page.wait_for_selector(VIEWS[view])
+    assert page.evaluate("() => document.documentElement.scrollWidth") <= 320
+    assert low_contrasts(page) == []
