@@ -132,6 +132,7 @@ def test_adjusted_items_are_done_with_date_and_figures(page: Page, operated: Ope
         expect(page.locator(f"#item-{item}")).to_have_class(re.compile("good"))
     kept = yaml.safe_load((operated.folder / "setup.yaml").read_text())
     assert set(kept) == {"axes", "camera_focus", "projector_focus"}
+    assert "% of the best" in kept["camera_focus"]["words"][0]
 
 
 def test_region_is_drawn_by_clicks_and_used(page: Page, operated: Operated) -> None:
@@ -203,7 +204,9 @@ def test_programme_pauses_continues_and_leaves_a_recording_although_the_server_i
         view(page, "maps")
         page.select_option("#quantity", "v")
         expect(page.locator("canvas.map")).to_have_attribute("aria-label", re.compile("displacement along y, step 4;"))
-        page.locator("canvas.map").hover()
+        box = page.locator("canvas.map").bounding_box()
+        assert box is not None
+        page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.3 * box["height"])  # the middle is the hole
         text = page.locator("#readout").inner_text()
         found = re.fullmatch(r"v = (\S+) ± (\S+) µm at column (\d+), row (\d+)", text)
         assert found is not None, text

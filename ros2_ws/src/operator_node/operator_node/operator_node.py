@@ -227,7 +227,7 @@ class OperatorNode(Node):
             maps |= {f"shape_{name}": values for name, values in cloud_arrays(parts["coupling/shape"]).items()}
             maps |= cloud_arrays(parts["coupling/displacement"])
         self._maps.put(status.step, maps, max(int(parts["dic/camera_info"].binning_x), 1))
-        self._state.take_maps(status.step, status.valid_fraction, status.rms)
+        self._state.take_maps(status, surface="coupling/shape" in parts)
 
     def _publish_presence(self) -> None:
         self._present.publish(Bool(data=self._page.wheel.present))

@@ -48,7 +48,7 @@ class RigState:
         self._lock = threading.Lock()
         self._nodes: dict[str, tuple[float, dict[str, Any]]] = {}
         self._steps: dict[int, dict[str, Any]] = {}
-        self._mapped: set[int] = set()
+        self._mapped: dict[int, int] = {}  # 1: maps in the image, 2: also those of the surface
         self._log: deque[dict[str, Any]] = deque(maxlen=LOG_LINES)
         self._written: deque[tuple[float, int]] = deque()
         self._parts: dict[str, Any] = {"procedure": None, "live": None, "setup": [], "load": None, "figures": None}
@@ -67,7 +67,7 @@ class RigState:
                 for seen, node in self._nodes.values()
                 if now - seen <= SILENT_S or (self._is_busy and seen > self._begun)
             ]
-            steps = [step | {"mapped": number in self._mapped} for number, step in sorted(self._steps.items())]
+            steps = [step | {"mapped": self._mapped.get(number, 0)} for number, step in sorted(self._steps.items())]
             return {**self._parts, "nodes": nodes, "steps": steps, "log": list(self._log)}
 
     @property
@@ -97,12 +97,15 @@ class RigState:
                 row |= {name: self._parts["load"][name] for name in ("force", "position")}
             return another
 
-    def take_maps(self, step: int, valid_fraction: float, rms: float) -> None:
-        """Take the arrival of a step's maps."""
+    def take_maps(self, status: Any, *, surface: bool) -> None:
+        """Take the arrival of a step's maps, those in the image or those of the surface, with the status after them."""
         with self._lock:
-            self._mapped.add(step)
-            row = self._steps.setdefault(step, {"step": step, "error": "", "stage": STAGES[StepStatus.END]})
-            row |= {"valid_fraction": valid_fraction, "rms_displacement": rms}
+            self._mapped[status.step] = max(2 if surface else 1, self._mapped.get(status.step, 0))
+            done = {"step": status.step, "error": "", "stage": STAGES[StepStatus.END]}
+            row = self._steps.setdefault(status.step, done)
+            row["valid_fraction"] = status.valid_fraction
+            if surface:
+                row["rms_displacement"] = status.rms
 
     def take_load(self, message: Any) -> None:
         """Take a sample of the load frame, rounded so that noise is no change."""

@@ -23,6 +23,7 @@ MOST_VALUES = 1_000_000  # of a tile
 MOST_POINTS = 60_000  # of a cloud in the browser
 MOST_BYTES = 2_000_000_000  # of the maps of a running test
 _POSITION, _DISPLACEMENT = ("x", "y", "z"), ("u", "v", "w")
+_IN_PLANE = ("displacement_x", "displacement_y", "displacement_sigma_x", "displacement_sigma_y")
 _OF_A_GAUGE = (*_POSITION, *_DISPLACEMENT, "sigma_u", "sigma_v", "sigma_w")
 
 
@@ -238,7 +239,10 @@ def gauge(maps: StepMaps, first: Point, second: Point, subset: float) -> list[di
 
 
 def described(name: str) -> dict[str, Any]:
-    """Return name, meaning, unit for people and standard deviation of a map, for the page."""
+    """Return name, meaning, unit for people and standard deviation of a map, for the page.
+
+    ``level`` is 1 for maps in the image, which a running step has first, and 2 for all others.
+    """
     unit = people_unit(xr.DataArray(name=name))
     return {
         "name": name,
@@ -246,4 +250,5 @@ def described(name: str) -> dict[str, Any]:
         "unit": "" if unit.text == "1" else unit.text,
         "factor": unit.factor,
         "sigma": sigma_of(name),
+        "level": 1 if name in _IN_PLANE else 2,
     }

@@ -32,7 +32,7 @@ class RecordedRig:
                 "title": str(self.maps.experiment.attrs.get("experiment", path.stem)),
                 "report": (self._folder / "report.html").exists(),
             },
-            "steps": [self._step(index, bool(names[step])) for index, step in enumerate(names)],
+            "steps": [self._step(index, 2 if names[step] else 0) for index, step in enumerate(names)],
             "quantities": [described(name) for name in MAPS if name in measured],
         }
 
@@ -53,7 +53,7 @@ class RecordedRig:
         """Refuse every command."""
         raise OperatorError("this is a recording: open a rig with 'fringedic operate' to measure")
 
-    def _step(self, index: int, mapped: bool) -> dict[str, Any]:
+    def _step(self, index: int, mapped: int) -> dict[str, Any]:
         one = self.maps.experiment.isel(step=index)
         names = ("force", "position", "valid_fraction", "rms_displacement")
         scalars = {name: float(one[name]) for name in names if name in one}

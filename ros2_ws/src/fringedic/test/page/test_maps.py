@@ -66,6 +66,7 @@ def test_description_has_the_unit_of_people() -> None:
         "unit": "µm",
         "factor": 1e-6,
         "sigma": "sigma_w",
+        "level": 2,
     }
     assert described("texture")["sigma"] is None
 

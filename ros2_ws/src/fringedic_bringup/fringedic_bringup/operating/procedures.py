@@ -83,17 +83,15 @@ class Place:
 
 def _live(place: Place, job: Job, request: Request) -> Outcome:
     pattern = LivePattern(request.pattern or LivePattern.WHITE)
-    figures = None
     with closing(watch(place.rig, place.rig_path, pattern, domain=place.domain)) as views:
         job.stage("live")
-        for figures in views:  # noqa: B007 (the last ones are used)
+        for figures in views:
+            entries = live_entries(figures, pattern.kind)
+            focus = f"focus: {100 * figures.focus:.0f} % of the best"
+            job.figures = (focus, *(f"{entry.name}: {entry.value}: {entry.advice}" for entry in entries))
             if job.is_stopping:
                 break
-    if figures is None:
-        return Outcome()
-    entries = live_entries(figures, pattern.kind)
-    focus = f"focus: {100 * figures.focus:.0f} % of the best"
-    return Outcome([focus, *(f"{entry.name}: {entry.value}: {entry.advice}" for entry in entries)])
+    return Outcome()
 
 
 def _timing(place: Place, job: Job, _: Request) -> Outcome:

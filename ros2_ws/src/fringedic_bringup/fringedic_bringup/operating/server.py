@@ -30,6 +30,7 @@ LIVE_ITEMS = (SetupItem.AXES, SetupItem.CAMERA_FOCUS, SetupItem.PROJECTOR_FOCUS)
 LONGEST_END_S = 60.0  # of a live view, or of any procedure at the end of the server
 LOST_S = 5.0  # without a sign of the driver's page
 PERIOD_S = 0.05
+AGAIN_S = 10.0  # after which a live view that failed begins again
 
 
 class ProcedureServer:
@@ -52,6 +53,7 @@ class ProcedureServer:
         self._thread: threading.Thread | None = None
         self._next: Request | None = None
         self._live: Request | None = Request("live")
+        self._live_from = 0.0  # not before this time [s]
         self._figures: tuple[str, ...] = ()  # of the last live view
         self._list = CheckList.load(place.folder / CHECK_LIST)
         self._driver_seen = time.monotonic()
@@ -71,7 +73,7 @@ class ProcedureServer:
         self._participant.spin_once(PERIOD_S)
         if self._thread is not None and not self._thread.is_alive():
             self._take_result()
-        if self._thread is None and (request := self._next or self._live) is not None:
+        if self._thread is None and (request := self._due()) is not None:
             self._next = None
             self._begin(request)
         if self._changed.is_set():
@@ -108,7 +110,7 @@ class ProcedureServer:
             what = "a procedure is starting" if running is None else f"{running.status.procedure} is running"
             raise OperatorError(f"{what}: wait until it has ended, or stop it")
         if request.procedure == "live":
-            self._live = request
+            self._live, self._live_from = request, 0.0
         else:
             self._next = request
         if running is not None:
@@ -139,6 +141,10 @@ class ProcedureServer:
                 self._live = None
             self._running.stop()
 
+    def _due(self) -> Request | None:
+        """Return what begins now: a requested procedure, else the live view, which waits after a failure."""
+        return self._next or (self._live if time.monotonic() >= self._live_from else None)
+
     def _begin(self, request: Request) -> None:
         job = self._running = Job(request.procedure, request.pattern, self._changed.set)
         self._thread = threading.Thread(target=execute, args=[self._place, job, request], name=request.procedure)
@@ -153,9 +159,9 @@ class ProcedureServer:
         self._publish_status(job)
         status = job.status
         if job.is_live:
-            self._figures = tuple(status.outcome.words)
+            self._figures = job.figures
             if status.state == State.FAILED:
-                self._live = None  # the next one would fail, too
+                self._live_from = time.monotonic() + AGAIN_S
         elif status.procedure in set(SetupItem) and status.state == State.DONE:
             self._record(
                 SetupItem(status.procedure), tuple(status.outcome.words), status.folder, status.outcome.picture
@@ -164,7 +170,8 @@ class ProcedureServer:
     def _confirm(self, item: str) -> None:
         if item not in LIVE_ITEMS:
             raise OperatorError(f"{item}: has to be measured; it cannot be confirmed")
-        self._record(SetupItem(item), self._figures)
+        live = self._running if self._running is not None and self._running.is_live else None
+        self._record(SetupItem(item), self._figures if live is None else live.figures)
 
     def _record(self, item: SetupItem, words: tuple[str, ...], folder: str = "", picture: str = "") -> None:
         record = SetupRecord(when=datetime.now(UTC), words=words, folder=folder, picture=picture)

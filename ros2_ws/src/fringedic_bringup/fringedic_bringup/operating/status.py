@@ -82,6 +82,7 @@ class Job(RunControl):
         self._stopping = False
         self.controlled = False  # a programme ends in order by `check`, others by an error from their progress
         self.holds_without_driver = False
+        self.figures: tuple[str, ...] = ()  # of the latest image of a live view, in sentences
 
     @property
     def is_live(self) -> bool:

@@ -19,14 +19,16 @@ export function show(place) {
 class MapsView {
   constructor() {
     this.quantities = [];
+    this.steps = [];
     this.points = [];
     this.map = new MapCanvas((place) => this.read(place), (place) => this.click(place));
     this.step = make("select", { id: "step", onchange: () => { kept.follow = this.step.selectedIndex === this.step.length - 1; this.load(); } });
-    this.quantity = make("select", { id: "quantity", onchange: () => { kept.quantity = this.quantity.value; this.auto(); this.load(); } });
+    this.quantity = make("select", { id: "quantity", onchange: () => { kept.quantity = this.quantity.value; this.auto(); this.takeSteps(this.steps); } });
     this.palette = make("select", { id: "palette", onchange: () => { kept.palette = this.palette.value; this.paint(); } });
     options(this.palette, [["viridis", "viridis"], ["RdBu_r", "blue to red"], ["gray", "grey"]], kept.palette);
-    this.low = make("input", { type: "number", step: "any", id: "low", onchange: () => this.paint() });
-    this.high = make("input", { type: "number", step: "any", id: "high", onchange: () => this.paint() });
+    const fix = () => { this.fixed = true; this.paint(); }; // the range then stays for the next steps
+    this.low = make("input", { type: "number", step: "any", id: "low", onchange: fix });
+    this.high = make("input", { type: "number", step: "any", id: "high", onchange: fix });
     this.tool = make("select", { id: "tool", onchange: () => { kept.tool = this.tool.value; this.choosePoints([]); } });
     options(this.tool, [["look", "read values"], ["profile", "profile along a line"], ["gauge", "extensometer between two points"]], kept.tool);
     this.readout = make("p", { class: "readout", id: "readout", role: "status" });
@@ -54,11 +56,13 @@ class MapsView {
     this.quantities = found;
     const first = PREFERRED.find((name) => found.some((each) => each.name === name));
     options(this.quantity, found.map(({ name, meaning }) => [name, `${name}: ${meaning}`]), kept.quantity || first);
-    this.load();
+    this.takeSteps(this.steps);
   }
 
   takeSteps(steps) {
-    const mapped = steps.filter((step) => step.mapped).map((step) => [step.step, String(step.step)]);
+    this.steps = steps;
+    const level = this.quantities.find(({ name }) => name === this.quantity.value)?.level ?? 1;
+    const mapped = steps.filter((step) => step.mapped >= level).map((step) => [step.step, String(step.step)]);
     options(this.step, mapped, kept.follow ? mapped.at(-1)?.[0] : this.step.value);
     if (!mapped.length) this.readout.textContent = "No step has been measured yet.";
     this.load();
@@ -76,7 +80,7 @@ class MapsView {
     if (!found) return;
     this.loaded = key;
     Object.assign(this, found);
-    if (!this.low.value) this.auto();
+    if (!this.fixed) this.auto();
     this.paint();
     if (this.points.length === 2) this.probe();
   }
@@ -89,6 +93,7 @@ class MapsView {
   }
 
   auto() {
+    this.fixed = false;
     this.low.value = this.high.value = "";
     if (!this.values || this.chosen.name !== this.quantity.value) return;
     const [low, high] = usualRange(this.values.values).map((value) => value / this.chosen.factor);

@@ -41,7 +41,7 @@ export function show(place) {
   watch.observe(canvas);
   const ends = [
     listen("quantities", (found) => { options(quantity, found.map(({ name }) => [name, name]), kept.quantity); load(); }),
-    listen("steps", (found) => { const mapped = found.filter((each) => each.mapped); options(step, mapped.map((each) => [each.step, String(each.step)]), mapped.at(-1)?.step); load(); }),
+    listen("steps", (found) => { const mapped = found.filter((each) => each.mapped === 2); options(step, mapped.map((each) => [each.step, String(each.step)]), mapped.at(-1)?.step); load(); }),
     () => watch.disconnect(),
   ];
   return () => ends.forEach((end) => end());
