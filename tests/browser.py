@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -11,6 +11,11 @@ from playwright.sync_api import Browser, ConsoleMessage, Page, ViewportSize
 NARROW: ViewportSize = {"width": 320, "height": 700}
 WIDE: ViewportSize = {"width": 1280, "height": 900}
 _CONTRASTS = Path(__file__).with_name("contrasts.js").read_text()
+
+
+def page_address(output: Iterable[str]) -> str:
+    """Return the address that a command prints."""
+    return next(line.split()[-1] for line in output if line.startswith("page: "))
 
 
 @contextmanager

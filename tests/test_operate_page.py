@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from browser import NARROW, low_contrasts, opened
+from browser import NARROW, low_contrasts, opened, page_address
 from playwright.sync_api import Browser, Page, expect
 from running_system import CONFIG, free_port
 
@@ -68,10 +68,9 @@ def operating(folder: Path, *words: str) -> Iterator[Operated]:
     command = [sys.executable, "-c", code, "operate", str(rig), "--port", str(free_port()), *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "COLUMNS": "300"}) as process:
         assert process.stdout is not None
-        line = process.stdout.readline()
-        assert line.startswith("page: "), line
+        url = page_address(process.stdout)
         try:
-            yield Operated(process, line.split()[-1], folder)
+            yield Operated(process, url, folder)
         finally:
             process.send_signal(signal.SIGINT)
             process.wait(90)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from browser import NARROW, low_contrasts, opened
+from browser import NARROW, low_contrasts, opened, page_address
 from playwright.sync_api import Browser, Page, expect
 from running_system import RecordedExperiment, free_port, wait_until, without_ros
 
@@ -37,7 +37,7 @@ def url(recorded: RecordedExperiment) -> Iterator[str]:
     environment = {**os.environ, "PYTHONPATH": without_ros(), "PYTHONUNBUFFERED": "1"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
         assert process.stdout is not None
-        yield process.stdout.readline().split()[-1]
+        yield page_address(process.stdout)
         process.terminate()
 
 
@@ -111,7 +111,7 @@ def test_profile_and_extensometer_follow_clicks(page: Page, dataset: xr.Dataset)
     first, second = ((int(dataset.column[20]), int(dataset.row[row])) for row in (8, 22))
     expected = fringedic.extensometer(dataset, first, second, subset=9).sel(step=2)
     assert strain.startswith(
-        f"Step 2: {1e6 * float(expected.strain):.0f} ± {1e6 * float(expected.sigma_strain):.0f} µm/m"
+        f"Step 2: {1e6 * float(expected.strain):.0f} ± {1e6 * float(expected.sigma_strain):.0f} µstrain"
     )
     page.select_option("#tool", "profile")
     for column, row in ((10, 15), (30, 15)):

@@ -14,7 +14,8 @@ from typer.testing import CliRunner
 
 from fringedic.errors import ConfigurationError
 from fringedic_bringup.command import main
-from fringedic_bringup.command.app import parameter_values, title_of, unused_folder
+from fringedic_bringup.command.app import parameter_values, title_of
+from fringedic_bringup.procedures.folders import unused_folder
 
 
 def test_measuring_images_finds_their_shift(tmp_path: Path) -> None:
