@@ -18,6 +18,7 @@ from running_system import RecordedExperiment, free_port, wait_until, without_ro
 
 import fringedic
 from fringedic.figures.palettes import palette
+from fringedic.results import extensometer
 
 pytestmark = pytest.mark.browser
 VIEWS = {"maps": "canvas.map[aria-label]", "curves": "circle.dot", "space": "#space"}  # and a part of each
@@ -109,7 +110,7 @@ def test_profile_and_extensometer_follow_clicks(page: Page, dataset: xr.Dataset)
     expect(page.locator("#strain")).to_contain_text("Step 2")
     strain = page.locator("#strain").inner_text()
     first, second = ((int(dataset.column[20]), int(dataset.row[row])) for row in (8, 22))
-    expected = fringedic.extensometer(dataset, first, second, subset=9).sel(step=2)
+    expected = extensometer(dataset, first, second, subset=9).sel(step=2)
     assert strain.startswith(
         f"Step 2: {1e6 * float(expected.strain):.0f} ± {1e6 * float(expected.sigma_strain):.0f} µstrain"
     )
