@@ -132,8 +132,8 @@ class OperatorNode(Node):
 
     def snapshot(self) -> dict[str, Any]:
         """Return the state of the rig."""
-        found = self._state.snapshot()
         names = self._maps.names()
+        found = self._state.snapshot({step: 2 if "u" in of_step else 1 for step, of_step in names.items() if of_step})
         measured = {name for of_step in names.values() for name in of_step}
         found["quantities"] = [described(name) for name in MAPS if name in measured]
         shown = {} if self._file is None else self._file.shown()

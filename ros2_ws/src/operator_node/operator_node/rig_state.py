@@ -7,7 +7,7 @@ import shutil
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +48,6 @@ class RigState:
         self._lock = threading.Lock()
         self._nodes: dict[str, tuple[float, dict[str, Any]]] = {}
         self._steps: dict[int, dict[str, Any]] = {}
-        self._mapped: dict[int, int] = {}  # 1: maps in the image, 2: also those of the surface
         self._log: deque[dict[str, Any]] = deque(maxlen=LOG_LINES)
         self._written: deque[tuple[float, int]] = deque()
         self._parts: dict[str, Any] = {"procedure": None, "live": None, "setup": [], "load": None, "figures": None}
@@ -57,8 +56,14 @@ class RigState:
         self._is_busy, self._begun = False, 0.0  # of the procedure: whether it runs, and since when
         self._first_step = 0.0  # when its first step began
 
-    def snapshot(self) -> dict[str, Any]:
-        """Return topics of the page and their data."""
+    def snapshot(self, mapped: Mapping[int, int]) -> dict[str, Any]:
+        """Return topics of the page and their data.
+
+        Parameters
+        ----------
+        mapped
+            Steps with maps, also those of a server that was ended: 1 with maps in the image, 2 also of the surface.
+        """
         now = self._clock()
         with self._lock:
             # those of a procedure that has ended have ended with it
@@ -67,7 +72,10 @@ class RigState:
                 for seen, node in self._nodes.values()
                 if now - seen <= SILENT_S or (self._is_busy and seen > self._begun)
             ]
-            steps = [step | {"mapped": self._mapped.get(number, 0)} for number, step in sorted(self._steps.items())]
+            steps = [
+                self._steps.get(number, {"step": number, "error": ""}) | {"mapped": mapped.get(number, 0)}
+                for number in sorted(self._steps.keys() | mapped.keys())
+            ]
             return {**self._parts, "nodes": nodes, "steps": steps, "log": list(self._log)}
 
     @property
@@ -82,7 +90,6 @@ class RigState:
             if another:
                 self._experiment = message.experiment
                 self._steps.clear()
-                self._mapped.clear()
             self._parts["step"] = {
                 "step": message.step,
                 "stage": STAGES[message.stage],
@@ -100,7 +107,6 @@ class RigState:
     def take_maps(self, status: Any, *, surface: bool) -> None:
         """Take the arrival of a step's maps, those in the image or those of the surface, with the status after them."""
         with self._lock:
-            self._mapped[status.step] = max(2 if surface else 1, self._mapped.get(status.step, 0))
             done = {"step": status.step, "error": "", "stage": STAGES[StepStatus.END]}
             row = self._steps.setdefault(status.step, done)
             row["valid_fraction"] = status.valid_fraction

@@ -103,12 +103,12 @@ class SpooledMaps:
         place.mkdir(exist_ok=True)
         (place / "spacing.json").write_text(json.dumps(spacing))
         smallest = min(values.shape for values in maps.values())
-        for name, values in maps.items():
-            if name in MAPS:
-                sampled = values if values.shape == smallest else values[::spacing, ::spacing]
-                # renamed when it is complete, because a browser may ask for it meanwhile
-                np.save(place / "new.npy", np.ascontiguousarray(sampled, np.float32))
-                (place / "new.npy").rename(place / f"{name}.npy")
+        kept = [name for name in maps if name in MAPS]
+        for name in kept:
+            sampled = maps[name] if maps[name].shape == smallest else maps[name][::spacing, ::spacing]
+            np.save(place / f".{name}.npy", np.ascontiguousarray(sampled, np.float32))
+        for name in kept:  # all together when they are complete, because a browser may ask for them meanwhile
+            (place / f".{name}.npy").rename(place / f"{name}.npy")
         self._forget_oldest()
 
     def names(self) -> dict[int, list[str]]:
