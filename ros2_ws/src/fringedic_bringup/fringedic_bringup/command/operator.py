@@ -40,11 +40,13 @@ def view(
     from fringedic.page.server import PageServer
 
     place = page_address(address, port, certificate, key)
-    server = PageServer(RecordedRig(bag), place)
-    announce(place, "see the recording")
     with suppress(KeyboardInterrupt):
-        threading.Event().wait()
-    server.close()
+        server = PageServer(RecordedRig(bag), place)
+        try:
+            announce(place, "see the recording")
+            threading.Event().wait()
+        finally:
+            server.close()
 
 
 @app.command(epilog="Example: fringedic operate plate.yaml")
