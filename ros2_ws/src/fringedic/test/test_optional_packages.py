@@ -74,7 +74,7 @@ def test_formats_that_need_no_extra_are_written(found: dict[str, list[str]]) -> 
         ("zarr dataset", "a Zarr dataset needs zarr: pip install 'fringedic[zarr]'"),
         ("vtk", "a file for ParaView needs pyvista: pip install 'fringedic[paraview]'"),
         ("png", "drawing needs matplotlib: pip install 'fringedic[figures]'"),
-        ("gif", "drawing needs matplotlib: pip install 'fringedic[figures]'"),
+        ("gif", "drawing needs PIL: pip install 'fringedic[figures]'"),
         ("report", "a report needs plotly: pip install 'fringedic[report]'"),
     ],
 )
