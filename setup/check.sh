@@ -32,10 +32,10 @@ rest=(tests)
 for package in ros2_ws/src/*/test; do
     [ "$package" = ros2_ws/src/fringedic/test ] || rest+=("$package")
 done
-chosen=()
+chosen=(-m "not operate") # which take minutes: make test-hardware runs them
 if ! setup/hardware.sh; then
     echo "without these packages the tests of real devices are left out; make test-hardware runs them alone" >&2
-    chosen=(-m "not hardware")
+    chosen=(-m "not hardware and not operate")
 fi
 # Most tests of nodes wait more than they compute; more processes than these would take time from what is being timed.
 "${pytest[@]}" -n 3 "${chosen[@]}" "${rest[@]}"

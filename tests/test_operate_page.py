@@ -23,7 +23,7 @@ from running_system import CONFIG, free_port
 import fringedic
 from fringedic.frames.region import Region
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.operate]
 WAIT_MS = 90_000  # for a procedure on a busy computer
 FIVE_STEPS = "{experiment: five, ramp: {to_mm: 0.6, steps: 5, speed_mm_per_s: 5}}"
 VIEWS = {

@@ -98,7 +98,8 @@ def _unrelated_pitch(finding: Finding) -> str:
         words += " (three shifts do not detect gamma: measure the response curve or show four)"
     if finding.value < 0:
         return (
-            f"{words}: one of them grows the wrong way, so frames are out of order or the projector's image is mirrored"
+            f"{words}: one of them grows the wrong way, so frames are out of order, the projector's image is mirrored, "
+            f"or {_LAG}"
         )
     if abs(finding.value / fine.pitch - 1) > _SAME_PITCH:
         return (
