@@ -36,6 +36,7 @@ from fringedic_msgs.action import CalibrateDistortion, CalibrateRig, MeasureStep
 from fringedic_msgs.msg import LoadState, RecorderStatus, Reference
 from fringedic_msgs.srv import PlaceReferencePlane, SetReference, StartExperiment
 from fringedic_ros.qos import LATCHED, STATE
+from fringedic_ros.waiting import RepeatedRequest
 
 MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
 START_TIMEOUT_S = 60.0
@@ -44,7 +45,6 @@ HEARTBEATS_S = 0.5
 # The experiment node ends every step by itself; this ends the wait for an experiment node that has ended.
 STEP_TIMEOUT_S = 3600.0
 LOST_S = 10.0  # without its server, after which an action fails; a node that is started again is back earlier
-AGAIN_S = 2.0  # after which a request without answer is sent again
 
 
 class RigClient:
@@ -497,21 +497,9 @@ class RigClient:
         WaitTimeoutError
             There is no such service, or it does not answer.
         """
-        sent, next_s = list[Future](), 0.0
-
-        def answered() -> bool:
-            nonlocal next_s
-            if client.service_is_ready() and time.monotonic() >= next_s:
-                sent.append(client.call_async(request))
-                next_s = time.monotonic() + AGAIN_S
-            return any(future.done() for future in sent)
-
-        try:
-            self.wait_for(answered, timeout_s, lambda: f"{client.srv_name}: no answer")
-        finally:
-            for future in sent:
-                client.remove_pending_request(future)
-        return next(future.result() for future in sent if future.done())
+        with RepeatedRequest(client, request) as repeated:
+            self.wait_for(repeated.is_answered, timeout_s, lambda: f"{client.srv_name}: no answer")
+            return repeated.response
 
     def wait_for(self, done: Callable[[], bool], timeout_s: float, what: Callable[[], str]) -> None:
         """Run the callbacks of the node until a condition is true, with the checks of `watch`.

@@ -36,10 +36,10 @@ from fringedic_ros.main import CLEAN_ENDS
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED_BY_MANY
 from fringedic_ros.records import exposure_message
 from fringedic_ros.stamps import to_msg, to_nanoseconds
+from fringedic_ros.waiting import RepeatedRequest
 
 PITCHES = (100.0, 20.0, 5.0)
 SHIFTS = (4, 4, 8)
-_AGAIN_S = 2.0
 Frame = tuple[FrameRecord, np.ndarray]
 
 
@@ -153,24 +153,10 @@ class Peer(Node):
             self._executor.spin_once(timeout_sec=0.01)
 
     def ask(self, client: Client, request: Any, what: str, timeout_s: float = 60.0) -> Any:
-        """Return the response to a request whose effect is the same every time.
-
-        A server that does not know the reader of its responses yet, which may take seconds on a busy computer, loses a
-        response; the request is therefore sent again.
-        """
-        self.wait(client.service_is_ready, f"service {client.srv_name}", timeout_s)
-        sent = [client.call_async(request)]
-        next_s = time.monotonic() + _AGAIN_S
-
-        def answered() -> bool:
-            nonlocal next_s
-            if time.monotonic() >= next_s:
-                sent.append(client.call_async(request))
-                next_s += _AGAIN_S
-            return any(future.done() for future in sent)
-
-        self.wait(answered, what, timeout_s)
-        return next(future.result() for future in sent if future.done())
+        """Return the response to a request whose effect is the same every time; it is sent again when one is lost."""
+        with RepeatedRequest(client, request) as repeated:
+            self.wait(repeated.is_answered, what, timeout_s)
+            return repeated.response
 
     def meet(self, node: str) -> None:
         """Wait until a node knows all clients of this one, so that no response to a later request or goal is lost.

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Iterator
-from typing import Any
+from typing import Any, Self
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.client import Client
@@ -22,6 +22,7 @@ from fringedic.errors import WaitTimeoutError
 
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 _POLL_S = 0.01
+AGAIN_S = 2.0  # after which a request without response is sent again
 
 
 async def wait_for(node: Node, future: Future, timeout_s: float, what: str = "an answer") -> Any:
@@ -94,6 +95,45 @@ async def call(node: Node, client: Client, request: Any, timeout_s: float) -> An
     except WaitTimeoutError:
         client.remove_pending_request(future)
         raise
+
+
+class RepeatedRequest:
+    """A request whose effect is the same every time, sent again and again until there is a response.
+
+    A server that has just started, or a busy one, may not know the reader of its responses yet and loses a response.
+    In a ``with`` block, at whose end no request stays pending.
+
+    Parameters
+    ----------
+    client
+        Of the service.
+    request
+        The request.
+    """
+
+    def __init__(self, client: Client, request: Any) -> None:
+        self._client, self._request = client, request
+        self._sent: list[Future] = []
+        self._next_s = 0.0
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        for future in self._sent:
+            self._client.remove_pending_request(future)
+
+    def is_answered(self) -> bool:
+        """Return whether there is a response; send the request when it is due. Call it while the node is spun."""
+        if self._client.service_is_ready() and time.monotonic() >= self._next_s:
+            self._sent.append(self._client.call_async(self._request))
+            self._next_s = time.monotonic() + AGAIN_S
+        return any(future.done() for future in self._sent)
+
+    @property
+    def response(self) -> Any:
+        """The response, once there is one."""
+        return next(future.result() for future in self._sent if future.done())
 
 
 class Condition:

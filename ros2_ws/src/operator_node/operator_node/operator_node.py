@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import os
 import struct
+import tempfile
 import time
 from collections.abc import Mapping
 from functools import partial
@@ -66,7 +67,7 @@ class OperatorParameters(BaseModel):
     port: int = Field(8090, ge=1, le=65535, description="Port of the page.")
     certificate: str = Field("", description="TLS certificate (PEM); empty: none.")
     key: str = Field("", description="Private key of the certificate (PEM).")
-    maps_folder: str = Field("", description="Folder for the maps of the steps; empty: below the ROS log folder.")
+    maps_folder: str = Field("", description="Folder for the maps of the steps; empty: a new temporary folder.")
     maximum_rate_hz: float = Field(10.0, gt=0, le=30, description="Largest rate of images for the browsers [Hz].")
 
 
@@ -79,7 +80,7 @@ class OperatorNode(Node):
         self._period = 1 / parameters.maximum_rate_hz
         self._state = RigState()
         self._file = ShownRigFile(Path(parameters.rig_file)) if parameters.rig_file else None
-        self._maps = SpooledMaps(Path(parameters.maps_folder or f"/tmp/fringedic-maps-{os.getpid()}"))
+        self._maps = SpooledMaps(Path(parameters.maps_folder or tempfile.mkdtemp(prefix="fringedic-maps-")))
         self._folders: dict[str, Path] = {}
         self._joins = {name: StampJoin(topics) for name, topics in JOINED.items()}
         self._worker = Worker(self)

@@ -215,19 +215,21 @@ class _Comparison:
     def result(self) -> xr.Dataset:
         """Return the maps of the step and its agreement."""
         measured, sigma = self._measured()
-        sampled = self._sample(self._placement)
+        samples = self._samples(self._placement)
+        sampled = self._sample(self._placement, samples)
         modelled = self._levelled(sampled)
         unfiltered = self._fields(sampled)
         variance = sigma.values**2
         moved = []
         for deviation in self._placement.deviations():
-            change = self._fields(self._sample(self._placement.moved(deviation))).values - unfiltered.values
+            placement = self._placement.moved(deviation)
+            change = self._fields(self._sample(placement, self._samples(placement))).values - unfiltered.values
             variance = variance + change**2
             moved.append(change)
         deviation_of_difference = np.sqrt(variance)
         difference = measured.values - modelled.values
         maps: dict[str, np.ndarray] = dict(zip(_POSITION, self._positions, strict=True))
-        maps["distance"] = self._positions[2] - self._height(self._samples(self._placement))
+        maps["distance"] = self._positions[2] - self._height(samples)
         agreements = []
         for place, name in enumerate(measured.names):
             maps[name], maps[f"sigma_{name}"] = measured.values[place], sigma.values[place]
@@ -263,10 +265,10 @@ class _Comparison:
         heights[self._known] = samples.interpolate(self._placement.apply(self._nodes))[:, 2]
         return heights
 
-    def _sample(self, placement: Placement) -> np.ndarray:
+    def _sample(self, placement: Placement, samples: Samples) -> np.ndarray:
         """Return the displacement of the model in the rig frame at the measured points, (3, row, column)."""
         maps = np.full((3, *self._known.shape), np.nan)
-        maps[:, self._known] = (self._samples(placement).interpolate(self._motion) @ placement.rotation.T).T
+        maps[:, self._known] = (samples.interpolate(self._motion) @ placement.rotation.T).T
         return maps
 
     def _levelled(self, maps: np.ndarray) -> _Fields:

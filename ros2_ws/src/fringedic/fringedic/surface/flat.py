@@ -34,7 +34,7 @@ def flat_strain(displacement: xr.Dataset, *, window: int, pixel_size: float | No
     """Return the Green-Lagrange strain of a flat specimen that the camera sees perpendicularly.
 
     It is that of `surface_strain` for a flat surface and parallel lines of sight. A motion towards the camera magnifies
-    the image and appears as a strain of the same size in all directions; only the shape tells both apart.
+    the image and appears as a strain of the same size in all directions; only the shape distinguishes them.
 
     Parameters
     ----------
