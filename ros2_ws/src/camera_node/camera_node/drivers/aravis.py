@@ -172,7 +172,7 @@ class AravisDriver:
     @contextmanager
     def _in_use(self) -> Iterator[AravisConnection]:
         """Provide the connection, opened again when it was lost; an error of the device ends it."""
-        if self._connection is not None and self._connection.lost.is_set():
+        if self._connection is not None and self._connection.lost:
             self._lose()
             self._next_attempt = 0.0  # the camera may be present again
         if self._connection is None:

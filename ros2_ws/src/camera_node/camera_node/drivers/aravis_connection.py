@@ -27,8 +27,6 @@ class AravisConnection:
         Requested exposure time, and the one that the camera set [s].
     automatic
         Settings that the camera could control by itself: "exposure_time", "gain".
-    lost
-        Set when another program has taken over the camera, or it was restarted.
     clocks
         Clock of the camera by exposure time: cameras stamp the start or the end of an exposure without reporting which.
     last_frame
@@ -42,10 +40,18 @@ class AravisConnection:
     asked_exposure_time: float
     exposure_time: float
     automatic: tuple[str, ...]
-    lost: threading.Event
     clocks: dict[float, DeviceClock] = field(default_factory=dict)
     last_frame: int | None = None
     running: bool = False
+
+    @property
+    def lost(self) -> bool:
+        """Whether another program has taken over the camera, or it was restarted; False for USB3 Vision.
+
+        Polled, because a handler of the signal "control-lost" runs in the thread of Aravis that keeps the camera alive.
+        If that thread releases the camera last, it waits for its own end, and GLib ends the process.
+        """
+        return self.camera.is_gv_device() and not self.camera.get_device().is_controller()
 
     def abandon(self) -> None:
         """Release a camera that does not answer, in a thread: Aravis needs ten seconds for it."""
@@ -110,12 +116,10 @@ def connect(aravis: Aravis, settings: AravisSettings) -> AravisConnection:
     if camera.is_gv_device():
         ask("packet size", lambda: _set_packet_size(camera, settings.packet_size))
     set_trigger(aravis, camera, settings)
-    lost = threading.Event()
-    camera.get_device().connect("control-lost", lambda _: lost.set())
     stream = ask("stream", lambda: camera.create_stream(None, None))
     for _ in range(_BUFFERS):
         stream.push_buffer(aravis.module.Buffer.new_allocate(camera.get_payload()))
-    return AravisConnection(camera, stream, settings.exposure_time, exposure_time, automatic, lost)
+    return AravisConnection(camera, stream, settings.exposure_time, exposure_time, automatic)
 
 
 def set_trigger(aravis: Aravis, camera: Any, settings: AravisSettings) -> None:

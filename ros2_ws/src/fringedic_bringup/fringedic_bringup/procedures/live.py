@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Callable, Generator, Sequence
 from itertools import count
 from pathlib import Path
 
 from fringedic.configuration.rig_file import RigFile
-from fringedic.errors import ConfigurationError
+from fringedic.errors import ConfigurationError, WaitTimeoutError
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic_bringup.launch.graph import live_graph
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.procedures.exposing import FRAME_TIMEOUT_S, SETUP, WHITE, ExposingClient
+from fringedic_bringup.procedures.exposing import CONNECTING_S, FRAME_TIMEOUT_S, SETUP, WHITE, ExposingClient
 from fringedic_bringup.procedures.setup_patterns import LivePattern
 from fringedic_msgs.msg import LiveView
 from fringedic_ros.qos import DERIVED
@@ -76,13 +77,23 @@ class _LiveClient(ExposingClient):
         self.node.create_subscription(LiveView, "live_view/figures", self._take_figures, DERIVED)
 
     def look(self) -> LiveView:
-        """Take a frame and return its figures."""
-        _, record = self.expose()
+        """Take a frame and return its figures; take another when the live view was not connected yet and heard none."""
+        end = time.monotonic() + FRAME_TIMEOUT_S
+        while True:
+            _, record = self.expose()
+            try:
+                return self._figures_of(record.stamp)
+            except WaitTimeoutError:
+                if time.monotonic() > end:
+                    raise
+
+    def _figures_of(self, stamp: int) -> LiveView:
+        """Wait for the figures of a frame, or of a later one."""
 
         def arrived() -> bool:
-            return self._figures is not None and to_nanoseconds(self._figures.header.stamp) == record.stamp
+            return self._figures is not None and to_nanoseconds(self._figures.header.stamp) >= stamp
 
-        self.wait_for(arrived, FRAME_TIMEOUT_S, lambda: "live_view/figures: no figures of this frame; see /diagnostics")
+        self.wait_for(arrived, CONNECTING_S, lambda: "live_view/figures: no figures of this frame; see /diagnostics")
         assert self._figures is not None, "they arrived"
         return self._figures
 
