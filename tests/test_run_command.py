@@ -77,7 +77,7 @@ def test_info_export_and_recover(recorded: RecordedExperiment, tmp_path: Path) -
     assert "fit manifest.sha256" in verified.stdout
     saved = fringedic_command("recover", folder / "bag", "--output", tmp_path / "saved")
     assert saved.exit_code == 0, saved.exception
-    assert "lost: nothing, the recording was complete" in saved.stdout
+    assert "lost: nothing" in saved.stdout.splitlines()
     assert BagReader(tmp_path / "saved").counts == BagReader(folder / "bag").counts
 
 
@@ -106,7 +106,7 @@ def test_replay_and_process_with_the_same_changes_give_the_same_arrays(
     assert replayed.exit_code == 0, replayed.exception
     assert "1 of 2: recorded step 2" in replayed.stdout
     assert "2 of 2: recorded step 1" in replayed.stdout
-    assert "2 steps, 24 frames, 0 problems" in replayed.stdout
+    assert "whole: 2 of 2 steps, 24 frames" in replayed.stdout
 
     replayed_bag = tmp_path / "again" / "bag"
     reader = BagReader(replayed_bag)

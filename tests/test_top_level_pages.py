@@ -24,3 +24,15 @@ def test_citation_and_changelog_name_the_version() -> None:
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert citation["version"] == fringedic.__version__
     assert f"\n## {fringedic.__version__}\n" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_messages_of_the_troubleshooting_page_exist() -> None:
+    """Their words between placeholders and numbers are in the source, where strings can continue in the next line."""
+    files = [*ROOT.glob("ros2_ws/src/*/*_node/**/*.py"), *ROOT.glob("ros2_ws/src/fringedic*/fringedic*/**/*.py")]
+    files += ROOT.glob("setup/*.sh")
+    source = " ".join("".join(path.read_text(encoding="utf-8") for path in files).split())
+    source = re.sub(r'" f?"', "", source)
+    page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
+    parts = {part.strip() for words in re.findall(r'"([^"]+)"', page) for part in re.split(r"\.\.\.|\d+", words)}
+    assert len(parts) > 40
+    assert [part for part in sorted(parts) if part not in source] == []

@@ -4,7 +4,7 @@ from .load_samples import LoadSummary as LoadSummary
 from .load_samples import summarise_load as summarise_load
 from .reader import BagReader as BagReader
 from .repair import BagInfo as BagInfo
-from .repair import Recovery as Recovery
+from .repair import Content as Content
 from .repair import info as info
 from .repair import join as join
 from .repair import recover as recover

@@ -41,8 +41,10 @@ class BagReader:
         Messages of each topic.
     missing
         Messages of each topic that an index or ``metadata.yaml`` counts and that are not in the files.
+    damage
+        Description of damaged and missing files; empty if there are none.
     lost
-        Description of the damage; empty for a complete recording.
+        The damage with the missing messages of each topic; empty for a complete recording.
 
     Raises
     ------
@@ -77,7 +79,8 @@ class BagReader:
                 indexed[channel.topic] += file.indexed[number]
         missing = (indexed | Counter(found.counts)) - Counter(self.counts)
         self.missing = dict(sorted(missing.items()))
-        self.lost = "; ".join(_damage(self._files, found, self.missing))
+        self.damage = "; ".join(_damage(self._files, found))
+        self.lost = "; ".join(filter(None, (self.damage, _missing_words(self.missing))))
         self._typestore = get_typestore(Stores.EMPTY)
         self._registered: set[str] = set()
 
@@ -249,8 +252,8 @@ def _topic(channel: Channel, schema: Schema | None) -> Topic:
     )
 
 
-def _damage(files: Iterable[McapFile], found: BagFiles, missing: dict[str, int]) -> Iterator[str]:
-    """Yield a description of each damaged or missing file, and of the messages that are missing."""
+def _damage(files: Iterable[McapFile], found: BagFiles) -> Iterator[str]:
+    """Yield a description of each damaged or missing file."""
     for file in files:
         if file.damage:
             yield f"{file.path.name}: {' and '.join(file.damage)}"
@@ -258,5 +261,8 @@ def _damage(files: Iterable[McapFile], found: BagFiles, missing: dict[str, int])
         yield f"{name} is missing"
     if found.damage:
         yield found.damage
-    if missing:
-        yield "missing messages: " + ", ".join(f"{count} of {name}" for name, count in missing.items())
+
+
+def _missing_words(missing: dict[str, int]) -> str:
+    counts = ", ".join(f"{count} of {name}" for name, count in missing.items())
+    return counts and f"missing messages: {counts}"

@@ -14,29 +14,39 @@ from fringedic.recording.writer import ONE_FILE, BagWriter, Split
 
 
 @dataclass(frozen=True)
-class Recovery:
-    """Outcome of a recovery.
+class Content:
+    """What can be read of a recording, and what cannot.
 
     Attributes
     ----------
     path
-        The new recording.
-    messages
-        Messages in it.
+        The recording.
+    counts
+        Readable messages of each topic by its full name.
     missing
-        Messages of each topic that the damaged recording counts and that could not be read. They are known only if its
-        index or its ``metadata.yaml`` is complete.
-    lost
-        Description of the damage; empty if the recording was complete.
+        Messages of each topic that are counted and cannot be read. They are known only if an index or ``metadata.yaml``
+        is complete.
+    damage
+        Description of damaged and missing files; empty if there are none.
     """
 
     path: Path
-    messages: int
+    counts: dict[str, int]
     missing: dict[str, int]
-    lost: str
+    damage: str
+
+    @property
+    def messages(self) -> int:
+        """Number of readable messages."""
+        return sum(self.counts.values())
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing is damaged or missing."""
+        return not (self.damage or self.missing)
 
 
-def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None) -> Recovery:
+def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None) -> Content:
     """Write a complete recording of all readable messages of a damaged one, which is not changed.
 
     Parameters
@@ -48,8 +58,8 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
 
     Returns
     -------
-    Recovery
-        The new recording, and what could not be read.
+    Content
+        The new recording, and what could not be read of the old one.
 
     Raises
     ------
@@ -66,10 +76,10 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
     target = Path(output) if output is not None else source.with_name(f"{source.stem}_recovered")
     with BagWriter(target) as writer:
         _append(writer, reader)
-        return Recovery(target, writer.message_count, reader.missing, reader.lost)
+    return Content(target, dict(reader.counts), reader.missing, reader.damage)
 
 
-def join(parts: Iterable[Path], target: Path, *, split: Split = ONE_FILE) -> Recovery:
+def join(parts: Iterable[Path], target: Path, *, split: Split = ONE_FILE) -> Content:
     """Write one recording of the readable messages of several, which are not changed.
 
     Parameters
@@ -83,14 +93,15 @@ def join(parts: Iterable[Path], target: Path, *, split: Split = ONE_FILE) -> Rec
 
     Returns
     -------
-    Recovery
-        The new recording, and what could not be read.
+    Content
+        The new recording, and what could not be read of its parts.
 
     Raises
     ------
     RecordingError
         The parts define a topic differently, or the new recording cannot be written.
     """
+    counts: Counter[str] = Counter()
     missing: Counter[str] = Counter()
     damage = []
     with BagWriter(target, split=split) as writer:
@@ -101,10 +112,11 @@ def join(parts: Iterable[Path], target: Path, *, split: Split = ONE_FILE) -> Rec
                 damage.append(str(error))
                 continue
             _append(writer, reader)
+            counts += Counter(reader.counts)
             missing += Counter(reader.missing)
-            if reader.lost:
-                damage.append(f"{part.name}: {reader.lost}")
-        return Recovery(target, writer.message_count, dict(missing), "; ".join(damage))
+            if reader.damage:
+                damage.append(f"{part.name}: {reader.damage}")
+    return Content(target, dict(counts), dict(missing), "; ".join(damage))
 
 
 def _append(writer: BagWriter, reader: BagReader) -> None:
@@ -115,29 +127,23 @@ def _append(writer: BagWriter, reader: BagReader) -> None:
 
 
 @dataclass(frozen=True)
-class BagInfo:
+class BagInfo(Content):
     """Summary of a recording.
 
     Attributes
     ----------
-    path
-        The recording.
     start_time, end_time
         Log times of the first and the last message [ns].
     size
         Of all its files [byte].
-    topics
-        Full name -> (type, number of messages).
-    lost
-        Description of the damage; empty for a complete recording.
+    types
+        Of each topic.
     """
 
-    path: Path
     start_time: int
     end_time: int
     size: int
-    topics: dict[str, tuple[str, int]]
-    lost: str
+    types: dict[str, str]
 
 
 def info(path: str | os.PathLike[str]) -> BagInfo:
@@ -154,6 +160,8 @@ def info(path: str | os.PathLike[str]) -> BagInfo:
         start_time=reader.start_time,
         end_time=reader.end_time,
         size=sum(file.stat().st_size for file in reader.files),
-        topics={name: (topic.type_name, reader.counts[name]) for name, topic in sorted(reader.topics.items())},
-        lost=reader.lost,
+        types={name: topic.type_name for name, topic in sorted(reader.topics.items())},
+        counts=dict(reader.counts),
+        missing=reader.missing,
+        damage=reader.damage,
     )

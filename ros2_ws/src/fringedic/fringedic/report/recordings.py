@@ -1,28 +1,66 @@
-"""Sentences about the completeness of a recording."""
+"""Sentences about a recording: what is whole, what is lost, and what to do next."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 
+from fringedic.recording.frames import IMAGE
 from fringedic.recording.manifest import MANIFEST, ManifestCheck
-from fringedic.recording.repair import Recovery
+from fringedic.recording.repair import Content
 from fringedic.recording.verification import Verification
 
 
-def recovery_sentences(recovery: Recovery) -> list[str]:
-    """Return what a recovery has written, and what it could not read.
+def content_sentences(content: Content) -> list[str]:
+    """Return what of a recording can be read, and what is lost.
 
     Examples
     --------
     >>> from pathlib import Path
-    >>> recovery_sentences(Recovery(Path("saved"), 12345, {}, ""))
-    ['recording: saved', 'written: 12 345 messages', 'lost: nothing, the recording was complete']
+    >>> image, force = "/rig/camera/image_raw", "/rig/load_frame/state"
+    >>> content_sentences(Content(Path("bag"), {image: 36, force: 1200}, {}, ""))
+    ['whole: 36 frames, 1 236 messages of all topics', 'lost: nothing']
+    >>> content_sentences(Content(Path("bag"), {image: 24, force: 80}, {image: 12, force: 1120}, "not closed"))
+    ['whole: 24 of 36 frames, 104 of 1 236 messages of all topics', 'lost: 12 frames, 1 120 other messages; not closed']
     """
-    return [
-        f"recording: {recovery.path}",
-        f"written: {grouped(recovery.messages)} messages",
-        f"lost: {recovery.lost or 'nothing, the recording was complete'}",
-    ]
+    messages = content.messages, sum(content.missing.values())
+    frames = _frames(content.counts), _frames(content.missing)
+    whole = f"whole: {_share(*frames)} frames, {_share(*messages)} messages of all topics"
+    if content.whole:
+        return [whole, "lost: nothing"]
+    counted = f"{_plural(frames[1], 'frame')}, {_plural(messages[1] - frames[1], 'other message')}"
+    return [whole, f"lost: {'; '.join(filter(None, (counted if content.missing else '', content.damage)))}"]
+
+
+def next_command(content: Content) -> str:
+    """Return the command that follows after the content of a recording is known.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> next_command(Content(Path("bag"), {"/rig/camera/image_raw": 24}, {}, "not closed"))
+    'next: `fringedic recover bag` writes a recording of what is whole'
+    """
+    path = content.path
+    if not content.whole:
+        return f"next: `fringedic recover {path}` writes a recording of what is whole"
+    if any(f"/{name}".endswith("/dic/status") and count for name, count in content.counts.items()):
+        return f"next: `fringedic report {path}` shows the results; `fringedic process {path}` computes them again"
+    if _frames(content.counts):
+        return f"next: `fringedic process {path}` measures the recorded frames"
+    return "next: measure again; without frames there is nothing to process"
+
+
+def _frames(counts: Mapping[str, int]) -> int:
+    return sum(count for name, count in counts.items() if f"/{name}".endswith(f"/{IMAGE}"))
+
+
+def _plural(number: int, name: str) -> str:
+    return f"{grouped(number)} {name}{'s' if number != 1 else ''}"
+
+
+def _share(readable: int, missing: int) -> str:
+    total = f" of {grouped(readable + missing)}" if missing else ""
+    return f"{grouped(readable)}{total}"
 
 
 def verification_sentences(verification: Verification) -> Iterator[str]:

@@ -162,7 +162,7 @@ def test_topic_whose_definition_is_lost_costs_no_other_topic(tmp_path):
 def test_recover_lists_the_messages_that_it_could_not_write(recording):
     recording.put(recording.chunks[2] + 80, b"\xff\xff")
     done = recover(recording.bag)
-    assert "1 chunk left out because of a wrong checksum" in done.lost
+    assert "1 chunk left out because of a wrong checksum" in done.damage
     saved = BagReader(done.path)
     assert done.messages == sum(saved.counts.values()) < len(recording.messages)
     assert sum(done.missing.values()) == len(recording.messages) - done.messages

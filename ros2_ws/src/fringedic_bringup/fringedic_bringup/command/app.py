@@ -198,6 +198,20 @@ def for_each(bags: list[Path], work: Callable[[Path], None]) -> None:
         raise RecordingError(f"failed: {', '.join(failed)}")
 
 
+def losses(bag: Path) -> list[str]:
+    """Return what of a damaged recording is whole and what is lost; nothing of a whole one."""
+    from fringedic.recording.repair import info
+    from fringedic.report.recordings import content_sentences
+
+    content = info(bag)
+    return [] if content.whole else content_sentences(content)
+
+
+def next_reading(source: Path) -> str:
+    """Return the commands that show the results of a recording or dataset."""
+    return f"next: `fringedic report {source}` shows the results, `fringedic export {source}` converts them"
+
+
 def title_of(bag: Path) -> str:
     """Return the name of a recording: that of its run when it is the folder ``bag`` of a run."""
     return bag.absolute().parent.name if bag.name == "bag" else bag.stem

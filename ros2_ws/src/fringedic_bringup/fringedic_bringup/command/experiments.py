@@ -24,6 +24,8 @@ from fringedic_bringup.command.app import (
     calibration_file,
     console,
     for_each,
+    losses,
+    next_reading,
     parameter_values,
     say,
     title_of,
@@ -105,6 +107,7 @@ def replay(
         folder = unused_folder(bag.with_name(f"{bag.name}_replayed"))
         if output is not None:
             folder = output_folder(output if len(bags) == 1 else output / title_of(bag))
+        say(*losses(bag))
         with LiveProgress(console) as progress:
             target = replay_bag(
                 bag,
@@ -115,7 +118,7 @@ def replay(
                 reference=reference,
                 calibration=model,
             )
-        say(f"recording: {target}")
+        say(f"recording: {target}", next_reading(target))
 
     for_each(bags, work)
 

@@ -122,6 +122,7 @@ def advise(
     strain_window_points: Annotated[int, typer.Option(help="Width of the strain window in points, odd.")] = 5,
 ) -> None:
     """Recommend window and spacing from three images at rest; print noise floors and possible improvements."""
+    begin(reference)
     from fringedic.report.settings import settings_report
     from fringedic_bringup.procedures.images import advise_on_images
 

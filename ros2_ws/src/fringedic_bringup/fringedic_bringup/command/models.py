@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import Overwrite, app, output_file, say
+from fringedic_bringup.command.app import Overwrite, Source, app, output_file, say
 
 if TYPE_CHECKING:
     from fringedic.models.comparison import Pair
@@ -22,7 +22,7 @@ _MILLI = 1e-3
     epilog="Example: fringedic compare-model recordings/plate-7/bag plate.vtu --unit mm --load 1000",
 )
 def compare_model(  # noqa: PLR0913 (options of a command)
-    source: Annotated[Path, typer.Argument(metavar="BAG|DATASET", help="Recording or dataset.")],
+    source: Source,
     model: Annotated[Path, typer.Argument(help="Mesh with nodal displacement: VTU, VTK, PVD, gmsh, Nastran ...")],
     unit: Annotated[str, typer.Option(help="Of lengths in the mesh: m, mm, um or inch.")],
     load: Annotated[

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
@@ -24,8 +25,10 @@ from fringedic_bringup.command.app import (
     calibration_file,
     console,
     for_each,
+    losses,
     named_gauges,
     named_regions,
+    next_reading,
     parameter_values,
     say,
     title_of,
@@ -62,8 +65,15 @@ def process(
         if output is not None and len(bags) > 1:
             output.mkdir(parents=True, exist_ok=True)
             target = output / f"{title_of(bag)}.nc"
+        say(*losses(bag))
+        errors = []
         with LiveProgress(console) as progress:
             progress.stage(f"processing {bag}")
+
+            def tell(step: int, error: str) -> None:
+                errors.append(error)
+                progress.note(f"step {step}: {error or 'measured'}")
+
             written = process_bag(
                 bag,
                 output=target,
@@ -72,9 +82,9 @@ def process(
                 reference=reference,
                 calibration=model,
                 overwrite=overwrite,
-                progress=lambda step, error: progress.note(f"step {step}: {error or 'measured'}"),
+                progress=tell,
             )
-        say(f"dataset: {written}")
+        say(f"dataset: {written}", f"whole: {errors.count('')} of {len(errors)} steps", next_reading(written))
 
     for_each(bags, work)
 
@@ -85,6 +95,7 @@ def info(bag: Bag) -> None:
     from fringedic.recording.recorded_clocks import recorded_clocks
     from fringedic.recording.repair import info as bag_info
     from fringedic.report.clocks import clock_sentences
+    from fringedic.report.recordings import content_sentences, next_command
 
     summary = bag_info(bag)
     start = datetime.fromtimestamp(summary.start_time * 1e-9, UTC).isoformat(sep=" ", timespec="seconds")
@@ -93,12 +104,11 @@ def info(bag: Bag) -> None:
     table.add_column("topic")
     table.add_column("type")
     table.add_column("messages", justify="right")
-    for name, (type_name, count) in summary.topics.items():
-        table.add_row(name, type_name, str(count))
+    table.add_column("lost", justify="right")
+    for name, type_name in summary.types.items():
+        table.add_row(name, type_name, str(summary.counts[name]), str(summary.missing.get(name, "")))
     console.print(table)
-    say(*clock_sentences(recorded_clocks(bag)))
-    if summary.lost:
-        say(f"damaged: {summary.lost}; `fringedic recover {bag}` writes a recording of the readable part")
+    say(*clock_sentences(recorded_clocks(bag)), *content_sentences(summary), next_command(summary))
 
 
 @app.command(epilog="Example: fringedic verify recordings/plate-7/bag")
@@ -117,9 +127,11 @@ def verify(bag: Bag) -> None:
 def recover(bag: Bag, output: Output = None) -> None:
     """Write a complete recording from the readable part of a damaged one, and list what could not be read."""
     from fringedic.recording.repair import recover as recover_bag
-    from fringedic.report.recordings import recovery_sentences
+    from fringedic.report.recordings import content_sentences, next_command
 
-    say(*recovery_sentences(recover_bag(bag, output)))
+    recovered = recover_bag(bag, output)
+    whole = replace(recovered, missing={}, damage="")
+    say(f"recording: {recovered.path}", *content_sentences(recovered), next_command(whole))
 
 
 @app.command(epilog="Example: fringedic export recordings/plate-7/bag --to vtk --to csv --output plate-7")

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import Overwrite, Rig, app, console, output_file, say
+from fringedic_bringup.command.app import Overwrite, Rig, app, begin, console, output_file, say
 from fringedic_bringup.display.progress import LiveProgress
 from fringedic_bringup.launch.rig_files import rig_path_of
 from fringedic_bringup.procedures.folders import output_folder, unused_folder
@@ -116,11 +116,12 @@ def noise(
     ),
 ) -> None:
     """Measure the noise floor of camera, displacement, height and strain with the specimen at rest."""
+    if (rig is None) == (not images):
+        raise ConfigurationError("give a rig file, or with --images at least three images at rest")
+    begin(rig or (images or [])[0])
     from fringedic.report.noise_floor import noise_floor_text
     from fringedic_bringup.procedures.noise import measure_noise, measure_noise_of_images
 
-    if (rig is None) == (not images):
-        raise ConfigurationError("give a rig file, or with --images at least three images at rest")
     folder = unused_folder(output)
     if images:
         measured = measure_noise_of_images(images, folder, window=window, spacing=spacing)
@@ -204,7 +205,10 @@ def response(
 
 @app.command(epilog="Example: fringedic region plate.yaml --output region.png")
 def region(
-    source: Annotated[Path, typer.Argument(metavar="IMAGE|RIG", help="Image file, or rig file to take one frame.")],
+    source: Annotated[
+        Path,
+        typer.Argument(metavar="IMAGE|RIG", help="Image file, or rig file to take one frame.", callback=begin),
+    ],
     output: Annotated[Path, typer.Option(help="Mask image; the polygons are written beside it as .yaml.")] = Path(
         "region.png"
     ),

@@ -131,7 +131,8 @@ class _PlayedSteps:
         """Report everything that was received, and a summary."""
         for _ in range(_REMAINING):
             self._participant.spin_once(0.0)
-        self._progress.note(f"{self._number} steps, {sum(self._frames.values())} frames, {self._problems} problems")
+        whole, frames = self._number - self._problems, sum(self._frames.values())
+        self._progress.note(f"whole: {whole} of {self._steps} steps, {frames} frames")
 
     def _take(self, status: StepStatus) -> None:
         if status.stage == StepStatus.BEGIN:

@@ -28,6 +28,7 @@ from fringedic.report import write_report
 from fringedic.report.calibration_sentences import in_force_words
 from fringedic.report.experiment import TRUTH
 from fringedic.report.forecast import forecast_sentence
+from fringedic.report.recordings import content_sentences
 from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
 from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
@@ -207,8 +208,8 @@ def join_parts(bag: Path, progress: Progress, split: Split) -> None:
     first = bag.rename(bag.with_name(f"{bag.name}-1"))
     progress.stage(f"joining {1 + len(others)} parts of the recording")
     joined = join((first, *others), bag, split=split)
-    if joined.lost:
-        progress.note(f"parts of the recording are not complete: {joined.lost}")
+    if not joined.whole:
+        progress.note(f"parts of the recording are not complete: {'; '.join(content_sentences(joined))}")
 
 
 def write_results(
