@@ -17,12 +17,26 @@ print(os.environ.get("NUMBA_CACHE_DIR", ""))
 """
 
 
-def cache_folder(**environment: str) -> str:
+NOWHERE = "import tempfile; tempfile._candidate_tempdir_list = lambda: ['/proc/nowhere']\n"  # also not where it runs
+
+
+def imported(program: str, **environment: str) -> subprocess.CompletedProcess[str]:
     kept = {name: value for name, value in os.environ.items() if name not in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME")}
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM], env={**kept, **environment}, capture_output=True, text=True, check=True
-    )
+    command = [sys.executable, "-c", program]
+    return subprocess.run(command, env={**kept, **environment}, capture_output=True, text=True, check=False)
+
+
+def cache_folder(**environment: str) -> str:
+    done = imported(PROGRAM, **environment)
+    assert done.returncode == 0, done.stderr
     return done.stdout.strip()
+
+
+def test_a_computer_without_any_folder_to_write_is_told():
+    error = imported(NOWHERE + PROGRAM, HOME="/proc/nowhere").stderr.splitlines()[-1]
+    assert error == (
+        "ImportError: neither /proc/nowhere/.cache nor a temporary folder can be written; set TMPDIR to one that can"
+    )
 
 
 def test_without_any_other_folder_the_cache_is_a_temporary_one_of_this_user(tmp_path):
