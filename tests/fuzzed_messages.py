@@ -21,13 +21,13 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image
 
-from experiment_node.messages import message_type
 from fringedic.errors import FringedicError, RecordingError
 from fringedic.recording import BagReader, BagWriter
 from fringedic.results.datasets import process_bag
 from fringedic_bringup.launch.processes import node_environment, private_domain
 from fringedic_msgs.msg import Exposure, StepStatus
 from fringedic_ros.qos import EVENTS, IMAGES
+from fringedic_ros.serialized import message_type
 from fringedic_ros.testing import NodeProcess, Peer
 
 VIRTUAL = '"{preset: plate, size: tiny}"'

@@ -16,7 +16,6 @@ from rclpy.publisher import Publisher
 from rclpy.utilities import try_shutdown
 from rosgraph_msgs.msg import Clock
 
-from experiment_node.messages import message_type, read
 from experiment_node.playback_nodes import PlaybackNodes, step_name
 from experiment_node.recorded_steps import OF_ONE_STEP, RecordedStep, ends_step, recorded_messages, split_steps
 from experiment_node.result_codes import failed_node, failure_of
@@ -41,6 +40,7 @@ from fringedic_ros.parameters import declare, report_unknown_parameters
 from fringedic_ros.qos import CLOCK, EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
 from fringedic_ros.records import calibration_message
 from fringedic_ros.rig_node import RIG_FRAME, RigNode, frame_id
+from fringedic_ros.serialized import message_type, read
 from fringedic_ros.stamps import to_msg
 
 PROFILES = {

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 from rclpy.serialization import serialize_message
 
-from experiment_node.messages import header_stamp, read
 from experiment_node.topics import CALIBRATION, EXPOSURE, IMAGE, STEP
 from fringedic.frames.records import frame_record, stamp_of
 from fringedic.recording.definitions import type_hash
@@ -16,6 +15,7 @@ from fringedic.recording.topics import RawMessage
 from fringedic.rig.model import RigModel
 from fringedic_msgs.msg import Exposure, RigCalibration, StepStatus
 from fringedic_ros.records import calibration_message, exposure_message
+from fringedic_ros.serialized import header_stamp, read
 from fringedic_ros.stamps import to_nanoseconds
 
 # Topics whose messages concern one step only.

@@ -18,7 +18,6 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from experiment_node.exposure_tally import ExposureTally
-from experiment_node.messages import header_stamp, image_crc, message_type, read
 from experiment_node.step_tally import StepTally, crc_of
 from experiment_node.topics import DERIVED_TOPICS, EXPOSURE, IMAGE, RAW_TOPICS, SAMPLE_TOPICS, STEP
 from experiment_node.writing_thread import ReceivedMessage, WritingThread
@@ -30,6 +29,7 @@ from fringedic_ros.main import run
 from fringedic_ros.parameters import declare
 from fringedic_ros.qos import LATCHED, SAMPLES
 from fringedic_ros.rig_node import FIXED_QOS, RigNode
+from fringedic_ros.serialized import header_stamp, image_crc, message_type, read
 from fringedic_ros.stamps import to_nanoseconds
 
 DISCOVERY_PERIOD_S = 0.1

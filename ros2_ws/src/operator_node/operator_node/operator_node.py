@@ -20,14 +20,12 @@ from pydantic import BaseModel, Field
 from rcl_interfaces.msg import Log
 from rclpy.action import ActionClient
 from rclpy.client import Client
-from rclpy.node import Node
-from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from fringedic.errors import ConfigurationError, OperatorError
+from fringedic.errors import ConfigurationError, FringedicError, OperatorError
 from fringedic.figures.live_preview import browser_picture
 from fringedic.frames.messages import cloud_arrays
 from fringedic.page.app import Control, Hold, Measure, Start
@@ -42,6 +40,8 @@ from fringedic_ros.main import run
 from fringedic_ros.parameters import declare
 from fringedic_ros.processing import StampJoin
 from fringedic_ros.qos import DERIVED, DIAGNOSTICS, EVENTS, LATCHED, LATEST, PREVIEWS
+from fringedic_ros.rig_node import RigNode
+from fringedic_ros.serialized import read
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.work import Worker
 from operator_node.rig_file import ShownRigFile
@@ -71,7 +71,7 @@ class OperatorParameters(BaseModel):
     maximum_rate_hz: float = Field(10.0, gt=0, le=30, description="Largest rate of images for the browsers [Hz].")
 
 
-class OperatorNode(Node):
+class OperatorNode(RigNode):
     """Web server of the page; subscribes to the public topics of a rig, and calls its services and actions."""
 
     def __init__(self) -> None:
@@ -209,7 +209,18 @@ class OperatorNode(Node):
         now = time.monotonic()
         if now - self._last_image >= self._period and self._page.hub.clients:
             self._last_image = now
-            self._page.publish("image", partial(_picture, data))
+            self._page.publish("image", partial(self._picture, data))
+
+    def _picture(self, data: bytes) -> bytes:
+        """Return a camera image for the browser: width, height, stamp [s], JPEG; nothing of an unreadable one."""
+        try:
+            message = read(data, Image)
+            picture = browser_picture(image_array(message))
+        except FringedicError as error:
+            self.get_logger().warning(f"camera/image_raw: {error}", throttle_duration_sec=10.0)
+            return b""
+        stamp = 1e-9 * to_nanoseconds(message.header.stamp)
+        return struct.pack("<IId", message.width, message.height, stamp) + picture
 
     def _join(self, topic: str, message: Any) -> None:
         stamp = to_nanoseconds(message.header.stamp)
@@ -232,13 +243,6 @@ class OperatorNode(Node):
 
     def _publish_presence(self) -> None:
         self._present.publish(Bool(data=self._page.wheel.present))
-
-
-def _picture(data: bytes) -> bytes:
-    """Return a camera image for the browser: width, height, stamp [s], JPEG."""
-    message = deserialize_message(data, Image)
-    stamp = 1e-9 * to_nanoseconds(message.header.stamp)
-    return struct.pack("<IId", message.width, message.height, stamp) + browser_picture(image_array(message))
 
 
 async def _answer(future: Future, what: str) -> Any:

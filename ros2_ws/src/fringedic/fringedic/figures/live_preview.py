@@ -65,13 +65,15 @@ def browser_picture(image: np.ndarray) -> bytes:
     Raises
     ------
     ImageError
-        The image cannot be encoded.
+        It is not the image of a camera, or cannot be encoded.
 
     Examples
     --------
     >>> browser_picture(np.zeros((4, 6), np.uint8))[:3].hex()
     'ffd8ff'
     """
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16) or not image.size:
+        raise ImageError(f"an image of shape {image.shape} and type {image.dtype} has no grey levels of a camera")
     full = full_scale_of([image])
     factor = math.ceil(math.sqrt(image.size / MOST_PIXELS))
     saturated = image >= full

@@ -29,12 +29,14 @@ class Client:
         self._filled.set()
 
     async def take(self) -> Payload:
-        """Wait for a message and return the one that waits longest; it is made now."""
-        while not self._slots:
-            self._filled.clear()
-            await self._filled.wait()
-        topic = next(iter(self._slots))
-        return self._slots.pop(topic)()
+        """Wait for a message and return the one that waits longest; it is made now, and left out when it is empty."""
+        while True:
+            while not self._slots:
+                self._filled.clear()
+                await self._filled.wait()
+            topic = next(iter(self._slots))
+            if payload := self._slots.pop(topic)():
+                return payload
 
 
 class Hub:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from fringedic.errors import ImageError
 from fringedic.figures.live_preview import MOST_PIXELS, browser_picture
 from fringedic.figures.palettes import PALETTES, palette
 
@@ -36,6 +37,14 @@ def test_saturated_pixels_are_red_also_in_a_smaller_picture(kind: type, full: in
     grey = shown[100, 100].astype(int)
     assert np.ptp(grey) <= 2
     assert grey.mean() == pytest.approx(127, abs=3)
+
+
+@pytest.mark.parametrize(
+    "image", [np.zeros((4, 6, 3), np.uint8), np.zeros((4, 6), np.float32), np.zeros((0, 6), np.uint8)]
+)
+def test_what_no_camera_sends_is_refused(image: np.ndarray) -> None:
+    with pytest.raises(ImageError, match="has no grey levels of a camera"):
+        browser_picture(image)
 
 
 @pytest.mark.parametrize("name", PALETTES)

@@ -58,3 +58,13 @@ def test_waiting_client_receives_what_comes() -> None:
         return await asyncio.wait_for(waiting, 5)
 
     assert asyncio.run(received()) == "state"
+
+
+def test_an_empty_message_is_left_out() -> None:
+    async def received() -> Payload:
+        client = Client("a")
+        client.put("image", lambda: b"")
+        client.put("state", lambda: "state")
+        return await client.take()
+
+    assert asyncio.run(received()) == "state"
