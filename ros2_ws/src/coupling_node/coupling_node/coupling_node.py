@@ -122,7 +122,7 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
             result.valid_fraction,
             result.rms,
             parts["phase/status"].frames,
-            "; ".join(_remarks(phase, result)),
+            "; ".join(_remarks(parts["phase/status"], result)),
             phase.relative,
             reference_step=result.reference_step,
             correlated_step=displacement.correlated_step,
@@ -149,7 +149,6 @@ def _phase_result(parts: dict[str, Any]) -> PhaseResult:
         valid_fraction=status.valid_fraction,
         rms=status.rms,
         relative=status.relative,
-        remarks=(status.error_message,) if status.error_message else (),
     )
 
 
@@ -176,8 +175,8 @@ def _dic_result(parts: dict[str, Any]) -> DicResult:
     )
 
 
-def _remarks(phase: PhaseResult, result: CouplingResult) -> list[str]:
-    remarks = [f"heights may be off by whole fringes: {'; '.join(phase.remarks)}"] if phase.relative else []
+def _remarks(phase: NodeStatus, result: CouplingResult) -> list[str]:
+    remarks = [f"heights may be off by whole fringes: {phase.error_message}"] if phase.relative else []
     drift = drift_sentence(result.drift) if result.drift is not None else ""
     return [*remarks, drift] if drift else remarks
 

@@ -182,10 +182,11 @@ def test_measure_takes_mask_and_polygons(tmp_path: Path) -> None:
         mask_of(tmp_path / "none.png", (160, 200))
 
 
-def test_dic_node_gets_the_region_of_the_rig_file(tmp_path: Path) -> None:
+def test_nodes_get_the_region_of_the_rig_file(tmp_path: Path) -> None:
     REGION.save(tmp_path / "region.png")
     path = tmp_path / "rig.yaml"
     path.write_text((CONFIG / "tiny.yaml").read_text() + "region_file: region.yaml\n")
     graph = rig_graph(load_rig_file(path), path, tmp_path / "out")
-    dic = next(node.parameters for node in graph.nodes if node.name == "dic")
-    assert Region.from_text(dic["region"]) == REGION
+    for name in ("phase", "dic"):
+        parameters = next(node.parameters for node in graph.nodes if node.name == name)
+        assert Region.from_text(parameters["region"]) == REGION

@@ -10,6 +10,7 @@ from sensor_msgs.msg import Image
 from fringedic.figures.previews import phase_preview
 from fringedic.frames.collector import Stack
 from fringedic.patterns.pattern import PatternKind
+from fringedic.phase.finding_sentences import describe
 from fringedic.steps.parameters import PhaseParameters
 from fringedic.steps.phase import phase_step
 from fringedic_msgs.msg import Exposure, NodeStatus
@@ -65,7 +66,11 @@ class PhaseNode(ProcessingNode[PhaseParameters]):
             colours = phase_preview(result.phase)
             self._preview.publish(image_message(colours, stamp_ns=result.stamp, frame_id=self._frame))
         return Outcome(
-            result.valid_fraction, result.rms, len(stack.records), "; ".join(result.remarks), result.relative
+            result.valid_fraction,
+            result.rms,
+            len(stack.records),
+            "; ".join(map(describe, result.remarks)),
+            result.relative,
         )
 
 

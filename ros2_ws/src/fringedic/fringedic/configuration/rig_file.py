@@ -76,7 +76,8 @@ class RigFile(Section):
     )
     region_file: str | None = Field(
         None,
-        description="Polygons from `fringedic region`, relative to this file: where the displacement is measured.",
+        description="Polygons from `fringedic region`, relative to this file: where the frames are checked and the "
+        "displacement is measured.",
     )
     virtual_rig: dict[str, Any] | None = Field(
         None, description="The virtual rig, as of `fringedic.virtual_rig.VirtualRigConfiguration`."

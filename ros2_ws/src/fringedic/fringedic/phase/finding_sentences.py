@@ -141,6 +141,14 @@ def _motion_along(finding: Finding) -> str:
     )
 
 
+def _harmonics(finding: Finding) -> str:
+    return (
+        f"the response of projector and camera is not linear: with {finding.patterns[0].shifts} shifts its harmonics "
+        f"cause a phase error of {finding.value:.4f} fringe RMS; measure the response curve (fringedic response), "
+        "show more shifts or set correct_harmonics"
+    )
+
+
 def _relative_one_image(_: Finding) -> str:
     return "the phase of one image is relative: true up to the same number of whole fringes everywhere"
 
@@ -168,6 +176,7 @@ _WORDS: dict[FindingKind, Callable[[Finding], str]] = {
     FindingKind.FLICKER: _flicker,
     FindingKind.MOTION_ACROSS: _motion_across,
     FindingKind.MOTION_ALONG: _motion_along,
+    FindingKind.HARMONICS: _harmonics,
     FindingKind.RELATIVE_ONE_IMAGE: _relative_one_image,
     FindingKind.RELATIVE_ONE_PITCH: _relative_one_pitch,
 }

@@ -27,6 +27,7 @@ class FindingKind(Enum):
     FLICKER = "the light changes", ErrorCode.FLICKER
     MOTION_ACROSS = "the surface moves across the image", ErrorCode.SURFACE_MOVED
     MOTION_ALONG = "the surface moves along the projector's light", ErrorCode.SURFACE_MOVED
+    HARMONICS = "the harmonics of the response bend the phase", None
     RELATIVE_ONE_IMAGE = "a relative phase from one image", None
     RELATIVE_ONE_PITCH = "a relative phase, unwrapped over the image", None
 
@@ -54,7 +55,7 @@ class Finding:
     value, limit
         Size of the effect and the largest one allowed: the part of the image (SATURATED, CODE_DISAGREES) or of the
         pattern before (PARTLY_LATE), the typical grey level (DARK), the error of the phase [fringe] (FLICKER,
-        MOTION_ALONG), the motion [px] (MOTION_ACROSS), the pitch in the image if the coarser one is right
+        MOTION_ALONG, HARMONICS), the motion [px] (MOTION_ACROSS), the pitch in the image if the coarser one is right
         [projector px], negative where it grows the wrong way (UNRELATED_PITCH). NaN where there is none.
     light_change
         Range of the light over the frames, relative (FLICKER).

@@ -16,6 +16,7 @@ from fringedic.phase.checks.stack import inspect_stack, step_error
 from fringedic.phase.demodulation import absolute_phase
 from fringedic.phase.findings import Finding, FindingKind
 from fringedic.phase.fringe_order import unwrap_spatial
+from fringedic.phase.harmonic_correction import fit_harmonic_error
 from fringedic.phase.layout import layout_of, shift_angles
 from fringedic.phase.lens_blur import correct_lens_blur
 from fringedic.phase.noise import noise_of_exposures
@@ -53,7 +54,9 @@ def measure_phase(
     Returns
     -------
     result : Dataset
-        As of `absolute_phase`, the phase with the attribute ``relative`` (0 or 1).
+        As of `absolute_phase`, the phase with the attributes ``relative`` (0 or 1) and, from whole cycles of shifts,
+        ``harmonic_error``: the RMS error by the harmonics of the response [fringe], NaN where it is not known. Sigma
+        does not contain it.
     remarks : list of Finding
         What needs attention although the phase is measured; `describe` puts it into words.
 
@@ -94,6 +97,7 @@ def measure_phase(
         remarks = _check(exposures, settings)
         result = _from_steps(exposures, settings)
         remarks += _settle_orders(result, exposures[0], settings.accept_relative)
+        remarks += _settle_harmonics(result, exposures[0].patterns[-1], settings)
     if settings.lens_blur > 0:
         corrected = correct_lens_blur(result.phase, result.modulation, settings.lens_blur)
         result["phase"] = result.phase.copy(data=corrected)
@@ -165,6 +169,18 @@ def _from_one_image(exposures: Sequence[ExposedStack], settings: PhaseSettings) 
     except PhaseError as error:
         raise StepError(f"frame {number}: {error}", index=number, code=ErrorCode.WRONG_PATTERN) from error
     return result, [Finding(FindingKind.RELATIVE_ONE_IMAGE, patterns=(shown,))]
+
+
+def _settle_harmonics(result: xr.Dataset, pattern: ProjectedPattern, settings: PhaseSettings) -> list[Finding]:
+    """Measure the error by the harmonics of the response, and correct it if the settings ask for it."""
+    error = fit_harmonic_error(result.phase, pattern.shifts, pattern.orientation)
+    if settings.correct_harmonics:
+        result.phase.values[...] = error.correct(result.phase.values)
+        error = fit_harmonic_error(result.phase, pattern.shifts, pattern.orientation)
+    result.phase.attrs["harmonic_error"] = error.rms
+    if not error.rms > settings.largest_error:
+        return []
+    return [Finding(FindingKind.HARMONICS, patterns=(pattern,), value=error.rms, limit=settings.largest_error)]
 
 
 def _settle_orders(result: xr.Dataset, stack: ExposedStack, accept_relative: bool) -> list[Finding]:

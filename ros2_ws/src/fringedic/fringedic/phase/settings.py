@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from fringedic.frames.noise import CameraNoise
+from fringedic.frames.region import Region
 
 Method = Literal["auto", "steps", "one_image"]
 
@@ -28,13 +29,18 @@ class PhaseSettings:
         Grey level from which a pixel counts as saturated; None takes the largest value of an integer type.
     minimum_modulation
         Modulation [grey level] that the surface has at least, and stray light has not.
+    correct_harmonics
+        Whether to correct the error that a nonlinear response causes, see `fit_harmonic_error`.
     lens_blur
         Standard deviation of the lens's point spread [camera px] to correct for; 0 corrects nothing.
     largest_error
-        Error of the phase, RMS over the image [fringe], that flicker or motion along the light may cause. The default
+        Error of the phase, RMS over the image [fringe], that flicker or motion along the light may cause. A larger one
+        by the harmonics of the response is a remark. The default
         is half as much again as the noise of 8 shifts at one grey level (0.0021 fringe).
     largest_motion
         Motion across the image during the finest fringes [px] that is allowed.
+    region
+        Part of the image that shows the specimen; the checks use no other pixels. The phase is measured everywhere.
 
     Examples
     --------
@@ -47,9 +53,11 @@ class PhaseSettings:
     noise: CameraNoise | None = None
     saturation: float | None = None
     minimum_modulation: float = 0.0
+    correct_harmonics: bool = False
     lens_blur: float = 0.0
     largest_error: float = 0.003
     largest_motion: float = 0.2
+    region: Region | None = None
 
 
 DEFAULT_SETTINGS = PhaseSettings()

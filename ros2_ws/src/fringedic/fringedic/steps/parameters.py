@@ -15,6 +15,13 @@ class Parameters(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
+def _checked_region(text: str) -> str:
+    """Return the text of a region; raise `ImageError` when it is none."""
+    if text:
+        Region.from_text(text)
+    return text
+
+
 class PhaseParameters(Parameters):
     """Parameters of the phase node."""
 
@@ -57,6 +64,11 @@ class PhaseParameters(Parameters):
         "or of one pitch that repeats in view. Its shape is the one nearest to the reference plane and may be off by "
         "whole fringes.",
     )
+    correct_harmonics: bool = Field(
+        False,
+        description="Correct the error that a nonlinear response of projector and camera causes; it is estimated from "
+        "the phase of each step and reported in any case.",
+    )
     lens_blur_px: float = Field(
         0.0,
         ge=0,
@@ -78,6 +90,16 @@ class PhaseParameters(Parameters):
         description="The step fails when the surface moves farther than this across the image while its frames are "
         "taken [px].",
     )
+    region: str = Field(
+        "",
+        description="Part of the image that shows the specimen, as `region` of dic: the checks of the frames use no "
+        "other pixels; the phase is measured everywhere. Empty: the whole image.",
+    )
+
+    @field_validator("region")
+    @classmethod
+    def _is_a_region(cls, text: str) -> str:
+        return _checked_region(text)
 
 
 class DicParameters(Parameters):
@@ -121,9 +143,7 @@ class DicParameters(Parameters):
     @field_validator("region")
     @classmethod
     def _is_a_region(cls, text: str) -> str:
-        if text:
-            Region.from_text(text)
-        return text
+        return _checked_region(text)
 
 
 class CouplingParameters(Parameters):

@@ -8,8 +8,8 @@ import numpy as np
 from fringedic.errors import ErrorCode, StepError
 from fringedic.frames.collector import Stack
 from fringedic.frames.noise import CameraNoise
+from fringedic.frames.region import Region
 from fringedic.patterns.pattern import PatternKind
-from fringedic.phase.finding_sentences import describe
 from fringedic.phase.measure import measure_phase
 from fringedic.phase.settings import PhaseSettings
 from fringedic.steps.parameters import PhaseParameters
@@ -64,7 +64,8 @@ def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
         valid_fraction=fraction,
         rms=float(np.nanmedian(measured.sigma.values)),
         relative=bool(measured.phase.attrs["relative"]),
-        remarks=tuple(map(describe, remarks)),
+        harmonic_error=measured.phase.attrs.get("harmonic_error", float("nan")),
+        remarks=tuple(remarks),
     )
 
 
@@ -76,9 +77,11 @@ def _settings(parameters: PhaseParameters) -> PhaseSettings:
         noise=CameraNoise(read_noise, parameters.shot_noise_grey_level) if read_noise else None,
         saturation=parameters.saturation_grey_level or None,
         minimum_modulation=parameters.minimum_modulation_grey_level,
+        correct_harmonics=parameters.correct_harmonics,
         lens_blur=parameters.lens_blur_px,
         largest_error=parameters.maximum_error_fringe,
         largest_motion=parameters.maximum_motion_px,
+        region=Region.from_text(parameters.region) if parameters.region else None,
     )
 
 

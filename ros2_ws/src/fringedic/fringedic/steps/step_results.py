@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.patterns.pattern import Orientation
+from fringedic.phase.findings import Finding
 from fringedic.steps.drift_marker import MarkerMotion
 
 
@@ -33,8 +34,11 @@ class PhaseResult:
         Median of ``sigma`` [rad].
     relative
         The phase is known up to the same number of whole fringes at all pixels.
+    harmonic_error
+        RMS error of the phase by the harmonics of a nonlinear response [fringe], which ``sigma`` does not contain.
     remarks
-        Sentences about a result that is valid but needs attention.
+        What needs attention although the phase is measured; `fringedic.phase.finding_sentences.describe` puts it into
+        words.
     """
 
     experiment: str
@@ -46,7 +50,8 @@ class PhaseResult:
     valid_fraction: float = float("nan")
     rms: float = float("nan")
     relative: bool = False
-    remarks: tuple[str, ...] = ()
+    harmonic_error: float = float("nan")
+    remarks: tuple[Finding, ...] = ()
 
     @property
     def phase(self) -> np.ndarray:

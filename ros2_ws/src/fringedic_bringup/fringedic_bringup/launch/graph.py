@@ -79,10 +79,11 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
 
     nodes = [NodeEntry("recorder", "experiment_node", "recorder", _recorder(rig, folder))]
     if rig.recording.process:
+        region = _region(rig, rig_path)
         nodes += _processing_nodes(
             {
-                "phase": rig.nodes.phase.model_dump(),
-                "dic": rig.nodes.dic.model_dump() | _region(rig, rig_path),
+                "phase": rig.nodes.phase.model_dump() | region,
+                "dic": rig.nodes.dic.model_dump() | region,
                 "coupling": rig.nodes.coupling.model_dump(),
             }
         )

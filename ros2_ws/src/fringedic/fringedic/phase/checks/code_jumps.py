@@ -11,8 +11,9 @@ from functools import cached_property
 import numpy as np
 
 from fringedic.phase.checks.misfit import CLEAR, INSIDE, Shown
-from fringedic.phase.checks.sampling import fit_wave, half_periods
+from fringedic.phase.checks.sampling import half_periods
 from fringedic.phase.layout import Layout, shift_angles
+from fringedic.phase.sinusoids import fit_wave
 
 _LINES = 24  # of the image, in which jumps are counted
 _LEAST_MODULATION = 0.3  # of that of the brightest pixels

@@ -17,10 +17,10 @@ import numpy as np
 
 from fringedic.frames.noise import CameraNoise
 from fringedic.phase.checks.light import light_changes
-from fringedic.phase.checks.misfit import harmonic_levels
-from fringedic.phase.checks.sampling import Sample, wave_levels
+from fringedic.phase.checks.sampling import Sample
 from fringedic.phase.demodulation_kernel import CONFIDENCE
 from fringedic.phase.findings import Finding, FindingKind
+from fringedic.phase.sinusoids import harmonic_levels, wave_levels
 
 # The scenes of benchmarks/stack_checks.py fix these limits
 _REPORTED = 0.2  # part of the allowed error from which a remark is made

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from fringedic.phase.checks.sampling import Sample, fit_wave, wave_levels
+from fringedic.phase.checks.sampling import Sample
+from fringedic.phase.sinusoids import fit_wave, wave_levels
 
 _ROUNDS = 4  # the sinusoid takes a part of the change with it, and gives it back round by round
 

@@ -17,7 +17,8 @@ import numpy as np
 
 from fringedic.frames.noise import CameraNoise
 from fringedic.phase.checks.projector_lag import LaggingWave
-from fringedic.phase.checks.sampling import Sample, fit_wave, wave_levels, waves
+from fringedic.phase.checks.sampling import Sample
+from fringedic.phase.sinusoids import fit_wave, remove_harmonics, square_modulation, wave_levels, waves
 
 # The scenes of benchmarks/stack_checks.py fix these limits
 _LARGEST_RESIDUAL = 0.05  # of the fit over the modulation, RMS
@@ -32,7 +33,6 @@ _FEWEST_CERTAIN = 0.02  # part of the pixels: a check of the orders needs as man
 _BOTH_LEVELS = 0.95  # of the range of the fringes: a pixel shows bright and dark bits with this difference
 _REPEATING = 3  # largest denominator of a ratio of pitches that need not be absolute
 _LAG_ROUNDS = 3  # each corrects the first frame of a pitch with the sinusoid of the round before
-_HARMONICS = (2, 3, 4)  # of the response, which all pixels have in common
 
 CLEAR = 0.4
 """Least distance of a bit of a Gray code from the mean of the fringes, over their modulation."""
@@ -242,7 +242,7 @@ class Misfit:
         if found[number].different > 3 or (len(found) == 1 and not self._layout.code):
             return 0.0
         if len(found) == 1:  # a nonlinear response displaces the middle of bright and dark by a part of the modulation
-            away, strength = self._mean_of_code() - found[0].fit[0], np.sqrt(_power(found[0].fit))
+            away, strength = self._mean_of_code() - found[0].fit[0], np.sqrt(square_modulation(found[0].fit))
             return _common(
                 (away - np.vdot(away, strength) / np.vdot(strength, strength) * strength)[None], found[0].fit
             )
@@ -259,7 +259,10 @@ class Misfit:
             away = np.arctan2(fine.fit[2], fine.fit[1]) - expected
             away -= 2 * np.pi * np.round(away / (2 * np.pi))
             variance = self._noise.variance(fine.fit[0]) * 2
-            spread = variance * (ratio**2 / (coarse.count * _power(coarse.fit)) + 1 / (fine.count * _power(fine.fit)))
+            spread = variance * (
+                ratio**2 / (coarse.count * square_modulation(coarse.fit))
+                + 1 / (fine.count * square_modulation(fine.fit))
+            )
             # fringes of 3/2 of a pitch that repeat in view predict the finer ones up to half a turn
             part = Fraction(ratio).limit_denominator(_REPEATING)
             turns = part.denominator if abs(float(part) - ratio) < 1e-6 * ratio else 1
@@ -277,7 +280,7 @@ class Misfit:
         at = {pattern: frame for frame, pattern in enumerate(shown) if 0 <= pattern < self.bits}
         if not at:
             return 0.0, 0.0, ()
-        power = _power(wave.fit)
+        power = square_modulation(wave.fit)
         inside = power * (wave.fit[2] ** 2 > INSIDE**2 * power)
         away = (self._levels[: max(at.values()) + 1] - wave.fit[0]) / np.sqrt(power)
         twice = [away[[frame, at[shown[frame]]]] > 0 for frame in range(len(away)) if 0 <= shown[frame] < self.bits]
@@ -302,39 +305,6 @@ def _average(condition: np.ndarray, weights: np.ndarray) -> float:
     return float(condition @ weights / max(float(weights.sum()), 1e-6))
 
 
-def remove_harmonics(rest: np.ndarray, fit: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Return residuals (frame, pixel) without the harmonics of the response, whose strength all pixels share."""
-    parts = harmonic_levels(fit, angles)
-    if not len(parts):
-        return rest
-    stacked = parts.reshape(len(parts), -1)
-    strength = np.linalg.lstsq(stacked @ stacked.T, stacked @ rest.ravel(), rcond=1e-6)[0]
-    return np.asarray(rest - np.tensordot(strength, parts, axes=1))
-
-
-def harmonic_levels(fit: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Return ``B cos(m (phi - a))`` of the harmonics m that leave a residual, shape (harmonic, frame, pixel).
-
-    A response without memory shifts no harmonic against the fringes. Over q shifts a harmonic with m - 1, m or m + 1 a
-    multiple of q looks like the fringes or their mean.
-    """
-    strength = np.sqrt(_power(fit))
-    turn = (fit[1] + 1j * fit[2]) / strength
-    basis = waves(angles)
-    left = np.eye(len(angles)) - basis @ np.linalg.pinv(basis)
-    parts = []
-    for harmonic in _HARMONICS:
-        shifts = left @ np.exp(-1j * harmonic * angles)
-        if np.abs(shifts).max() > 1e-6:
-            parts.append(np.real(np.outer(shifts, strength * turn**harmonic)).astype(np.float32))
-    return np.stack(parts) if parts else np.empty((0, len(angles), fit.shape[1]), np.float32)
-
-
-def _power(fit: np.ndarray) -> np.ndarray:
-    """Return the square of the modulation, not 0."""
-    return np.asarray(np.maximum(fit[1] ** 2 + fit[2] ** 2, np.float32(1e-6)))
-
-
 def _halves(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the values at the two pixels of each pair."""
     middle = values.shape[-1] // 2
@@ -344,7 +314,7 @@ def _halves(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _common(deviation: np.ndarray, fit: np.ndarray) -> float:
     """Return the deviation (frame, pixel) that the pixels of a pair have in common, over their modulation."""
     one, other = _halves(deviation)
-    strength = np.multiply(*_halves(np.sqrt(_power(fit)))).sum()
+    strength = np.multiply(*_halves(np.sqrt(square_modulation(fit)))).sum()
     return math.sqrt(max(float(np.vdot(one, other)) / float(strength), 0.0))
 
 
@@ -363,7 +333,7 @@ def _unevenness(fit: np.ndarray) -> float:
     They are distributed evenly where all frames show their patterns, also with gamma, whose error with three shifts
     varies with 3 phi. A frame with another pattern causes errors that vary with phi and 2 phi.
     """
-    power = _power(fit)
+    power = square_modulation(fit)
     strength = np.sqrt(power)
     turns = (fit[1] + 1j * fit[2]) / strength
     contrast = strength / np.maximum(fit[0], np.float32(1e-6))

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from fringedic.phase.checks.sampling import Sample, fit_wave
+from fringedic.phase.checks.sampling import Sample
 from fringedic.phase.findings import Finding, FindingKind
 from fringedic.phase.layout import Layout
+from fringedic.phase.sinusoids import fit_wave
 
 # the tests in test_projector_lag.py fix these limits
 _PIXELS = 1000  # enough for one number, which takes many trials
@@ -98,12 +99,24 @@ def first_lagging_frame(layout: Layout) -> int:
 
 
 def _share(sample: Sample, group: int) -> tuple[float, float]:
-    """Return the share of the pattern before in the frames of a pitch, and the part of the misfit that it explains."""
+    """Return the share of the pattern before in the frames of a pitch, and the part of the misfit that it explains.
+
+    The misfit is a quadratic form of the levels of the first frame and of both fits: their products are summed over the
+    pixels once, not for every trial.
+    """
     now, angles = sample.groups()[group], sample.angles[group]
+    fit = fit_wave(now[1:], angles[1:])
+    if group == 0:
+        parts = np.concatenate([now[:1], fit, _last_bit(sample)])
+    else:
+        before = sample.angles[group - 1]
+        parts = np.concatenate([now[:1], fit, fit_wave(sample.groups()[group - 1][1:], before[1:])])
+    products = np.asarray(parts, float) @ np.asarray(parts, float).T / parts.shape[1]
 
     def misfit(share: float) -> float:
-        first = LaggingWave.of(now, angles, share).level(angles[:1])
-        return float(np.mean((now[:1] - (1 - share) * first - share * _last(sample, group, share)) ** 2))
+        last = [1.0] if group == 0 else _alone(before, share, before[-1])
+        weights = np.array([1.0, *(share - 1) * _alone(angles, share, angles[0]), *(-share * np.array(last))])
+        return float(weights @ products @ weights)
 
     trials = np.linspace(-0.1, 1.0, 23)
     best = float(trials[int(np.argmin([misfit(float(trial)) for trial in trials]))])
@@ -111,11 +124,17 @@ def _share(sample: Sample, group: int) -> tuple[float, float]:
     return float(found.x), 1 - float(found.fun) / max(misfit(0.0), 1e-6)
 
 
-def _last(sample: Sample, group: int, share: float) -> np.ndarray:
-    """Return the grey levels that the last pattern before a pitch gives alone, shape (1, pixel)."""
-    if group == 0:  # the finest bit of a Gray code; a coarser one shows how bright and dark the pixel is
-        code = sample.levels[: sample.layout.code]
-        dark, bright = code.min(axis=0), code.max(axis=0)
-        return np.asarray(np.where(code[-1] > 0.5 * (dark + bright), bright, dark)[None])
-    angles = sample.angles[group - 1]
-    return LaggingWave.of(sample.groups()[group - 1], angles, share).level(angles[-1:])
+def _alone(angles: np.ndarray, share: float, angle: float) -> np.ndarray:
+    """Return the weights of mean, B cos(phi) and B sin(phi), as seen, in the level of the pattern alone at an angle."""
+    turned = np.exp(1j * angle) / (1 - share + share * np.exp(-1j * (angles[1] - angles[0])))
+    return np.array([1.0, turned.real, turned.imag])
+
+
+def _last_bit(sample: Sample) -> np.ndarray:
+    """Return the grey levels of the finest bit of a Gray code alone, shape (1, pixel).
+
+    A coarser bit shows how bright and dark the pixel is.
+    """
+    code = sample.levels[: sample.layout.code]
+    dark, bright = code.min(axis=0), code.max(axis=0)
+    return np.asarray(np.where(code[-1] > 0.5 * (dark + bright), bright, dark)[None])

@@ -9,27 +9,28 @@ from scipy.optimize import nnls
 from scipy.special import chdtri  # scipy.stats takes each node half a second to load
 
 from fringedic.frames.noise import ROUNDING_NOISE, CameraNoise
-from fringedic.phase.checks.misfit import remove_harmonics
-from fringedic.phase.checks.sampling import Sample, fit_wave, wave_levels
+from fringedic.phase.checks.sampling import Sample
+from fringedic.phase.sinusoids import fit_wave, remove_harmonics, wave_levels
 
 _LEVELS = 8  # brightness classes
+_PIXELS = 2000  # 250 of each class: their median errs by some per cent
 
 
 def estimate_sample_noise(sample: Sample) -> CameraNoise:
     """Return the noise of a grey level from the differences of two pixels along the fringes.
 
-    A fault of a frame gives both pixels nearly the same residual, so that it does not count as noise. Without a pitch
-    of more than three frames there are no residuals, and the noise of rounding is returned.
+    A fault of a frame gives both pixels nearly the same residual, so that it does not count as noise. Three frames of a
+    pitch leave no residual; where no pitch has more, the means of the pitches are compared. A single pitch of three
+    frames gives the noise of rounding.
     """
     freedom = sum(max(count - 3, 0) for count in sample.layout.counts)
+    residuals = _residuals if freedom else _differences_of_means
+    freedom = freedom or len(sample.layout.counts) - 1
     if freedom == 0 or sample.levels.shape[1] < _LEVELS:
         return CameraNoise(ROUNDING_NOISE)
-    squares = np.zeros(sample.levels.shape[1])
-    for where, angles in zip(sample.layout.slices(), sample.angles, strict=True):
-        if len(angles) == 3:
-            continue
-        first, second = (_residual(each[where], angles) for each in sample.along_fringes())
-        squares += 0.5 * np.sum((first - second) ** 2, axis=0)
+    sample = sample.thin(_PIXELS)
+    first, second = (residuals(each, sample) for each in sample.along_fringes())
+    squares = 0.5 * np.sum((first - second) ** 2, axis=0)
     level = np.mean([fit[0] for fit in sample.fits], axis=0)
     classes = np.array_split(np.argsort(level, kind="stable"), _LEVELS)
     means = np.array([level[each].mean() for each in classes])
@@ -38,6 +39,18 @@ def estimate_sample_noise(sample: Sample) -> CameraNoise:
     return CameraNoise(max(math.sqrt(read), ROUNDING_NOISE), float(shot))
 
 
-def _residual(levels: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    fit = fit_wave(levels, angles)
-    return remove_harmonics(levels - wave_levels(fit, angles), fit, angles)
+def _residuals(levels: np.ndarray, sample: Sample) -> np.ndarray:
+    """Return the residuals of the sinusoids of all pitches, shape (frame, pixel)."""
+    parts = []
+    for where, angles in zip(sample.layout.slices(), sample.angles, strict=True):
+        if len(angles) > 3:
+            fit = fit_wave(levels[where], angles)
+            parts.append(remove_harmonics(levels[where] - wave_levels(fit, angles), fit, angles))
+    return np.concatenate(parts)
+
+
+def _differences_of_means(levels: np.ndarray, sample: Sample) -> np.ndarray:
+    """Return the mean of each pitch minus that of all, with the variance of a frame, shape (pitch, pixel)."""
+    means = np.stack([levels[where].mean(axis=0) for where in sample.layout.slices()])
+    counts = np.array(sample.layout.counts)[:, None]
+    return np.asarray(np.sqrt(counts) * (means - np.sum(counts * means, axis=0) / counts.sum()))

@@ -9,6 +9,7 @@ import numpy as np
 
 from fringedic.patterns.pattern import Orientation
 from fringedic.phase.layout import Layout, shift_angles
+from fringedic.phase.sinusoids import fit_wave
 
 SAMPLES = 6000  # pixels: the checks of 20 frames then take about 20 ms (docs/validation/phase.md)
 _GOLDEN = 0.618034  # each row of the sample is displaced by this part of a step: no fringe pitch is in step with it
@@ -55,10 +56,19 @@ class Sample:
             self.fits = [fit_wave(*each) for each in zip(self.groups(), self.angles, strict=True)]
 
     @classmethod
-    def from_stack(cls, frames: np.ndarray, layout: Layout, pixels: int = SAMPLES) -> Sample:
-        """Sample a stack, shape (frame, row, column), at about so many pixels that cover the image evenly."""
+    def from_stack(
+        cls, frames: np.ndarray, layout: Layout, pixels: int = SAMPLES, region: np.ndarray | None = None
+    ) -> Sample:
+        """Sample a stack, shape (frame, row, column), at about so many pixels that cover the image evenly.
+
+        A region (row, column) limits them to its True pixels.
+        """
         _, rows, columns = frames.shape
-        place = _places(rows, columns, pixels)
+        if region is None:
+            place = _places(rows, columns, pixels)
+        else:
+            place = _places(rows, columns, round(pixels / max(float(region.mean()), pixels / region.size)))
+            place = place[region.ravel()[place]]
         flat = frames.reshape(len(frames), -1)
 
         def at(step: int) -> np.ndarray:
@@ -155,18 +165,3 @@ def half_periods(bits: np.ndarray) -> np.ndarray:
     for bit in np.logical_xor.accumulate(bits):
         numbers = 2 * numbers + bit
     return numbers
-
-
-def fit_wave(levels: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Fit sinusoids to grey levels (frame, pixel) at these angles; return mean, B cos(phi), B sin(phi): (3, pixel)."""
-    return np.asarray(np.linalg.pinv(waves(angles)).astype(np.float32) @ levels)
-
-
-def wave_levels(fit: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Return the grey levels of fitted sinusoids at these angles; shape (frame, pixel)."""
-    return np.asarray(waves(angles).astype(np.float32) @ fit)
-
-
-def waves(angles: np.ndarray) -> np.ndarray:
-    """Return 1, cos and sin of the angles, shape (frame, 3)."""
-    return np.stack([np.ones_like(angles), np.cos(angles), np.sin(angles)], axis=1)

@@ -23,12 +23,13 @@ from fringedic.phase.checks.flicker_and_motion import find_changes
 from fringedic.phase.checks.frame_order import check_order
 from fringedic.phase.checks.projector_lag import find_lag
 from fringedic.phase.checks.sample_noise import estimate_sample_noise
-from fringedic.phase.checks.sampling import SAMPLES, Sample, fit_wave
+from fringedic.phase.checks.sampling import SAMPLES, Sample
 from fringedic.phase.demodulation_kernel import CONFIDENCE
 from fringedic.phase.finding_sentences import describe
 from fringedic.phase.findings import Finding, FindingKind
 from fringedic.phase.layout import check_frames, layout_of
 from fringedic.phase.settings import DEFAULT_SETTINGS, PhaseSettings
+from fringedic.phase.sinusoids import fit_wave
 
 # test_saturated_and_dark_stacks_are_named, test_a_projector_that_stands_still_is_named and
 # test_too_small_images_are_left_alone fix these limits
@@ -57,8 +58,8 @@ def check_stack(
     frames, patterns
         See `absolute_phase`.
     settings
-        Noise of the camera, level of saturation, and the largest error and motion that are allowed. Without a noise
-        model the noise is estimated from differences of neighbouring pixels.
+        Noise of the camera, level of saturation, the largest error and motion that are allowed, and the region of the
+        specimen. Without a noise model the noise is estimated from differences of neighbouring pixels.
     numbers
         Number of each frame within its step, where the stack is a part of it.
     report_saturation
@@ -73,6 +74,8 @@ def check_stack(
     ------
     PhaseError
         No phase can be measured from such a sequence.
+    ImageError
+        The frames do not have the size of the region.
     StepError
         With the code SATURATED or DARK: hardly a pixel is measurable; WRONG_PATTERN: the projector showed the same
         image all the time, another pitch, a frame without its pattern, or part of the pattern before in every frame;
@@ -138,14 +141,17 @@ def _find(frames: np.ndarray, patterns: Sequence[ProjectedPattern], settings: Ph
     if min(frames.shape[1:]) < _SMALLEST_SIDE:
         return []
     ceiling = saturation_level(frames, settings.saturation)
-    sample = Sample.from_stack(frames, layout)
+    region = None if settings.region is None else settings.region.mask_for(frames.shape[1:])
+    sample = Sample.from_stack(frames, layout, region=region)
     saturated = sample.levels.max(axis=0) >= ceiling
     usable = _usable_pixels(sample, saturated, settings)
+    if region is not None and usable.sum() < _FEWEST_PIXELS:  # the specimen has moved out of the region
+        return _find(frames, patterns, replace(settings, region=None))
     bad = _find_bad_exposure(sample, saturated, usable, ceiling, patterns)
     if bad is not None:
         return [bad]
     if 0 < usable.mean() < _SPARSE:
-        sample = Sample.from_stack(frames, layout, round(SAMPLES * min(1 / usable.mean(), _DENSEST)))
+        sample = Sample.from_stack(frames, layout, round(SAMPLES * min(1 / usable.mean(), _DENSEST)), region)
         usable = _usable_pixels(sample, sample.levels.max(axis=0) >= ceiling, settings)
     if usable.sum() < _FEWEST_PIXELS:
         return []

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from fringedic.frames.region import Region
 from fringedic.patterns.sequences import PatternSequence, fringe_sequence, gray_code_sequence
 from fringedic.phase.checks.stack import inspect_stack
 from fringedic.phase.findings import Finding, FindingKind
@@ -15,10 +16,14 @@ SMALL = FringeScene(seed=5, specimen=0.15, grey=55.0, read_noise=1.5, last_colum
 PITCHES = fringe_sequence(1920, 4, [1920, 480, 120], 8)
 
 
-def inspect(scene: FringeScene, sequence: PatternSequence, order: Sequence[int] | None = None) -> list[Finding]:
+def expose(scene: FringeScene, sequence: PatternSequence, order: Sequence[int] | None = None) -> np.ndarray:
     images = list(sequence)
     shown = range(len(images)) if order is None else order
-    frames = np.array([scene.expose(images[each], index) for index, each in enumerate(shown)])
+    return np.array([scene.expose(images[each], index) for index, each in enumerate(shown)])
+
+
+def inspect(scene: FringeScene, sequence: PatternSequence, order: Sequence[int] | None = None) -> list[Finding]:
+    frames = expose(scene, sequence, order)
     return inspect_stack(frames, sequence.patterns, PhaseSettings(saturation=scene.saturation))
 
 
@@ -29,6 +34,12 @@ def test_a_small_specimen_before_a_dark_background_is_accepted(specimen: float, 
         seed=3, specimen=specimen, grey=55.0, texture=0.45, read_noise=1.5, last_column=1900.0, bits=bits
     )
     assert inspect(scene, PITCHES) == []
+
+
+def test_three_shifts_of_a_small_specimen_with_noise_of_many_grey_levels_are_accepted() -> None:
+    """The noise follows from the means of the pitches; that of rounding alone would count the background as lit."""
+    scene = FringeScene(seed=7, specimen=0.25, grey=50.0, contrast=0.65, read_noise=2.2, bits=12, last_column=1100.0)
+    assert inspect(scene, fringe_sequence(1280, 4, [1280, 520, 211, 86, 35], 3)) == []
 
 
 @pytest.mark.parametrize("gamma", [1.6, 2.2])
@@ -70,3 +81,25 @@ def test_interchanged_bits_of_a_gray_code_are_named() -> None:
     order[2], order[4] = 4, 2
     (fault,) = inspect(scene, sequence, order)
     assert (fault.kind, fault.frames) == (FindingKind.INTERCHANGED, (2, 4))
+
+
+def test_a_region_limits_the_checks_to_the_specimen() -> None:
+    """Beside the specimen another surface moves."""
+    scene = FringeScene(seed=4, grey=60.0, last_column=1900.0)
+    moving = np.array(
+        [scene.record(scene.light(image, lift=3.0 * k), k) for k, image in enumerate(PITCHES)], dtype=np.uint8
+    )
+    frames = expose(scene, PITCHES)
+    frames[:, :, 200:] = moving[:, :, 200:]
+    assert [each.kind for each in inspect_stack(frames, PITCHES.patterns) if each.fault]
+    region = Region.rectangle((0, 0), (180, 449))
+    assert inspect_stack(frames, PITCHES.patterns, PhaseSettings(region=region)) == []
+
+
+def test_a_specimen_that_has_left_its_region_is_checked_where_it_is() -> None:
+    frames = expose(FringeScene(seed=4, grey=60.0, last_column=1900.0), PITCHES)
+    frames[:, :, :200] = 3
+    assert inspect_stack(frames, PITCHES.patterns, PhaseSettings(region=Region.rectangle((0, 0), (180, 449)))) == []
+    frames[[9, 10]] = frames[[10, 9]]
+    (fault,) = inspect_stack(frames, PITCHES.patterns, PhaseSettings(region=Region.rectangle((0, 0), (180, 449))))
+    assert fault.kind is FindingKind.INTERCHANGED
