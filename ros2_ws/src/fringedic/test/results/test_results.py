@@ -158,6 +158,7 @@ class Bench:
     def parameters(self, node, model):
         parameter = self.store.types["rcl_interfaces/msg/Parameter"]
         kinds = {
+            bool: (1, "bool_value"),
             int: (2, "integer_value"),
             float: (3, "double_value"),
             str: (4, "string_value"),
@@ -167,7 +168,7 @@ class Bench:
         for name, value in {**model.model_dump(), "unknown_to_this_version": 1}.items():
             kind, place = kinds[type(value)]
             value = np.array(value, np.int64) if isinstance(value, list) else value
-            content = self.make("rcl_interfaces/msg/ParameterValue", type=kind, bool_value=False, **{place: value})
+            content = self.make("rcl_interfaces/msg/ParameterValue", type=kind, **{"bool_value": False, place: value})
             recorded.append(parameter(name, content))
         self.write("node_parameters", self.now, node=node, parameters=recorded)
 
