@@ -24,6 +24,11 @@ SMALLEST_AGREEMENT = 0.1
 # test_a_bare_patch_is_not_measured and test_a_still_surface_beside_the_specimen.
 SMALLEST_COVERAGE = 1 / 2
 SMALLEST_SHARE = 1 / 3
+# Part of the difference between the displacement (without its plane) and its mean over a one-sided window that remains
+# as an error; twice this part where hardly more than half of the window is covered (benchmarks/edges.py).
+TRUNCATED = 0.95  # covered part of a window below which it is one-sided
+HALVED = 0.66  # as at the outermost nodes along a straight edge
+TRUNCATION = 0.15
 FEW = 20  # values from which a variance is known to 30 %: sqrt(2 / 20)
 
 
@@ -90,9 +95,10 @@ def assess(field: Field, window: Window, offered: int) -> Nodes:
 
     The covariance of a point is s^2 H^-1 times the mean of T^2 (Sutton, Orteu, Schreier 2009, section 5.6, with the
     window's weights). s^2 is the local variance of the residual, corrected for the noise that interpolation averages
-    out, times the ratio of `_compare_with_white_noise`. A point is valid where at least half of its window is seen and
-    has texture beyond that of noise alone, where a third of its neighbourhood agrees (a window that extends over a
-    border also contains the motion of the other side), and where f and g correlate.
+    out, times the ratio of `_compare_with_white_noise`; one-sided windows add `_estimate_truncation`. A point is valid
+    where at least half of its window is seen and has texture beyond that of noise alone, where a third of its
+    neighbourhood agrees (a window that extends over a border also contains the motion of the other side), and where f
+    and g correlate.
 
     Parameters
     ----------
@@ -130,10 +136,28 @@ def assess(field: Field, window: Window, offered: int) -> Nodes:
     valid = (covered[0] >= f4(cell2 * SMALLEST_COVERAGE)) & (own > f4(SMALLEST_SHARE))
     valid &= (smallest > f4(TEXTURE) * tau) & (share > SMALLEST_EXPLAINED)
     check_agreement(int(np.count_nonzero(valid)), offered)
-    sigma *= f4(np.sqrt(_compare_with_white_noise(field, window, tau / f4(DERIVATIVE_NOISE / 2 * cell2), valid)))
+    noise = f4(np.sqrt(_compare_with_white_noise(field, window, tau / f4(DERIVATIVE_NOISE / 2 * cell2), valid)))
+    sigma = np.hypot(noise * sigma, _estimate_truncation(field.nodes[:2], rich[0], covered[0], window))
     # What is not valid keeps a usual value, so that interpolation between nodes does not overshoot next to it.
     usual = np.median(sigma[:, valid][:, ::8])
     return Nodes(field.nodes[:2], np.where(valid, sigma, usual), valid)
+
+
+def _estimate_truncation(displacement: np.ndarray, rich: np.ndarray, covered: np.ndarray, window: Window) -> np.ndarray:
+    """Return the standard uncertainty (2, node row, node column) [px] that a one-sided window adds.
+
+    The mean over a window that an edge cuts is displaced: where the displacement without its plane differs from its
+    mean over the covered part, the fixed point cannot recover all of the difference. Whole windows have no such error.
+    """
+    plane, rest = np.empty((2, 3), f4), np.empty_like(displacement)
+    node_kernels.fit_planes(displacement, rich, plane)
+    node_kernels.subtract_planes(displacement, plane, rest)
+    mean = np.empty_like(rest)
+    node_kernels.apply_window(rest * rich, window.taps, mean)
+    mean /= np.maximum(covered, f4(1e-6))
+    part = covered / f4(window.cell**2)
+    factor = f4(TRUNCATION) * ((part < f4(TRUNCATED)).astype(f4) + (part < f4(HALVED)))
+    return np.asarray(factor * np.abs(rest - mean))
 
 
 def _compare_with_white_noise(field: Field, window: Window, pixel: np.ndarray, valid: np.ndarray) -> float:

@@ -97,6 +97,24 @@ def test_uncertainty_is_that_of_the_errors(strained, expose, noise):
     assert 0.9 <= z <= 1.1, f"z-score {z:.3f}"
 
 
+def test_uncertainty_covers_one_sided_windows(speckle, expose):
+    """The displacement bends within a few windows; without the term, the z-score of the outer points is 1.6."""
+
+    def motion(x, y):
+        return np.exp(-x / 60), 0.2 * np.exp((x - 199) / 60) + 0 * y
+
+    scores = []
+    for seed in (401, 402):
+        surface = speckle((200, 200), seed)
+        field = measure_displacement(
+            expose(surface.grey(), 20, seed), expose(surface.grey(motion), 20, seed + 10), spacing=4
+        )
+        scores.append(errors_of(field, motion) / sigmas_of(field))
+    left, right = np.stack(scores)[:, 0, :, :7], np.stack(scores)[:, 1, :, -7:]
+    for z in (float(np.sqrt(np.nanmean(np.square(each)))) for each in (left, right)):
+        assert 0.8 < z < 1.25, f"z-score {z:.2f}"
+
+
 @pytest.mark.parametrize("radius", [1.2, 1.4])
 def test_uncertainty_of_sharp_speckles(speckle, expose, radius):
     """Paint is on or off: grey levels change faster than pixels follow, and residuals are no white noise."""
