@@ -239,6 +239,8 @@ def write_page(alarms: int, good: int, tally: dict[str, Counter[str]]) -> None:
         f"| {name} | {sum(counts.values())} | {counts['named']} | {counts['misnamed']} | {counts['missed']} |"
         for name, counts in tally.items()
     )
+    named = sum(counts["named"] for counts in tally.values())
+    count = sum(map(Counter.total, tally.values()))
     PAGE.write_text(
         f"""# Checks of a stack: false alarms and detection
 
@@ -259,8 +261,8 @@ False alarms: {alarms} of {good} good stacks (target: 0 of 1000).
 |---|---:|---:|---:|---:|
 {rows}
 
-The target is 99 % named rightly. A fault is named rightly when the error code is right, and the number of the frame
-where a single frame is the cause.
+{named / count:.1%} of the faults are named rightly (target: 99 %). A fault is named rightly when the error code is
+right, and the number of the frame where a single frame is the cause.
 
 ## Conditions
 

@@ -23,12 +23,15 @@ from fringedic.patterns.pattern import Orientation
 # test_harmonic_correction.py fixes these limits
 _SAMPLES = 5000  # pixels: of a noise of 0.002 fringe, 0.00003 remain
 _FEWEST = 500  # pixels
-_STEPS = (1, 2, 3, 5)  # px between the differences; an error of a period of one of them has none over that step
+# Eighths of a period of the error between the differences, at least so many px; an error of a period of one of these
+# steps has none over that step, and small parts of a period have little.
+_STEPS = (1, 2, 3, 5)
 _SHARED = 6  # neighbouring differences 1, -2, 1 have noise in common: as much information as a sixth of them at least
 _OUTLIER = 6.0  # times the median difference: steps of the surface
 _ROUNDS = 8  # of Newton's method; rho = 0.3 takes five, a small one two
 _CHANGE = 1e-5  # of rho or of the phase [rad], below which they end
-_LARGEST_SIGMA = 0.003  # of rho, 0.0003 fringe; an error that is less well known is not stated
+_LARGEST_SIGMA = 0.003  # of rho, 0.0003 fringe; an error that is less well known is not stated,
+_LARGEST_PART = 0.05  # unless it is known to this part of itself
 
 
 @dataclass(frozen=True)
@@ -106,25 +109,36 @@ def fit_harmonic_error(phase: xr.DataArray, shifts: int, orientation: Orientatio
     """
     lines = phase.values if orientation == Orientation.VERTICAL else phase.values.T
     inner = np.arange(1, len(lines) - 1)[:: max(1, round(lines.size / _SAMPLES))]
-    if not inner.size or lines.shape[1] <= 2 * _STEPS[-1]:
+    if not inner.size or lines.shape[1] < 2:
         return HarmonicError(shifts, math.nan)
     middle = lines[inner].astype(float)
+    steps = _steps(middle, shifts)
+    if lines.shape[1] <= 2 * steps[-1]:
+        return HarmonicError(shifts, math.nan)
     beside = middle + 0.5 * (_wrapped(lines[inner - 1] - middle) + _wrapped(lines[inner + 1] - middle))
-    seen = _wrapped(_differences(middle))
-    known = np.isfinite(seen) & np.isfinite(_differences(beside))
-    if known.sum() < _FEWEST * len(_STEPS):
+    seen = _wrapped(_differences(middle, steps))
+    known = np.isfinite(seen) & np.isfinite(_differences(beside, steps))
+    if known.sum() < _FEWEST * len(steps):
         return HarmonicError(shifts, math.nan)
     known &= np.abs(seen) <= _OUTLIER * np.median(np.abs(seen[known]))
-    return _fit(beside, seen[known], known, shifts)
+    return _fit(beside, seen[known], known, steps, shifts)
 
 
-def _fit(beside: np.ndarray, seen: np.ndarray, known: np.ndarray, shifts: int) -> HarmonicError:
+def _steps(lines: np.ndarray, shifts: int) -> list[int]:
+    """Return the distances of the differences [px]."""
+    growth = np.abs(_wrapped(np.diff(lines, axis=1)))
+    growth = growth[np.isfinite(growth)]
+    period = 2 * np.pi / max(shifts * float(np.median(growth)), 1e-3) if growth.size else 1.0
+    return [round(step * max(period / 8, 1.0)) for step in _STEPS]
+
+
+def _fit(beside: np.ndarray, seen: np.ndarray, known: np.ndarray, steps: list[int], shifts: int) -> HarmonicError:
     """Fit rho to second differences by the Gauss-Newton method."""
     error = HarmonicError(shifts, 0.0)
     for _ in range(_ROUNDS):
         true = error.correct(beside)
-        slope = _differences(error.slope(true))[known]
-        rest = seen - _differences(error.at(true))[known]
+        slope = _differences(error.slope(true), steps)[known]
+        rest = seen - _differences(error.at(true), steps)[known]
         information = max(float(slope @ slope), 1e-12)
         change = float(slope @ rest) / information
         error = HarmonicError(shifts, error.ratio + change)
@@ -133,12 +147,12 @@ def _fit(beside: np.ndarray, seen: np.ndarray, known: np.ndarray, shifts: int) -
         if abs(change) < _CHANGE:
             break
     sigma = math.sqrt(_SHARED * float(np.mean(rest**2)) / information)
-    return error if sigma < _LARGEST_SIGMA else HarmonicError(shifts, math.nan)
+    return error if sigma < max(_LARGEST_SIGMA, _LARGEST_PART * abs(error.ratio)) else HarmonicError(shifts, math.nan)
 
 
-def _differences(lines: np.ndarray) -> np.ndarray:
+def _differences(lines: np.ndarray, steps: list[int]) -> np.ndarray:
     """Return the second differences along the lines over all steps, one after the other, shape (line, difference)."""
-    parts = [lines[:, 2 * step :] - 2 * lines[:, step:-step] + lines[:, : -2 * step] for step in _STEPS]
+    parts = [lines[:, 2 * step :] - 2 * lines[:, step:-step] + lines[:, : -2 * step] for step in steps]
     return np.concatenate(parts, axis=1)
 
 

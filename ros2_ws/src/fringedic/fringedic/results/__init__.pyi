@@ -6,6 +6,7 @@ from .image_series import MeasuredImage as MeasuredImage
 from .image_series import measure_images as measure_images
 from .opening import find_dataset as find_dataset
 from .opening import open_experiment as open_experiment
+from .phase_images import measure_phase_images as measure_phase_images
 from .probes import extensometer as extensometer
 from .probes import profile as profile
 from .probes import region_statistics as region_statistics

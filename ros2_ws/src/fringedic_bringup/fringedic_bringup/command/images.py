@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from fringedic.results import MeasuredImage
 
 DATASET = "displacement.nc"
+PHASE = "phase.nc"
 REPORT = "report.html"
 
 
@@ -105,6 +106,30 @@ def measure(  # noqa: PLR0913 (options of a command)
         raise typer.Exit(130)
     if series.failed:
         raise StepFailedError(f"{len(series.failed)} of {len(files)} images were not measured, see above")
+
+
+@app.command(epilog="Example: fringedic phase images --description fringes.yaml")
+def phase(
+    folder: Annotated[Path, typer.Argument(help="Folder of the fringe images.")],
+    description: Annotated[
+        Path | None, typer.Option(help="What the images show; phase.yaml in the folder if left out.")
+    ] = None,
+    output: Annotated[Path, typer.Option(help="Folder for dataset and picture.")] = Path("measured"),
+    overwrite: Overwrite = False,
+) -> None:
+    """Measure the phase from fringe images of any program; write dataset and picture."""
+    begin(folder)
+    target = output_file(output / PHASE, overwrite)
+    from fringedic.configuration.fringe_images import FringeImageDescription
+    from fringedic.figures.phase_images import save_phase_picture
+    from fringedic.report.phase_images import phase_sentences
+    from fringedic.results import measure_phase_images
+
+    with kept_if_filled(output):
+        measured = measure_phase_images(folder, FringeImageDescription.load(description or folder / "phase.yaml"))
+        measured.to_netcdf(target)
+        picture = save_phase_picture(measured, target.with_suffix(".png"))
+    say(*phase_sentences(measured), f"dataset: {target}", f"picture: {picture}")
 
 
 @app.command(epilog="Example: fringedic advise reference.tif static-1.tif static-2.tif --wanted-noise-px 0.005")

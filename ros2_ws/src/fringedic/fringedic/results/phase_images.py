@@ -1,0 +1,261 @@
+"""Measures the phase from fringe images of any program, as a description says what they show."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from fringedic.configuration.fringe_images import FringeImageDescription, GrayCodeImages
+from fringedic.errors import ErrorCode, ImageError, PhaseError, StepError
+from fringedic.frames.files import read_grey
+from fringedic.frames.noise import CameraNoise
+from fringedic.patterns.pattern import ProjectedPattern
+from fringedic.phase.checks.sample_noise import estimate_sample_noise
+from fringedic.phase.checks.sampling import Sample, half_periods
+from fringedic.phase.checks.stack import inspect_stack
+from fringedic.phase.demodulation import absolute_phase
+from fringedic.phase.finding_sentences import describe
+from fringedic.phase.fringe_order import assign_orders, unwrap_spatial
+from fringedic.phase.harmonic_correction import fit_harmonic_error
+from fringedic.phase.layout import layout_of
+from fringedic.phase.settings import PhaseSettings
+
+TURN = 2 * np.pi
+_LARGEST_BLOCK = 0.75  # of a period: the middle of a block is then known to 3/8 of a period, less than half
+_LARGEST_OFFSET = 0.25  # of a period, between fringes and Gray code
+_LEAST_AGREEMENT = 0.7  # length of the mean of exp(i difference) of fringes and Gray code, over that of perfect ones
+_BLOCK_EDGE = 0.05  # of a block: blur of its edges and noise change the number of the block
+_CONTRAST = 5.0  # standard deviations between bright and dark of a bit
+
+
+@dataclass(frozen=True)
+class _Wave:
+    """Wrapped phase of one period [rad], zero at column or row 0, and its standard deviation."""
+
+    period: float
+    phase: np.ndarray
+    sigma: np.ndarray
+
+
+def measure_phase_images(folder: Path, description: FringeImageDescription) -> xr.Dataset:
+    """Measure the phase from the images of a folder.
+
+    The frames are checked as those of a step. Every pitch is demodulated (eq. 11). The order of the coarsest fringes is
+    known where one of them covers the projector's image, or from the Gray code; where its blocks are too wide for the
+    coarsest fringes, the beat of the two coarsest pitches is the coarsest wave (heterodyne). Otherwise the phase is
+    unwrapped over the image and relative.
+
+    Parameters
+    ----------
+    folder
+        Where the images are.
+    description
+        What they show.
+
+    Returns
+    -------
+    Dataset
+        ``phase`` [rad at the finest pitch], zero at the origin of the description, and ``sigma`` [rad];
+        ``coordinate``, the column or row of the projector [projector px]; ``modulation``, ``texture`` [grey level];
+        ``valid``; from two pitches on ``closure``, the phase of the next coarser pitch minus that of the finest one
+        [rad at the coarser pitch] in units of its standard deviation; with a Gray code ``other_block``, where the code
+        gives another block than the fringes, more than 5 % of a block away from its edges. The phase has the attribute
+        ``relative``; attributes of the dataset are ``direction``, ``pitch_px`` of the finest fringes, their
+        ``harmonic_error`` [fringe] before a correction, and ``harmonics_corrected``.
+
+    Raises
+    ------
+    ImageError
+        An image is missing or has another size.
+    StepError
+        The images are faulty or not as described; the message names the image.
+    PhaseError
+        The pitches give no phase.
+
+    References
+    ----------
+    C. Reich, R. Ritter, J. Thesing, "White light heterodyne principle for 3D-measurement", Proc. SPIE 3100 (1997)
+    236-244.
+    """
+    entries = sorted(description.fringes, key=lambda each: -each.pitch_px)
+    names = [name for each in entries for name in each.images]
+    frames = _read(folder, names)
+    patterns = [each for entry in entries for each in entry.patterns(description.orientation)]
+    noise = _check(frames, patterns, names, description)
+    waves, maps = [], []
+    for entry, where in zip(entries, layout_of(patterns).slices(), strict=True):
+        measured = _wrapped(frames[where], patterns[where], noise, description)
+        maps.append(measured)
+        origin = TURN * description.origin / entry.pitch_px
+        waves.append(_Wave(entry.pitch_px, measured.phase.values + origin, measured.sigma.values))
+    blocks = None if description.gray_code is None else _blocks(folder, description.gray_code, noise, frames)
+    absolute = _absolute(waves, blocks, description)
+    return _dataset(absolute, waves, maps, blocks, description)
+
+
+def _read(folder: Path, names: list[str]) -> np.ndarray:
+    images = [read_grey(folder / name) for name in names]
+    for name, image in zip(names, images, strict=True):
+        if (image.shape, image.dtype) != (images[0].shape, images[0].dtype):
+            raise ImageError(
+                f"{name} has {image.shape[1]}x{image.shape[0]} px of {image.dtype}, {names[0]} has "
+                f"{images[0].shape[1]}x{images[0].shape[0]} px of {images[0].dtype}: all images of a stack are alike"
+            )
+    return np.array(images)
+
+
+def _check(
+    frames: np.ndarray, patterns: list[ProjectedPattern], names: list[str], description: FringeImageDescription
+) -> CameraNoise:
+    """Check the frames as those of a step; return the noise of the camera."""
+    settings = PhaseSettings(saturation=description.saturation)
+    for found in inspect_stack(frames, patterns, settings):
+        if found.fault:
+            images = ", ".join(names[frame] for frame in found.frames[:2]) or "the images"
+            turned = _turned_pitches(frames, patterns, settings)
+            advice = f"; they fit with the list of shifts of pitch {turned} px reversed" if turned else ""
+            raise StepError(f"{images}: {describe(found)}{advice}", code=found.kind.code)
+    return estimate_sample_noise(Sample.from_stack(frames, layout_of(patterns)))
+
+
+def _turned_pitches(frames: np.ndarray, patterns: list[ProjectedPattern], settings: PhaseSettings) -> str:
+    """Return the pitches [projector px] whose shifts run the other way, empty where this explains no fault."""
+    slices = layout_of(patterns).slices()
+    for chosen in [*([each] for each in slices), slices]:
+        turned = list(patterns)
+        for where in chosen:
+            turned[where] = patterns[where][::-1]
+        if not any(each.fault for each in inspect_stack(frames, turned, settings)):
+            return " and ".join(f"{patterns[where.start].pitch:g}" for where in chosen)
+    return ""
+
+
+def _wrapped(
+    frames: np.ndarray, patterns: list[ProjectedPattern], noise: CameraNoise, description: FringeImageDescription
+) -> xr.Dataset:
+    """Return phase, sigma, modulation and texture of one pitch."""
+    measured = absolute_phase(
+        frames,
+        patterns,
+        noise=noise,
+        saturation=description.saturation,
+        minimum_modulation=description.minimum_modulation,
+    )
+    error = fit_harmonic_error(measured.phase, len(patterns), description.orientation)
+    if description.correct_harmonics:
+        measured["phase"] = measured.phase.copy(data=error.correct(measured.phase.values))
+    measured.phase.attrs["harmonic_error"] = error.rms
+    return measured
+
+
+def _blocks(folder: Path, code: GrayCodeImages, noise: CameraNoise, fringes: np.ndarray) -> np.ndarray:
+    """Return the number of the block at each pixel, NaN where a bit is neither dark nor bright."""
+    images = _read(folder, code.images).astype(np.float32)
+    if images.shape[1:] != fringes.shape[1:]:
+        raise ImageError(f"the images of the Gray code and of the fringes differ in size: {code.images[0]}")
+    other = images[1::2] if code.inverted else fringes.astype(np.float32).mean(axis=0)[None]
+    away = (images[::2] if code.inverted else images) - other
+    level = np.maximum(0.5 * (images[::2] + other if code.inverted else images + other), 0)
+    certain = (np.abs(away) > _CONTRAST * np.sqrt(2 * noise.variance(level))).all(axis=0)
+    numbers = half_periods((away > 0).reshape(len(away), -1)).reshape(away.shape[1:])
+    return np.where(certain, numbers, np.nan)
+
+
+def _absolute(waves: list[_Wave], blocks: np.ndarray | None, description: FringeImageDescription) -> xr.DataArray:
+    """Return the absolute phase of the finest wave [rad], zero at column or row 0, or one that is relative."""
+    levels = list(waves)
+    block = description.gray_code.block_px if description.gray_code is not None else description.projector_px
+    reach = block / _LARGEST_BLOCK if blocks is not None else float(description.projector_px)
+    if levels[0].period < reach and len(levels) > 1:
+        levels.insert(0, _beat(*levels[:2]))
+    coarsest = levels[0]
+    if coarsest.period < reach:
+        if blocks is not None:
+            raise PhaseError(
+                f"blocks of {block:g} px do not determine the order of fringes of {coarsest.period:g} px: show fringes "
+                f"of {reach:g} px or more, or a second pitch whose beat is that long",
+                code=ErrorCode.INVALID_SEQUENCE,
+            )
+        return unwrap_spatial(waves[-1].phase)
+    middle = np.asarray(0.5 if blocks is None else blocks + 0.5) * block - 0.5
+    if blocks is not None:
+        _check_code(coarsest, TURN * middle / coarsest.period, block, description)
+    phase = assign_orders(coarsest.phase, np.broadcast_to(TURN * middle / coarsest.period, coarsest.phase.shape))
+    for coarse, fine in pairwise(levels):
+        phase = assign_orders(fine.phase, phase.values * coarse.period / fine.period)
+    return phase
+
+
+def _beat(coarse: _Wave, fine: _Wave) -> _Wave:
+    """Return the difference of two waves, whose period is longer than both (heterodyne)."""
+    period = 1 / (1 / fine.period - 1 / coarse.period)
+    return _Wave(period, fine.phase - coarse.phase, np.hypot(fine.sigma, coarse.sigma))
+
+
+def _check_code(wave: _Wave, code: np.ndarray, block: float, description: FringeImageDescription) -> None:
+    """Raise `StepError` when the fringes are displaced against the Gray code, or grow the other way."""
+    least = _LEAST_AGREEMENT * float(np.sinc(block / wave.period))  # the code is that of the middle of each block
+    for sign in (1, -1):
+        away = np.exp(1j * (sign * wave.phase - code))
+        mean = complex(np.mean(away[np.isfinite(away)]))
+        if abs(mean) > least:
+            break
+    else:
+        raise StepError(
+            "fringes and Gray code do not belong together: check pitches, shifts and width of the blocks",
+            code=ErrorCode.WRONG_PATTERN,
+        )
+    if sign < 0:
+        raise StepError(
+            "the fringes grow against the Gray code: reverse the lists of shifts", code=ErrorCode.WRONG_PATTERN
+        )
+    offset = float(np.angle(mean)) / TURN
+    if abs(offset) > _LARGEST_OFFSET:
+        origin = description.origin - offset * wave.period
+        raise StepError(
+            f"the fringes are displaced by {offset * wave.period:.0f} px against the Gray code: origin_px "
+            f"{origin:.0f} would fit",
+            code=ErrorCode.WRONG_PATTERN,
+        )
+
+
+def _dataset(
+    phase: xr.DataArray,
+    waves: list[_Wave],
+    maps: list[xr.Dataset],
+    blocks: np.ndarray | None,
+    description: FringeImageDescription,
+) -> xr.Dataset:
+    finest, measured = waves[-1], maps[-1]
+    origin = TURN * description.origin / finest.period
+    image = ("row", "column")
+    valid = np.isfinite(phase.values)
+    coordinate = phase.values * finest.period / TURN
+    result = measured[["modulation", "texture"]].assign(
+        phase=(image, (phase.values - origin).astype(np.float32), {"units": "rad", **phase.attrs}),
+        sigma=(image, np.where(valid, finest.sigma, np.nan).astype(np.float32), {"units": "rad"}),
+        coordinate=(image, coordinate.astype(np.float32), {"units": "projector px"}),
+        valid=(image, valid),
+    )
+    if len(waves) > 1:
+        coarse = waves[-2]
+        ratio = finest.period / coarse.period
+        away = coarse.phase - phase.values * ratio
+        away -= TURN * np.round(away / TURN)
+        result["closure"] = (image, (away / np.hypot(coarse.sigma, ratio * finest.sigma)).astype(np.float32))
+    if blocks is not None and description.gray_code is not None:
+        inside = valid & np.isfinite(blocks)
+        place = coordinate / description.gray_code.block_px
+        clear = np.abs(place - np.round(place)) > _BLOCK_EDGE
+        result["other_block"] = (image, inside & clear & (np.floor(place) != blocks))
+    result.attrs = {
+        "direction": description.direction,
+        "pitch_px": finest.period,
+        "harmonic_error": measured.phase.attrs["harmonic_error"],
+        "harmonics_corrected": int(description.correct_harmonics),
+    }
+    return result
