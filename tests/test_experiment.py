@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import subprocess
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -145,7 +146,13 @@ def test_the_run_ends_with_its_report(experiment: RunReport) -> None:
     assert "12 frames per step" in page
     assert "the noise floor is not measured" in page
     pictures = re.findall(r'<img alt="([^"]*)" src="data:image/png', page)
-    assert {"reference image with the measured surface", "maps", "map of a step"} <= set(pictures)
+    assert Counter(pictures) == {
+        "reference image with the measured surface": 1,
+        "maps": 3,
+        "map and histogram of the grey-level residual": 1,
+        "map of a step": STEPS,
+        "maps of the errors": 1,
+    }
     assert 3e6 < len(page) < 15e6
 
 

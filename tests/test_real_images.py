@@ -28,7 +28,9 @@ def test_open_hole_tension_through_the_nodes(tmp_path: Path) -> None:
     assert sum(step.dropped + step.missing for step in report.steps) == 0
     topics = BagReader(tmp_path / "run" / "bag").find("camera/image_raw", "dic/displacement")
     assert BagReader(tmp_path / "run" / "bag").counts[topics["dic/displacement"]] == 12
-    assert {f"step_{step:03d}.png" for step in range(12)} <= {path.name for path in report.pictures}
+    assert sorted(path.name for path in report.pictures) == [
+        f"step_{step:03d}{kind}.png" for step in range(12) for kind in ("", "_sigma")
+    ]
     with fringedic.open_experiment(report.folder / "bag") as dataset:
         for step in range(12):
             maps = dataset.sel(step=step)

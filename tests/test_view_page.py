@@ -74,6 +74,14 @@ def point_at(page: Page, dataset: xr.Dataset, column: int, row: int) -> str:
     return page.locator("#readout").inner_text()
 
 
+def click_at(page: Page, dataset: xr.Dataset, *places: tuple[int, int]) -> None:
+    """Click points of the result, each (column, row), one after the other."""
+    for column, row in places:
+        point_at(page, dataset, column, row)
+        page.mouse.down()
+        page.mouse.up()
+
+
 @pytest.mark.parametrize("name", ["v", "w", "e_22"])
 def test_colour_and_hover_text_are_those_of_the_dataset(page: Page, dataset: xr.Dataset, name: str) -> None:
     choose(page, dataset, 2, name)
@@ -103,10 +111,7 @@ def test_colour_and_hover_text_are_those_of_the_dataset(page: Page, dataset: xr.
 def test_profile_and_extensometer_follow_clicks(page: Page, dataset: xr.Dataset) -> None:
     choose(page, dataset, 2, "v")
     page.select_option("#tool", "gauge")
-    for column, row in ((20, 8), (20, 22)):
-        point_at(page, dataset, column, row)
-        page.mouse.down()
-        page.mouse.up()
+    click_at(page, dataset, (20, 8), (20, 22))
     expect(page.locator("#strain")).to_contain_text("Step 2")
     strain = page.locator("#strain").inner_text()
     first, second = ((int(dataset.column[20]), int(dataset.row[row])) for row in (8, 22))
@@ -115,10 +120,7 @@ def test_profile_and_extensometer_follow_clicks(page: Page, dataset: xr.Dataset)
         f"Step 2: {1e6 * float(expected.strain):.0f} ± {1e6 * float(expected.sigma_strain):.0f} µstrain"
     )
     page.select_option("#tool", "profile")
-    for column, row in ((10, 15), (30, 15)):
-        point_at(page, dataset, column, row)
-        page.mouse.down()
-        page.mouse.up()
+    click_at(page, dataset, (10, 15), (30, 15))
     expect(page.locator("#probe h2")).to_have_text("Profile of v")
     curve = page.locator("#probe polyline").get_attribute("points")
     assert curve is not None

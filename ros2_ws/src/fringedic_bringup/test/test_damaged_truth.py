@@ -32,7 +32,9 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> RunReport:
 def test_results_are_written(written: RunReport) -> None:
     assert not written.failed
     assert (written.folder / "results.nc").exists()
-    assert {f"step_00{step}.png" for step in range(STEPS)} <= {path.name for path in written.pictures}
+    assert sorted(path.name for path in written.pictures) == [
+        f"step_00{step}{kind}.png" for step in range(STEPS) for kind in ("", "_sigma", "_strain")
+    ]
 
 
 def test_reason_is_in_the_table_and_in_the_report(written: RunReport) -> None:

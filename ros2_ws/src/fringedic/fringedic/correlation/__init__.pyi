@@ -3,6 +3,7 @@ from .extensometer import VirtualExtensometer as VirtualExtensometer
 from .increments import accumulate as accumulate
 from .measure import Reference as Reference
 from .measure import measure_displacement as measure_displacement
+from .residual import grey_residual as grey_residual
 from .transfer import error_correlation as error_correlation
 from .transfer import noise_gain as noise_gain
 from .transfer import shortest_period as shortest_period

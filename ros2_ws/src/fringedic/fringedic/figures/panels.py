@@ -57,6 +57,7 @@ SIGMAS_IN_IMAGE = (
 SIGMAS_OF_STRAIN = tuple(
     Panel(f"sigma_{panel.name}", f"standard deviation of {panel.name}") for panel in (*STRAIN, *FLAT_STRAIN)
 )
+GREY_RESIDUAL = Panel("grey_residual", "grey-level residual", symmetric=True)
 ERRORS = tuple(Panel(f"error_{name}", f"error of {name}", symmetric=True) for name in "zuvw")
 ANIMATED = (*DISPLACEMENT, *STRAIN[:2], *FLAT_STRAIN[:2], *DISPLACEMENT_IN_IMAGE)
 _PICTURES = {
@@ -71,7 +72,10 @@ _PICTURES = {
     ),
 }
 _ALL = (HEIGHT, *DISPLACEMENT, *SIGMAS, *PRINCIPAL, *STRAIN, *FLAT_STRAIN, VON_MISES)
-_PANELS = {panel.name: panel for panel in (*_ALL, *DISPLACEMENT_IN_IMAGE, *SIGMAS_IN_IMAGE, *SIGMAS_OF_STRAIN, *ERRORS)}
+_PANELS = {
+    panel.name: panel
+    for panel in (*_ALL, *DISPLACEMENT_IN_IMAGE, *SIGMAS_IN_IMAGE, *SIGMAS_OF_STRAIN, GREY_RESIDUAL, *ERRORS)
+}
 
 
 def panel_of(name: str) -> Panel:

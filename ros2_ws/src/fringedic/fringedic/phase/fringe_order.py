@@ -150,8 +150,12 @@ def _jumps(wrapped: np.ndarray) -> bool:
 def _orders_over_image(wrapped: np.ndarray) -> np.ndarray:
     """Return the whole turns to add to each pixel; the phase itself stays bit-identical."""
     known = np.isfinite(wrapped)
-    masked = np.ma.array(np.where(known, wrapped, 0.0), mask=~known)
-    unwrapped = np.asarray(np.ma.getdata(unwrap_phase(masked)))  # type: ignore[no-untyped-call]
+    # a masked border: scikit-image warns of images that are one pixel wide
+    border = [(0, int(size == 1)) for size in wrapped.shape]
+    masked = np.ma.array(
+        np.pad(np.where(known, wrapped, 0.0), border), mask=np.pad(~known, border, constant_values=True)
+    )
+    unwrapped = np.ma.getdata(unwrap_phase(masked))[: wrapped.shape[0], : wrapped.shape[1]]  # type: ignore[no-untyped-call]
     return np.asarray(np.where(known, np.round((unwrapped - wrapped) / (2 * np.pi)), 0.0))
 
 

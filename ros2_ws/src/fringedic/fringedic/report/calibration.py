@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fringedic.calibration.fit_results import PlaneResult, Verdict
+from fringedic.calibration.fit_results import GOOD, USABLE, PlaneResult, Verdict
 from fringedic.calibration.result import RigCalibration
 from fringedic.calibration.variants import ModelVariant
+from fringedic.provenance import git_commit, software
 from fringedic.report.calibration_sentences import (
     model_choice_sentence,
     problem_sentence,
@@ -16,6 +18,7 @@ from fringedic.report.calibration_sentences import (
     warning_sentences,
 )
 from fringedic.report.embedding import base64_png
+from fringedic.report.entries import MISSING
 from fringedic.report.templates import render_page
 
 _DPI = 110
@@ -24,8 +27,45 @@ _STRONG = 0.95  # correlations above this are listed
 CALIBRATION_REPORT = "report.html"
 
 
-def write_calibration_report(calibration: RigCalibration, path: str | Path) -> Path:
+@dataclass(frozen=True)
+class Traceability:
+    """What the lengths of a calibration are traced to, and who measured it; empty or None is not known.
+
+    Attributes
+    ----------
+    grid_pitch
+        Distance of the lines of the printed grid [m].
+    stage
+        What turned the plane.
+    sigma_angle, sigma_height
+        Standard uncertainty of a single angle [rad] and height [m] of the plane; 0 where none was entered.
+    operator
+        Name.
+    target
+        Maker, kind and dimensions of plane and grid.
+    """
+
+    grid_pitch: float | None = None
+    stage: str = ""
+    sigma_angle: float = 0.0
+    sigma_height: float = 0.0
+    operator: str = ""
+    target: str = ""
+
+
+def write_calibration_report(
+    calibration: RigCalibration, path: str | Path, traceability: Traceability | None = None
+) -> Path:
     """Write the report of a calibration, one HTML file with its figures inside, and return its path.
+
+    Parameters
+    ----------
+    calibration
+        The calibration.
+    path
+        The file.
+    traceability
+        What the rig file says about grid, stage and operator.
 
     Raises
     ------
@@ -34,16 +74,12 @@ def write_calibration_report(calibration: RigCalibration, path: str | Path) -> P
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(report_html(calibration), encoding="utf-8")
+    content = _content(calibration, traceability or Traceability())
+    path.write_text(render_page("calibration.html.j2", **content), encoding="utf-8")
     return path
 
 
-def report_html(calibration: RigCalibration) -> str:
-    """Return the report of a calibration as one HTML page with its figures inside."""
-    return render_page("calibration.html.j2", **_content(calibration))
-
-
-def _content(calibration: RigCalibration) -> dict[str, Any]:
+def _content(calibration: RigCalibration, traceability: Traceability) -> dict[str, Any]:
     rig = calibration.model
     return {
         "calibration": calibration,
@@ -56,6 +92,9 @@ def _content(calibration: RigCalibration) -> dict[str, Any]:
         "created": f"{calibration.created:%Y-%m-%d %H:%M} UTC",
         "pictures": _pictures(calibration),
         "figures": _figures(calibration),
+        "thresholds": _thresholds(calibration),
+        "traceability": _traceability(traceability),
+        "software": f"{software()}, commit {git_commit()}",
         "planes": [_plane(each) for each in calibration.planes],
         "candidates": [
             {
@@ -133,6 +172,48 @@ def _figures(calibration: RigCalibration) -> list[tuple[str, str, str]]:
             )
         )
     return figures
+
+
+def _thresholds(calibration: RigCalibration) -> list[tuple[str, str, str, str]]:
+    """Return (figure, value, limit of GO, limit of GO with care) of the figures that decide."""
+    worst, noise = calibration.worst_plane, calibration.predicted
+    care = f"up to {_micro(USABLE * noise)}"
+    rows = [
+        (
+            f"largest residual of a fitted plane ({worst.name})",
+            _micro(worst.systematic),
+            f"up to {_micro(GOOD * worst.predicted)}",
+            f"up to {_micro(USABLE * worst.predicted)}",
+        ),
+        ("uncertainty of z due to the calibration", _micro(calibration.height_sigma), care, care),
+        ("images that contradict the others", str(len(calibration.bad_images)), "none", "none"),
+    ]
+    if calibration.tested:
+        rows.insert(
+            1, ("residual of planes kept out", _micro(calibration.held_out), f"up to {_micro(GOOD * noise)}", care)
+        )
+    return rows
+
+
+def _traceability(known: Traceability) -> list[tuple[str, str, str]]:
+    """Return (name, value, note) of what the lengths are traced to; the note names the key of what is not known."""
+    angle, height = math.degrees(known.sigma_angle), 1e3 * known.sigma_height
+    return [
+        _entry("pitch of the printed grid", _known(known.grid_pitch, 1e3, "mm"), "reference_plane.grid_pitch_mm"),
+        _entry("stage", known.stage, ""),
+        _entry("standard uncertainty of an angle", _known(angle, 1, "degree"), "reference_plane.sigma_angle_degree"),
+        _entry("standard uncertainty of a height", _known(height, 1, "mm"), "reference_plane.sigma_height_mm"),
+        _entry("plane and grid", known.target, "hardware.calibration_target"),
+        _entry("operator", known.operator, "specimen.operator"),
+    ]
+
+
+def _known(value: float | None, factor: float, unit: str) -> str:
+    return f"{value * factor:g} {unit}" if value else ""
+
+
+def _entry(name: str, value: str, key: str) -> tuple[str, str, str]:
+    return (name, value, "") if value else (name, MISSING, key and f"enter it as {key}")
 
 
 def _plane(plane: PlaneResult) -> dict[str, Any]:

@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import DatasetError, FringedicError
+from fringedic.correlation import grey_residual
+from fringedic.errors import CorrelationError, DatasetError, FringedicError
 from fringedic.figures.animation import FRAME_MS, animation_frames
 from fringedic.figures.charts import curve_charts, extensometer_charts, surface_chart
 from fringedic.figures.maps import maps_figure, reference_figure
 from fringedic.figures.panels import DISPLACEMENT, DISPLACEMENT_IN_IMAGE, ERRORS, FLAT_STRAIN, pictures_of
+from fringedic.figures.residuals import residual_figure
 from fringedic.frames.region import Point, Region
 from fringedic.inputs.arguments import check_arguments, optional, path, several, whole
 from fringedic.metadata import NOISE_COLUMNS
@@ -213,6 +215,7 @@ def _pictures(data: ReportData, gauges: Mapping[str, GaugePoints]) -> dict[str, 
         "shown": shown,
         "reference": _reference(data.dataset, last, gauges),
         "maps": [base64_png(maps_figure(last, panels, title=f"step {shown}")) for panels in pictures_of(last).values()],
+        "residual": _residual(data.dataset, last),
         "animation": _animation(data.dataset),
         "frame_ms": FRAME_MS,
         "surface": chart_html(surface_chart(last)) if surface else "",
@@ -289,6 +292,24 @@ def _reference(dataset: xr.Dataset, measured: xr.Dataset, gauges: Mapping[str, G
     if not np.isfinite(reference["texture"].values).any():
         return ""
     return base64_png(reference_figure(reference, measured, gauges))
+
+
+def _residual(dataset: xr.Dataset, measured: xr.Dataset) -> str:
+    """Return the picture of the grey-level residual; empty where the images are not known at every pixel."""
+    step = int(measured.get("reference_step", -1))
+    if "texture" not in dataset or step not in dataset["step"].values:
+        return ""
+    reference = dataset.sel(step=step)["texture"].values
+    if "grey_residual" not in measured:
+        if not np.all(np.diff(dataset["column"].values) == 1):
+            return ""
+        moved = measured["displacement_x"].values, measured["displacement_y"].values
+        try:
+            residual = grey_residual(reference, measured["texture"].values, *moved)
+        except CorrelationError:
+            return ""  # of a step without a texture
+        measured = measured.assign(grey_residual=(("row", "column"), residual, {"units": "grey level"}))
+    return base64_png(residual_figure(measured, float(np.nanstd(reference))))
 
 
 def _animation(dataset: xr.Dataset) -> list[str]:

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from pydantic import Field
 
+from fringedic.correlation import grey_residual
 from fringedic.errors import DatasetError, FringedicError, ImageError
 from fringedic.frames.files import image_files, read_grey
 from fringedic.inputs.arguments import array, check_arguments, number, optional, path, several, whole
@@ -208,6 +209,7 @@ class _Measuring:
         self._tracker = DisplacementTracker(self._parameters)
         self._scale, self._mask = pixel_size, None if mask is None else mask.astype(bool)
         self._names: dict[int, str] = {}
+        self._reference: np.ndarray | None = None
         self._reason: FringedicError | None = None
 
     def settings(self, metadata: Metadata | None) -> StepSettings:
@@ -247,6 +249,11 @@ class _Measuring:
         row.valid_fraction, row.rms_displacement = fraction / max(wanted, 1e-12), length * (scale or 1.0)
         row.reference_step, row.correlated_step = result.reference_step, result.correlated_step
         row.maps = {"texture": texture, **displacement_maps(field)}
+        if self._reference is None:
+            self._reference = texture
+        else:
+            moved = field.displacement_x.values, field.displacement_y.values
+            row.maps["grey_residual"] = grey_residual(self._reference, texture, *moved, spacing)
         if scale is not None:
             maps = row.maps
             row.maps |= {"u": scale * maps["displacement_x"], "v": -scale * maps["displacement_y"]}

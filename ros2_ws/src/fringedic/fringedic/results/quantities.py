@@ -86,6 +86,7 @@ _FLAT_STRAIN = {
     "sigma_e_yy": Quantity("1", "standard deviation of e_yy"),
     "sigma_e_xy": Quantity("1", "standard deviation of e_xy"),
 }
+GREY_RESIDUAL = Quantity("grey level", "deformed minus reference image at the material points")
 _IN_IMAGE = ("texture", "displacement_x", "displacement_y", "displacement_sigma_x", "displacement_sigma_y")
 
 
@@ -99,7 +100,7 @@ def layout_of_images(scaled: bool) -> Layout:
         "rms_displacement": Quantity("m" if scaled else "px", "root mean square length of the displacement"),
     }
     texts = {**TEXTS, "image": "name of the image"}
-    return Layout({**maps, **_FLAT_STRAIN}, scalars, texts, timed=False)
+    return Layout({**maps, **_FLAT_STRAIN, "grey_residual": GREY_RESIDUAL}, scalars, texts, timed=False)
 
 
 POSITIONS = {"x", "y", "z", "shape_x", "shape_y", "shape_z"}

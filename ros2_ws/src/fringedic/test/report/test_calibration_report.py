@@ -14,7 +14,7 @@ import xarray as xr
 from fringedic.calibration import RigCalibration, calibrate_rig
 from fringedic.patterns.sequences import fringe_sequence
 from fringedic.phase import absolute_phase
-from fringedic.report.calibration import write_calibration_report
+from fringedic.report.calibration import Traceability, write_calibration_report
 from fringedic.report.calibration_sentences import verdict_sentence, warning_sentences
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
@@ -105,6 +105,21 @@ def test_report_says_first_what_it_means(tmp_path: Path) -> None:
     assert "kept out" in text
     assert f"h0 = {1e3 * calibration.model.camera_distance:.2f}" not in text, "lengths are in the drawing"
     assert "camera distance h0" in text
+
+
+def test_report_states_thresholds_and_traceability(tmp_path: Path) -> None:
+    calibration = calibrate(good(), held_out=(4,))
+    known = Traceability(grid_pitch=2e-3, stage="rotary stage 7", sigma_angle=math.radians(0.01), operator="Ada & Bob")
+    page = Words(write_calibration_report(calibration, tmp_path / "report.html", known).read_text("utf-8"))
+    text = " ".join(" ".join(page.words).split())
+    kept_out, noise = 1e6 * calibration.held_out, 1e6 * calibration.predicted
+    assert f"residual of planes kept out {kept_out:.3g} µm up to {noise:.3g} µm up to {3 * noise:.3g} µm" in text
+    assert "pitch of the printed grid 2 mm" in text
+    assert "stage rotary stage 7" in text
+    assert "standard uncertainty of an angle 0.01 degree" in text
+    assert "standard uncertainty of a height not known enter it as reference_plane.sigma_height_mm" in text
+    assert "operator Ada & Bob" in text
+    assert f"date {calibration.created:%Y-%m-%d %H:%M} UTC" in text
 
 
 def test_a_plane_that_moved_while_its_frames_were_taken_is_named(tmp_path: Path) -> None:

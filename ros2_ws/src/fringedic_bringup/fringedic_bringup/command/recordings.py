@@ -184,6 +184,7 @@ def report(
     region: Annotated[
         list[str] | None, typer.Option(metavar="NAME=POLYGONS.yaml", help="Region whose mean values are listed.")
     ] = None,
+    pdf: Annotated[bool, typer.Option("--pdf", help="Print it as PDF, too; needs chromium.")] = False,
     overwrite: Overwrite = False,
 ) -> None:
     """Write the report of an experiment as one HTML file that needs no network.
@@ -191,6 +192,7 @@ def report(
     Example: fringedic report my_test/bag --extensometer 200,480,1000,480
     """
     from fringedic.report import write_report
+    from fringedic.report.printing import print_page
 
     written = write_report(
         source,
@@ -201,3 +203,5 @@ def report(
         overwrite=overwrite,
     )
     say(f"report: {written}")
+    if pdf:
+        say(f"PDF: {print_page(written, written.with_suffix('.pdf'))}")

@@ -7,11 +7,13 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from fringedic.calibration.result import RigCalibration
 from fringedic.calibration.session import PlaneKind
 from fringedic.configuration.rig_file import RigFile
 from fringedic.configuration.sections import ReferencePlaneSection
 from fringedic.configuration.yaml_section import validate
 from fringedic.errors import ConfigurationError
+from fringedic.report.calibration import CALIBRATION_REPORT, Traceability, write_calibration_report
 from fringedic.report.calibration_sentences import place_in_words
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.graph import calibration_graph
@@ -81,7 +83,22 @@ def calibrate(
             )
             words = [camera.verdict, _failure(result) if result.error_code else result.verdict]
         client.wait_until_recorded()
+    if (folder / CALIBRATION_REPORT).exists():  # the node that wrote it does not know the rig file
+        write_calibration_report(RigCalibration.load(folder), folder / CALIBRATION_REPORT, traceability_of(rig))
     return CalibrationReport(folder, bool(not camera.error_code and result.go), tuple(words))
+
+
+def traceability_of(rig: RigFile) -> Traceability:
+    """Return what a rig file says about grid, stage and operator."""
+    plane = rig.reference_plane
+    return Traceability(
+        grid_pitch=rig.grid_pitch(),
+        stage="virtual" if rig.virtual_rig is not None else "placed by hand or by another program",
+        sigma_angle=plane.sigma_angle,
+        sigma_height=plane.sigma_height,
+        operator=rig.specimen.operator,
+        target=rig.hardware.calibration_target,
+    )
 
 
 @contextmanager
