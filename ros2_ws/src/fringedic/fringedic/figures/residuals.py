@@ -37,7 +37,7 @@ def residual_figure(step: xr.Dataset, contrast: float) -> Figure:
     centre, width = float(finite.mean()), max(float(finite.std()), 1e-12)
     edges = np.linspace(centre - _SHOWN * width, centre + _SHOWN * width, _CLASSES + 1)
     axes = figure.add_subplot(1, 2, 2)
-    axes.hist(finite, edges, color="#7aa6cf", label="points")
+    axes.hist(finite, edges.tolist(), color="#7aa6cf", label="points")
     places = 0.5 * (edges[1:] + edges[:-1])
     expected = finite.size * (edges[1] - edges[0]) / (width * np.sqrt(2 * np.pi))
     axes.plot(places, expected * np.exp(-0.5 * ((places - centre) / width) ** 2), "k--", lw=1.2, label="normal")
