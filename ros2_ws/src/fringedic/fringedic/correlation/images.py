@@ -15,6 +15,7 @@ SMALLEST_WINDOW = 8  # [px], one cell of a pixel per node: see `window`
 # next 1/64 of the range; test_saturated_ends_of_the_grey_levels.
 SATURATED = 0.01
 CROWDED = 4.0
+MOST_CONTRAST = 10.0  # ratio of standard deviations; test_images_of_another_bit_depth_are_refused
 # Standard deviations of the grey levels next to a saturated one: the interpolation between its neighbours is wrong
 # there; test_saturation_on_one_side.
 CUT = 0.5
@@ -118,9 +119,16 @@ def measure_photometry(image: np.ndarray, mean: float, deviation: float) -> Phot
     Raises
     ------
     CorrelationError
-        No pixel is measured or all are equal.
+        No pixel is measured, all are equal, or the contrast is that of another bit depth (code NO_CORRELATION).
     """
     own_mean, own_deviation = measure_grey_range(image, "deformed")
+    if not 1 / MOST_CONTRAST < own_deviation / deviation < MOST_CONTRAST:
+        raise CorrelationError(
+            f"the grey levels of the deformed image vary by {own_deviation:.3g}, those of the reference by "
+            f"{deviation:.3g} (standard deviations): save all images with the same bit depth, 8 or 16, and the same "
+            "exposure time",
+            code=ErrorCode.NO_CORRELATION,
+        )
     lowest, highest = ((end - mean) / deviation for end in find_saturation(image))
     return Photometry(deviation / own_deviation, (mean - own_mean) / own_deviation, (lowest + CUT, highest - CUT))
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ import numpy as np
 from fringedic.errors import ImageError
 from fringedic.frames.grey import luminance
 
+_PNG, _PNG_END = b"\x89PNG", b"IEND"
 IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
 
 
@@ -44,21 +46,35 @@ def read_grey(path: Path) -> np.ndarray:
            [4000, 4000, 4000]], dtype=uint16)
     """
     try:
-        data = np.frombuffer(path.read_bytes(), dtype=np.uint8)
+        content = path.read_bytes()
     except OSError as error:
         raise ImageError(f"{path} cannot be read: {error.strerror}") from error
+    if content.startswith(_PNG) and _PNG_END not in content[-16:]:  # libpng prints a line of its own about it
+        raise ImageError(f"{path} is cut off; copy it again")
     try:
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
+        with _quiet_opencv():
+            image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED) if content else None
+            pages = cv2.imcount(str(path))
     except cv2.error as error:
         raise ImageError(f"{path} is no image, or larger than 268 million pixels: {error.err}") from error
     if image is None:
         raise ImageError(f"{path} is not an image that can be read")
-    pages = cv2.imcount(str(path))
     if pages > 1:
         raise ImageError(f"{path} has {pages} pages, which may be several images: write each to a file of its own")
     if image.dtype not in (np.uint8, np.uint16):
         raise ImageError(f"{path} has pixels of type {image.dtype}; 8 or 16 bits are needed")
     return image if image.ndim == 2 else luminance(image)
+
+
+@contextmanager
+def _quiet_opencv() -> Iterator[None]:
+    """Keep OpenCV from printing what is wrong with a file, which the error says in one sentence."""
+    logging = cv2.utils.logging
+    before = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        logging.setLogLevel(before)
 
 
 def image_files(places: Iterable[Path]) -> list[Path]:

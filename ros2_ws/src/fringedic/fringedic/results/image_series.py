@@ -234,7 +234,7 @@ class _Measuring:
         except FringedicError as error:
             if step == 0:
                 raise
-            row.error = f"{file}: {error}"
+            row.error = str(error) if str(file) in str(error) else f"{file}: {error}"
             self._reason = self._reason or type(error)(row.error)
             return row, MeasuredImage(step, file.name, row.error)
         self._fill(row, result, texture)

@@ -100,6 +100,15 @@ def test_another_scene_is_refused(speckle):
             measure_displacement(f, g, method=method, spacing=spacing)
 
 
+@pytest.mark.parametrize("factor", [1 / 16, 16])
+def test_images_of_another_bit_depth_are_refused(speckle, factor):
+    f = speckle((64, 64), 10).image().astype(np.float32)
+    with pytest.raises(errors.CorrelationError, match="with the same bit depth, 8 or 16") as refused:
+        measure_displacement(f, f * np.float32(factor))
+    assert refused.value.code is errors.ErrorCode.NO_CORRELATION
+    assert abs(measure_displacement(f, f * np.float32(factor**0.75)).displacement_x).max() < 0.01
+
+
 def test_bad_input_has_a_name(speckle):
     f = speckle((64, 64), 10).image()
     for bad, error, words in [

@@ -62,3 +62,15 @@ def test_bad_files_are_named(tmp_path: Path) -> None:
     ):
         with pytest.raises(ImageError, match=f"{name}.*{words}"):
             read_grey(tmp_path / name)
+
+
+@pytest.mark.parametrize(("suffix", "words"), [("png", "is cut off; copy it again"), ("tif", "not an image")])
+def test_libraries_print_nothing_about_files_that_are_cut_off(
+    tmp_path: Path, suffix: str, words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / f"a.{suffix}"
+    cv2.imwrite(str(path), levels(np.uint8, 90, 120))
+    path.write_bytes(path.read_bytes()[:5000])
+    with pytest.raises(ImageError, match=words):
+        read_grey(path)
+    assert capfd.readouterr() == ("", "")
