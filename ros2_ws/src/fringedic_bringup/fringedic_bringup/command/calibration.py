@@ -51,7 +51,6 @@ def calibrate(
         elif rig is not None:
             report = _calibrate_with_nodes(rig_path_of(rig), angles_deg, folder, progress)
     say(*report.words)
-    console.print("go" if report.go else "no go", style="green" if report.go else "red")
     if report.report is not None:
         say(f"report: {report.report}")
     if not report.go:
