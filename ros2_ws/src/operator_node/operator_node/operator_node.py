@@ -9,7 +9,6 @@ import asyncio
 import os
 import struct
 import tempfile
-import time
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -38,6 +37,7 @@ from fringedic_msgs.srv import ControlProcedure, StartProcedure
 from fringedic_ros.images import image_array
 from fringedic_ros.main import run
 from fringedic_ros.parameters import declare
+from fringedic_ros.polled import PolledTopic
 from fringedic_ros.processing import StampJoin
 from fringedic_ros.qos import DERIVED, DIAGNOSTICS, EVENTS, LATCHED, LATEST, PREVIEWS
 from fringedic_ros.rig_node import RigNode
@@ -77,14 +77,12 @@ class OperatorNode(RigNode):
     def __init__(self) -> None:
         super().__init__("operator")
         parameters = declare(self, OperatorParameters).value
-        self._period = 1 / parameters.maximum_rate_hz
         self._state = RigState()
         self._file = ShownRigFile(Path(parameters.rig_file)) if parameters.rig_file else None
         self._maps = SpooledMaps(Path(parameters.maps_folder or tempfile.mkdtemp(prefix="fringedic-maps-")))
         self._folders: dict[str, Path] = {}
         self._joins = {name: StampJoin(topics) for name, topics in JOINED.items()}
         self._worker = Worker(self)
-        self._last_image = 0.0
         self._subscribe()
         self._starts = self.create_client(StartProcedure, "procedures/start")
         self._controls = self.create_client(ControlProcedure, "procedures/control")
@@ -92,6 +90,7 @@ class OperatorNode(RigNode):
         self._measure = ActionClient(self, MeasureStep, "measure_step")
         self._present = self.create_publisher(Bool, "operator/driver_present", LATEST)
         self.create_timer(PRESENCE_S, self._publish_presence)
+        self.create_timer(1 / parameters.maximum_rate_hz, self._poll)
         self._page = PageServer(self, _address(parameters))
 
     def destroy_node(self) -> None:
@@ -105,7 +104,6 @@ class OperatorNode(RigNode):
         state = self._state
         subscriptions: list[tuple[type[Any], str, Any, Any]] = [
             (StepStatus, "experiment/step", self._take_step, EVENTS),
-            (LoadState, "load_frame/state", state.take_load, LATEST),
             (RecorderStatus, "recorder/status", state.take_recorder, LATCHED),
             (DiagnosticArray, "/diagnostics", state.take_diagnostics, DIAGNOSTICS),
             (Log, "/rosout", state.take_log, EVENTS),
@@ -121,8 +119,9 @@ class OperatorNode(RigNode):
         ]
         for kind, topic, callback, profile in subscriptions:
             self.create_subscription(kind, topic, callback, profile)
+        self._loads = PolledTopic[LoadState](self, LoadState, "load_frame/state", LATEST)
         # the bytes: only the few frames that are shown are decoded
-        self.create_subscription(Image, "camera/image_raw", self._take_image, PREVIEWS, raw=True)
+        self._images = PolledTopic[bytes](self, Image, "camera/image_raw", PREVIEWS, raw=True)
 
     # what the page shows, as of `fringedic.page.app.Rig`
 
@@ -205,11 +204,14 @@ class OperatorNode(RigNode):
         self._folders |= {item.item: Path(item.folder) for item in message.items if item.folder}
         self._state.take_setup(message)
 
-    def _take_image(self, data: bytes) -> None:
-        now = time.monotonic()
-        if now - self._last_image >= self._period and self._page.hub.clients:
-            self._last_image = now
-            self._page.publish("image", partial(self._picture, data))
+    def _poll(self) -> None:
+        """Show the newest sample of the load frame and, to browsers, the newest frame."""
+        load = self._loads.take()
+        if load is not None:
+            self._state.take_load(load)
+        image = self._images.take() if self._page.hub.clients else None
+        if image is not None:
+            self._page.publish("image", partial(self._picture, image))
 
     def _picture(self, data: bytes) -> bytes:
         """Return a camera image for the browser: width, height, stamp [s], JPEG; nothing of an unreadable one."""
