@@ -132,6 +132,8 @@ deviations. Noise: second differences along the fringes on the wall.*
 - **Both directions.** Column and row on the projector of {distances[1][0]} points obey one fundamental matrix
   to {distances[0][1]:.2f} projector px (median-based), to {distances[1][1]:.2f} px after the correction; lens
   distortion is part of it.
+- **Through the nodes.** A system test takes three images of each direction as a recorded step through camera (files),
+  phase node and recorder; up to whole fringes, the recorded phase is that of the command.
 - **Not measured** are lines at the edges of the blocks where a bit is neither dark nor bright, shadows, and
   points with a modulation below 4 grey levels.
 """
