@@ -14,7 +14,6 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtri, erfc  # scipy.stats takes each node half a second to load
 
 from fringedic.frames.noise import CameraNoise
 from fringedic.phase.checks.light import light_changes
@@ -290,4 +289,4 @@ def _is_significant(values: np.ndarray, covariance: np.ndarray) -> bool:
     """Return whether these values together exceed what noise alone gives (chi-square test)."""
     inverse = np.linalg.pinv(covariance, rcond=_RANK, hermitian=True)
     freedom = int(np.linalg.matrix_rank(covariance, rtol=_RANK, hermitian=True))
-    return bool(values @ inverse @ values > chdtri(max(freedom, 1), erfc(CONFIDENCE / math.sqrt(2))))
+    return bool(values @ inverse @ values > freedom + CONFIDENCE * math.sqrt(2 * max(freedom, 1)) + CONFIDENCE**2)
