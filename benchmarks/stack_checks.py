@@ -268,9 +268,10 @@ right, and the number of the frame where a single frame is the cause.
 
 - **Three shifts.** They leave no redundant equation. Flicker and motion are then not detected, nor with fewer
   than five of the finest fringes in view. Of a single pitch with three shifts the wrong frame is not identified.
-- **Motion across the image** is visible on a texture only; the injected one has a contrast of 5 % or more.
+- **Motion across the image** is visible on a texture only; the injected one has a contrast of 5 % or more. With 4
+  shifts, a motion of 0.3 px is not significant on a faint texture of wide spots.
 - **Motion along the light** by a whole shift looks like a frame too many or too few. The injected one is less than half
-  a shift.
+  a shift. With 4 or 5 shifts, a jump can be refused as one frame with another pattern: the others fit without it.
 - **A part of the pattern before** above 50 % may be reported as "late by one frame". Both have the same cause.
 """
     )
