@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from fringedic.configuration.fringe_images import FringeImageDescription, GrayCo
 from fringedic.errors import ErrorCode, ImageError, PhaseError, StepError
 from fringedic.frames.files import read_grey
 from fringedic.frames.noise import CameraNoise
-from fringedic.patterns.pattern import ProjectedPattern
+from fringedic.patterns.pattern import Orientation, ProjectedPattern
 from fringedic.phase.checks.sample_noise import estimate_sample_noise
 from fringedic.phase.checks.sampling import Sample, half_periods
 from fringedic.phase.checks.stack import inspect_stack
@@ -29,6 +30,8 @@ _LARGEST_BLOCK = 0.75  # of a period: the middle of a block is then known to 3/8
 _LARGEST_OFFSET = 0.25  # of a period, between fringes and Gray code
 _LEAST_AGREEMENT = 0.7  # length of the mean of exp(i difference) of fringes and Gray code, over that of perfect ones
 _BLOCK_EDGE = 0.05  # of a block: blur of its edges and noise change the number of the block
+_LINES = 64  # of the image, in which jumps of the numbers of blocks are counted
+_JUMPS = 0.5  # per line: a step of the surface gives one or two on some lines, interchanged bits on all
 _CONTRAST = 5.0  # standard deviations between bright and dark of a bit
 
 
@@ -92,7 +95,11 @@ def measure_phase_images(folder: Path, description: FringeImageDescription) -> x
         maps.append(measured)
         origin = TURN * description.origin / entry.pitch_px
         waves.append(_Wave(entry.pitch_px, measured.phase.values + origin, measured.sigma.values))
-    blocks = None if description.gray_code is None else _blocks(folder, description.gray_code, noise, frames)
+    blocks = (
+        None
+        if description.gray_code is None
+        else _blocks(folder, description.gray_code, noise, frames, description.orientation)
+    )
     absolute = _absolute(waves, blocks, description)
     return _dataset(absolute, waves, maps, blocks, description)
 
@@ -152,7 +159,9 @@ def _wrapped(
     return measured
 
 
-def _blocks(folder: Path, code: GrayCodeImages, noise: CameraNoise, fringes: np.ndarray) -> np.ndarray:
+def _blocks(
+    folder: Path, code: GrayCodeImages, noise: CameraNoise, fringes: np.ndarray, orientation: Orientation
+) -> np.ndarray:
     """Return the number of the block at each pixel, NaN where a bit is neither dark nor bright."""
     images = _read(folder, code.images).astype(np.float32)
     if images.shape[1:] != fringes.shape[1:]:
@@ -161,8 +170,36 @@ def _blocks(folder: Path, code: GrayCodeImages, noise: CameraNoise, fringes: np.
     away = (images[::2] if code.inverted else images) - other
     level = np.maximum(0.5 * (images[::2] + other if code.inverted else images + other), 0)
     certain = (np.abs(away) > _CONTRAST * np.sqrt(2 * noise.variance(level))).all(axis=0)
+    _check_bits(away > 0, certain, code, orientation)
     numbers = half_periods((away > 0).reshape(len(away), -1)).reshape(away.shape[1:])
     return np.where(certain, numbers, np.nan)
+
+
+def _check_bits(bits: np.ndarray, certain: np.ndarray, code: GrayCodeImages, orientation: Orientation) -> None:
+    """Raise `StepError` when the numbers of neighbours jump, and jump less with two of the bits interchanged."""
+    axes = (0, 1, 2) if orientation == Orientation.VERTICAL else (0, 2, 1)
+    skip = max(1, bits.shape[axes[1]] // _LINES)
+    lines, known = bits.transpose(axes)[:, ::skip], certain.transpose([each - 1 for each in axes[1:]])[::skip]
+
+    def jumps(order: Sequence[int]) -> int:
+        numbers = half_periods(lines[list(order)].reshape(len(bits), -1)).reshape(known.shape)
+        both = known[:, 1:] & known[:, :-1]
+        return int(np.sum(both & (np.abs(np.diff(numbers, axis=1)) > 1)))
+
+    recorded = list(range(len(bits)))
+    found = jumps(recorded)
+    if found <= _JUMPS * len(known):
+        return
+    for first, second in combinations(recorded, 2):
+        order = list(recorded)
+        order[first], order[second] = second, first
+        if jumps(order) < 0.5 * found:
+            step = 2 if code.inverted else 1
+            raise StepError(
+                f"{code.images[step * first]} and {code.images[step * second]} of the Gray code are interchanged: its "
+                "blocks follow each other when they are exchanged",
+                code=ErrorCode.FRAMES_OUT_OF_ORDER,
+            )
 
 
 def _absolute(waves: list[_Wave], blocks: np.ndarray | None, description: FringeImageDescription) -> xr.DataArray:

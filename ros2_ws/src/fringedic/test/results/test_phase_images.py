@@ -98,6 +98,12 @@ def swap(content: Content) -> Content:
     return {**content, "fringes": [first, content["fringes"][1]]}
 
 
+def swap_bits(content: Content) -> Content:
+    images = list(content["gray_code"]["images"])
+    images[2:4], images[4:6] = images[4:6], images[2:4]
+    return {**content, "gray_code": {**content["gray_code"], "images": images}}
+
+
 def wrong_pitch(content: Content) -> Content:
     return {**content, "fringes": [{**content["fringes"][0], "pitch_px": 30.0}, content["fringes"][1]]}
 
@@ -114,6 +120,7 @@ def other_file(content: Content) -> Content:
         (lambda content: turn(content, (0, 1)), StepError, "42.6667 px reversed"),
         (lambda content: {**content, "origin_px": 40}, StepError, "displaced by 40 px .*origin_px 0 would fit"),
         (swap, StepError, r"p43_1.png, p43_2.png: frames 5 and 6 are interchanged"),
+        (swap_bits, StepError, "bit1.png and bit2.png of the Gray code are interchanged"),
         (wrong_pitch, StepError, r"in the image their pitch is 42\.\d px"),
         (other_file, ImageError, "none.png"),
         (lambda content: {**content, "projector": 3}, ConfigurationError, "projector"),
