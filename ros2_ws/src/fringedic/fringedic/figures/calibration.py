@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fringedic.calibration.check import RigCheck
 from fringedic.calibration.result import RigCalibration
 from fringedic.errors import CalibrationError, optional_import
 from fringedic.patterns.pattern import Orientation
@@ -186,6 +187,21 @@ def draw_residuals(calibration: RigCalibration) -> Figure:
         axes.axis("off")
     if shown is not None:
         figure.colorbar(shown, ax=grid.tolist(), label="residual [µm]", shrink=0.8)
+    return figure
+
+
+def draw_flatness(check: RigCheck) -> Figure:
+    """Draw the distance of the block means of a flat plate from the best plane [µm]."""
+    residual = check.residual_map["residual"]
+    values = 1e6 * residual.to_numpy()
+    limit = max(_RANGE * 1e6 * check.flatness_noise, float(np.nanmax(np.abs(values))))
+    column, row = residual["column"].to_numpy(), residual["row"].to_numpy()
+    figure = Figure(figsize=(6.4, 4.4), layout="constrained")
+    axes = figure.add_subplot()
+    extent = (column[0], column[-1], row[-1], row[0])
+    shown = axes.imshow(values, extent=extent, cmap="RdBu_r", vmin=-limit, vmax=limit, interpolation="nearest")
+    axes.set(xlabel="column [px]", ylabel="row [px]")
+    figure.colorbar(shown, ax=axes, label="distance [µm]")
     return figure
 
 

@@ -180,7 +180,7 @@ def _thresholds(calibration: RigCalibration) -> list[tuple[str, str, str, str]]:
     care = f"up to {_micro(USABLE * noise)}"
     rows = [
         (
-            f"largest residual of a fitted plane ({worst.name})",
+            f"largest residual of a fitted plane: {worst.name}",
             _micro(worst.systematic),
             f"up to {_micro(GOOD * worst.predicted)}",
             f"up to {_micro(USABLE * worst.predicted)}",

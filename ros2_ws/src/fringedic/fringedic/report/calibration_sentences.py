@@ -141,12 +141,16 @@ def check_sentence(check: RigCheck) -> str:
         return f"The rig does not hold its calibration: {problems}. Calibrate again."
     scale = ""
     if not math.isnan(check.expected):
-        digits = max(1, min(6, 1 - math.floor(math.log10(_MM * max(check.distance_sigma, 1e-9)))))
-        measured = f"{_MM * check.distance:.{digits}f} ± {_MM * check.distance_sigma:.{digits}f} mm"
-        scale = f"; {_MM * check.expected:.3f} mm measured as {measured}"
+        scale = f"; {_MM * check.expected:.3f} mm measured as {measured_distance(check)}"
     change = ", but there is a significant change" if check.verdict is CheckVerdict.HOLDS_WITH_CHANGE else ""
     flat = f"the plate is measured as flat to {_micro(check.flatness)} ({_noise(check.noise)})"
     return f"The rig holds its calibration{change}: {flat}{scale}."
+
+
+def measured_distance(check: RigCheck) -> str:
+    """Return the measured known distance with its standard uncertainty, such as "5.0012 ± 0.0008 mm"."""
+    digits = max(1, min(6, 1 - math.floor(math.log10(_MM * max(check.distance_sigma, 1e-9)))))
+    return f"{_MM * check.distance:.{digits}f} ± {_MM * check.distance_sigma:.{digits}f} mm"
 
 
 def check_warning_sentences(check: RigCheck) -> list[str]:
@@ -378,7 +382,7 @@ def _bent(check: RigCheck) -> str:
 
 def _wrong_scale(check: RigCheck) -> str:
     return (
-        f"a distance of {_MM * check.expected:.4g} mm is measured as {_MM * check.distance:.4g} mm "
+        f"a distance of {_MM * check.expected:.3f} mm is measured as {measured_distance(check)} "
         f"({100 * check.scale_error / check.expected:+.2f} %): the scale or the geometry has changed"
     )
 

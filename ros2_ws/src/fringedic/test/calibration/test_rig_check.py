@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from fringedic.calibration.history import CHECKS_FILE, record_check, recorded_ch
 from fringedic.errors import CalibrationError, ImageError
 from fringedic.metadata import CalibrationMetadata, Metadata
 from fringedic.report.calibration_sentences import check_in_words, check_sentence, check_warning_sentences
+from fringedic.report.check import write_check_page
 from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
@@ -114,6 +116,20 @@ def test_known_distances() -> None:
     assert not wrong.holds
     assert [each.code for each in wrong.problems] == [CheckProblem.SCALE]
     assert "scale" in check_sentence(wrong)
+
+
+def test_page_states_distance_uncertainty_and_limits(tmp_path: Path) -> None:
+    check = check_rig(RIG, plate(5), SIGMA, pitch=PITCH, lifted=plate(6, height=6.0), distance=_normal(5e-3))
+    page = write_check_page(check, tmp_path / "check.html", rig="bench <2>", created=datetime(2026, 11, 22, tzinfo=UTC))
+    text = page.read_text("utf-8")
+    assert "bench &lt;2&gt; · 2026-11-22 00:00 UTC" in text
+    assert f"known distance of {1e3 * check.expected:.3f} mm" in text
+    measured = re.search(r"<td class=\"number\">([\d.]+) ± ([\d.]+) mm</td>", text)
+    assert measured is not None
+    assert float(measured[1]) == pytest.approx(1e3 * check.distance, rel=1e-5)
+    assert float(measured[2]) == pytest.approx(1e3 * check.distance_sigma, rel=0.1)
+    assert "within 0.2 %" in text
+    assert text.count('<img alt="residual of the flat plate" src="data:image/png;base64,') == 1
 
 
 def test_drift_and_age_are_said() -> None:

@@ -82,14 +82,14 @@ def check(
     """Measure the reference plane and a known distance; exit code 1 if the calibration is no longer valid."""
     from fringedic.configuration.rig_file import load_rig_file
     from fringedic.report.calibration_sentences import check_sentence, check_warning_sentences
+    from fringedic.report.check import CHECK_PAGE
     from fringedic_bringup.procedures.check import check as check_rig
 
     path = rig_path_of(rig)
+    folder = unused_folder(output)
     with LiveProgress(console) as progress:
-        result = check_rig(
-            load_rig_file(path), path, unused_folder(output), progress, distance=1e-3 * distance_mm, ask=progress.ask
-        )
-    say(check_sentence(result), *check_warning_sentences(result))
+        result = check_rig(load_rig_file(path), path, folder, progress, distance=1e-3 * distance_mm, ask=progress.ask)
+    say(check_sentence(result), *check_warning_sentences(result), f"page: {folder / CHECK_PAGE}")
     if not result.holds:
         raise typer.Exit(1)
 

@@ -18,6 +18,7 @@ from fringedic.frames.messages import image_array
 from fringedic.frames.records import stamp_of
 from fringedic.recording.reader import BagReader
 from fringedic.report.calibration_sentences import check_in_words
+from fringedic.report.check import CHECK_PAGE, write_check_page
 from fringedic_bringup.procedures.calibrate import calibration_client
 from fringedic_bringup.procedures.outcome import Progress
 from fringedic_msgs.srv import PlaceReferencePlane
@@ -39,14 +40,14 @@ def check(
     """Measure the reference plane in its place, lifted by a known distance, and in its place again.
 
     The calibration is valid when the plane is flat, the distance is right, and the last plane agrees with the first.
-    The result is stored beside the calibration; later recordings and reports contain it.
+    The result is stored beside the calibration, for later recordings and reports, and as a page in the folder.
 
     Parameters
     ----------
     rig, rig_path
         The rig file, and its path.
     folder
-        Where the recording ``bag`` and ``logs`` are written.
+        Where the recording ``bag``, the page ``check.html`` and ``logs`` are written.
     progress
         Receives the progress.
     distance
@@ -91,9 +92,10 @@ def check(
         earlier=first,
         age=_age(rig, rig_path),
     )
+    when = datetime.fromtimestamp(1e-9 * stamps[-1], UTC)
+    write_check_page(result, folder / CHECK_PAGE, rig=model.identifier, created=when)
     calibrated = calibration_folder(rig, rig_path)
     if calibrated is not None:
-        when = datetime.fromtimestamp(1e-9 * stamps[-1], UTC)
         record_check(calibrated, result, when, verdict=check_in_words(result))
     return result
 
