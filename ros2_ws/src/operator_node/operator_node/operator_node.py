@@ -28,7 +28,7 @@ from fringedic.errors import ConfigurationError, FringedicError, OperatorError
 from fringedic.figures.live_preview import browser_picture
 from fringedic.frames.messages import cloud_arrays
 from fringedic.page.app import Control, Hold, Measure, Start
-from fringedic.page.maps import SpooledMaps, described
+from fringedic.page.maps import RecordedMaps, SpooledMaps, described
 from fringedic.page.server import Address, PageServer
 from fringedic.results.quantities import MAPS
 from fringedic_msgs.action import MeasureStep
@@ -51,6 +51,7 @@ TOKEN = "FRINGEDIC_OPERATOR_TOKEN"  # an environment variable: parameters are re
 ANSWER_S = 10.0
 PRESENCE_S = 1.0
 MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
+MEASURING = ("run", "by_hand")  # the procedures with a dataset
 IN_PLANE = {"dic/displacement": ("displacement_x", "displacement_y")}
 IN_PLANE |= {"dic/sigma": ("displacement_sigma_x", "displacement_sigma_y")}
 JOINED = {
@@ -199,6 +200,8 @@ class OperatorNode(RigNode):
     def _take_procedure(self, message: ProcedureStatus) -> None:
         self._folders["run"] = Path(message.folder)
         self._state.take_procedure(message, "procedure")
+        if message.state == ProcedureStatus.DONE and message.procedure in MEASURING:
+            self._worker.submit(self._complete, Path(message.folder) / "results.nc")
 
     def _take_setup(self, message: SetupState) -> None:
         self._folders |= {item.item: Path(item.folder) for item in message.items if item.folder}
@@ -242,6 +245,11 @@ class OperatorNode(RigNode):
             maps |= cloud_arrays(parts["coupling/displacement"])
         self._maps.put(status.step, maps, max(int(parts["dic/camera_info"].binning_x), 1))
         self._state.take_maps(status, surface="coupling/shape" in parts)
+
+    def _complete(self, results: Path) -> None:
+        """Add the maps of a run that this server did not hear; in the thread of the worker."""
+        if results.exists():
+            self._maps.complete(RecordedMaps(results))
 
     def _publish_presence(self) -> None:
         self._present.publish(Bool(data=self._page.wheel.present))

@@ -111,6 +111,14 @@ class SpooledMaps:
             (place / f".{name}.npy").rename(place / f"{name}.npy")
         self._forget_oldest()
 
+    def complete(self, recorded: StepMaps) -> None:
+        """Keep the maps of steps of a recording during which no server ran, or which it heard in part."""
+        known = self.names()
+        for step, names in recorded.names().items():
+            if set(names) & {"displacement_x", "u"} - set(known.get(step, ())):
+                found = recorded.dataset(step, names)
+                self.put(step, {name: found[name].values for name in names}, _spacing(found))
+
     def names(self) -> dict[int, list[str]]:
         """Return the names of the maps of each step."""
         return {
@@ -134,6 +142,12 @@ class SpooledMaps:
         while sum(sizes) > self._most and len(places) > 1:
             shutil.rmtree(places.pop(0))
             sizes.pop(0)
+
+
+def _spacing(maps: xr.Dataset) -> int:
+    """Return the distance of the points of maps [px]."""
+    columns = maps["column"].values
+    return int(columns[1] - columns[0]) if len(columns) > 1 else 1
 
 
 def _require(known: Mapping[int, Sequence[str]], step: int, names: Sequence[str]) -> None:
@@ -169,9 +183,7 @@ def tile(maps: StepMaps, step: int, name: str) -> Tile:
     found = maps.dataset(step, [name])
     values = np.asarray(found[name].values, np.float32)
     every = math.ceil(math.sqrt(max(values.size, 1) / MOST_VALUES))
-    columns = found["column"].values
-    spacing = int(columns[1] - columns[0]) if len(columns) > 1 else 1
-    return Tile(np.ascontiguousarray(values[::every, ::every]), spacing * every)
+    return Tile(np.ascontiguousarray(values[::every, ::every]), _spacing(found) * every)
 
 
 def cloud(maps: StepMaps, step: int, colour: str) -> np.ndarray:

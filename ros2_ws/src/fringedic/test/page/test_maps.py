@@ -25,6 +25,20 @@ def test_maps_of_a_server_that_was_ended_are_found_again(tmp_path: Path) -> None
     assert found.names() == {}
 
 
+def test_steps_that_no_server_heard_come_from_the_recording(tmp_path: Path) -> None:
+    recorded, heard = SpooledMaps(tmp_path / "recorded"), SpooledMaps(tmp_path / "heard")
+    for step in range(3):
+        recorded.put(step, {"displacement_x": plane(4, 5), "u": plane(4, 5)}, 2)
+    heard.put(1, {"displacement_x": plane(4, 5, 7.0)}, 2)
+    heard.put(2, {"displacement_x": plane(4, 5, 7.0), "u": plane(4, 5, 7.0)}, 2)
+    heard.complete(recorded)
+    assert {step: set(names) for step, names in heard.names().items()} == {
+        step: {"u", "displacement_x"} for step in range(3)
+    }
+    assert [float(tile(heard, step, "u").values.mean()) for step in range(3)] == [1.0, 1.0, 7.0]
+    assert tile(heard, 0, "u").spacing == 2
+
+
 def test_maps_at_every_pixel_are_sampled_at_the_points(tmp_path: Path) -> None:
     row, column = np.mgrid[0:7, 0:9].astype(np.float32)
     spooled = SpooledMaps(tmp_path)
