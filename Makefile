@@ -43,5 +43,5 @@ bench: setup
 	@$(ENVIRONMENT) && python benchmarks/run.py
 
 clean:
-	rm -rf .venv .setup.lock setup.log docs/_build ros2_ws/build ros2_ws/install ros2_ws/log
+	rm -rf .venv .setup.lock setup.log* docs/_build ros2_ws/build ros2_ws/install ros2_ws/log
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
