@@ -197,14 +197,15 @@ def test_a_rig_has_one_owner_whose_interruption_closes_recording_and_nodes(tiny:
     assert not BagReader(running.bag).lost
     assert "--continue" in running.printed()
     with fringedic.open_experiment(running.bag.parent) as dataset:
-        before = dataset.sizes["step"]
+        before = np.count_nonzero(dataset.error.values == "")
+    assert 1 <= before < 3
     rig = tmp_path / "rig.yaml"
     continued = fringedic_command("run", rig, "--output", running.bag.parent, "--continue")
     assert continued.exit_code == 0, continued.output + str(continued.exception)
-    assert "1 steps are measured already" in continued.output
+    assert f"{before} steps are measured already" in continued.output
     with fringedic.open_experiment(running.bag.parent) as dataset:
         measured = dataset.step.values[dataset.error.values == ""]
-        assert len(measured) == 3 > before - 1
+        assert len(measured) == 3
         assert set(dataset.reference_step.sel(step=measured).values.tolist()) == {0}
         position = dataset.position.sel(step=measured).values
     assert position == pytest.approx([0.0, 0.3e-3, 0.6e-3], abs=1e-6)
