@@ -39,6 +39,7 @@ from fringedic_msgs.msg import (
     StepStatus,
 )
 from fringedic_msgs.srv import CaptureFrame, CountReaders, SetReference, ShowPattern, StartExperiment
+from fringedic_ros.matching import discovered_readers
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
@@ -159,6 +160,7 @@ class Rig(Peer):
         self, request: CountReaders.Request, response: CountReaders.Response
     ) -> CountReaders.Response:
         response.counts = [1000 * self.reaches_all] * len(request.topics)
+        response.readers = [discovered_readers(self, topic) for topic in request.topics]
         return response
 
     async def _hold(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:

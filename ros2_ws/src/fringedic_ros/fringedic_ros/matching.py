@@ -24,13 +24,23 @@ def offer_reader_counts(node: Node, name: str) -> None:
     def count(request: CountReaders.Request, response: CountReaders.Response) -> CountReaders.Response:
         matched = {publisher.topic_name: publisher.get_subscription_count() for publisher in node.publishers}
         response.counts = [matched.get(topic, 0) for topic in request.topics]
+        response.readers = [discovered_readers(node, topic) for topic in request.topics]
         return response
 
     node.create_service(CountReaders, f"{name}/count_readers", count)
 
 
+def discovered_readers(node: Node, topic: str) -> str:
+    """Return the GIDs of the subscriptions of a topic that a node has discovered, in hexadecimal digits."""
+    found = node.get_subscriptions_info_by_topic(topic)
+    return " ".join(sorted(bytes(each.endpoint_gid).hex() for each in found))
+
+
 class Matching:
     """Requests the connections of nodes until all readers known to this node are connected to their publishers.
+
+    The number of connected readers may contain a killed one instead of its successor, until its lease ends; then the
+    two nodes do not know the same readers.
 
     Parameters
     ----------
@@ -70,8 +80,12 @@ class Matching:
         client, topics = self._clients[name], self._topics[name]
         future, since = self._asked.get(name, (None, 0.0))
         if future is not None and future.done() and future.result() is not None:
-            answered = zip(topics, future.result().counts, strict=True)
-            self._missing[name] = [topic for topic, count in answered if count < self._known_readers(topic)]
+            answered = zip(topics, future.result().counts, future.result().readers, strict=True)
+            self._missing[name] = [
+                topic
+                for topic, count, readers in answered
+                if count < self._known_readers(topic) or readers != discovered_readers(self._node, topic)
+            ]
             self._asked[name] = (None, time.monotonic())
             return
         if time.monotonic() - since < (ASK_AGAIN_S if future is None else UNANSWERED_S):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 
 import pytest
@@ -9,7 +10,8 @@ import rclpy
 from rclpy.node import Node
 from std_msgs.msg import Empty
 
-from fringedic_ros.matching import Matching, offer_reader_counts
+from fringedic_msgs.srv import CountReaders
+from fringedic_ros.matching import Matching, discovered_readers, offer_reader_counts
 from fringedic_ros.qos import EVENTS, LATCHED
 from fringedic_ros.testing import Peer
 
@@ -52,4 +54,29 @@ def test_a_known_reader_that_is_not_reached_is_waited_for(peer: Peer) -> None:
     peer.wait(lambda: not matching.unmatched(["phase"]), "the end of the reader that was not")
     assert matching.unmatched(["phase", "dic"]) == ["/dic/status"], "a node that is not there has reached nobody"
     for each in (phase, reader, late, stranger):
+        each.destroy_node()
+
+
+def test_a_reader_that_only_one_of_both_knows_is_waited_for(peer: Peer) -> None:
+    """A killed reader is counted by the publisher's node, whose lease of it has not ended, instead of its successor."""
+    phase = node(peer, "phase")
+    reader = node(peer, "dic")
+    killed = "00" * 16
+    reader.create_subscription(Empty, "phase/status", lambda _: None, EVENTS)
+
+    def count(request: CountReaders.Request, response: CountReaders.Response) -> CountReaders.Response:
+        response.counts = [1]
+        response.readers = [killed or discovered_readers(phase, request.topics[0])]
+        return response
+
+    phase.create_service(CountReaders, "phase/count_readers", count)
+    matching = Matching(peer, {"phase": ["phase/status"]}, ("dic",))
+    peer.wait(lambda: peer.count_subscribers("phase/status") == 1, "the successor")
+    deadline = time.monotonic() + 1.0
+    while time.monotonic() < deadline:
+        assert matching.unmatched(["phase"]) == ["/phase/status"]
+        peer.serve(0.05)
+    killed = ""
+    peer.wait(lambda: not matching.unmatched(["phase"]), "the end of the lease")
+    for each in (phase, reader):
         each.destroy_node()
