@@ -15,7 +15,8 @@ def _jump(*_: object) -> None:
 
     def now(clock: Clock) -> Time:
         true = true_now(clock)
-        return Time(nanoseconds=true.nanoseconds - BACK_S * 1_000_000_000, clock_type=true.clock_type)
+        back = max(true.nanoseconds - BACK_S * 1_000_000_000, 0)  # a clock without /clock stands at 0
+        return Time(nanoseconds=back, clock_type=true.clock_type)
 
     Clock.now = now
     time.time_ns = lambda: _true_nanoseconds() - BACK_S * 1_000_000_000

@@ -89,10 +89,10 @@ def test_what_was_published_is_in_the_bag_bit_by_bit(rig: Rig, tmp_path: Path) -
         rig.phase.publish(NodeStatus(node="phase"))
         rig.end_step()
         rig.wait(lambda: rig.statuses[-1].messages >= 11, "all messages to be written")
+        rig.wait(lambda: rig.statuses[-1].bytes > 4 * 48 * 64, "their size, which follows")
         status = rig.statuses[-1]
         assert (status.images, status.missing_images) == (4, 0)
         assert status.path == str(tmp_path / "bag")
-        assert status.bytes > 4 * 48 * 64
 
     bag = BagReader(tmp_path / "bag")
     assert not bag.lost

@@ -85,6 +85,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
             *("--operator", "Ada"),
         ],
         "measure": ["measure", *images, "--spacing", "4", "--output", str(folder / "measured")],
+        "phase": ["phase", str(folder / "fringes"), "--description", str(folder / "fringes" / "phase.yaml")],
         "advise": ["advise", *images],
         "noise": ["noise", *(word for image in images for word in ("--images", image)), "--output", str(folder / "n")],
         "region": ["region", images[0], "--output", str(folder / "region.png")],
@@ -129,6 +130,14 @@ def outcomes(folder: Path) -> dict[str, Outcome]:
     for number in range(3):
         noisy = grey + rng.normal(0, 2, grey.shape)
         cv2.imwrite(str(folder / f"static-{number}.png"), np.clip(noisy, 0, 255).astype(np.uint8))
+    (folder / "fringes").mkdir()
+    for shift in range(4):
+        fringes = 120 + 60 * np.cos(2 * np.pi * (np.arange(200) / 20 - shift / 4)) + rng.normal(0, 2, (160, 200))
+        cv2.imwrite(str(folder / "fringes" / f"{shift}.png"), fringes.round().astype(np.uint8))
+    (folder / "fringes" / "phase.yaml").write_text(
+        "{direction: vertical, projector_px: 200, fringes: [{pitch_px: 20, images: [0.png, 1.png, 2.png, 3.png], "
+        "shifts: [4, 1, 2, 3]}]}"
+    )
     wanted = commands(folder) | {f"{name} --help": [name, "--help"] for name in get_command(app).commands}
     done = subprocess.run(
         [sys.executable, "-c", RUNNER, str(folder / "results.json")],
