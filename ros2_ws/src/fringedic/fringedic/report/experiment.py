@@ -26,6 +26,7 @@ from fringedic.inputs.arguments import check_arguments, optional, path, several,
 from fringedic.metadata import NOISE_COLUMNS
 from fringedic.provenance import git_commit, software
 from fringedic.recording.bag_files import recording_of
+from fringedic.report.confirmation import confirmation_sentence
 from fringedic.report.data import ReportData
 from fringedic.report.embedding import base64_png, base64_text, chart_html, chart_script
 from fringedic.report.entries import MISSING, Entry, hardware_entries, specimen_entries
@@ -167,6 +168,7 @@ def _content(
         "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         "software": f"{software()}, commit {git_commit()}",
         "simulated": data.simulated,
+        "confirmation": confirmation_sentence(dataset),
         "warnings": warnings(data, static, floors) + failed + unread,
         "static_steps": static,
         "floors": [noise_floor_row(floor) for floor in floors],

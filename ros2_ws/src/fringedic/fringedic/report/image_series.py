@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import xarray as xr
 
+from fringedic.report.confirmation import confirmation_sentence
 from fringedic.results.image_series import ImageSeries
 from fringedic.results.quantities import number_text, people_unit
 
@@ -44,6 +45,8 @@ def series_sentences(series: ImageSeries, dataset: xr.Dataset) -> Iterator[str]:
         length += f" ({number_text(1e3 * gauge * float(dataset.attrs['pixel_size']))} mm)"
     yield f"strain of {name}: {_medians(last, _STRAINS)}; virtual strain gauge {length}"
     yield _reference(series)
+    if verdict := confirmation_sentence(dataset):
+        yield verdict
     yield f"time: {series.seconds:.1f} s, {series.seconds / len(series.images):.2f} s per image"
 
 

@@ -24,6 +24,7 @@ _STEP_VALUES = (  # factor 0: in the unit of people
     ("force", "force [N]", 1.0),
     ("position", "position [mm]", MILLI),
     ("valid_fraction", "measured [%]", 0.01),
+    ("confirmed_fraction", "confirmed [%]", 0.01),
     ("rms_displacement", "RMS displacement", 0.0),
 )
 

@@ -13,7 +13,7 @@ from fringedic.inputs.arguments import path as file_path
 from fringedic.recording.frames import RecordedMessage, events
 from fringedic.recording.reader import BagReader
 from fringedic.results.derived import Collected
-from fringedic.results.quantities import PHASE_TOPICS
+from fringedic.results.quantities import PHASE_TOPICS, PROCESSED, RECORDING, Layout
 from fringedic.results.rows import Row, in_order_of_steps, row_of
 from fringedic.results.stores import dataset_path
 from fringedic.results.timeline import Timeline
@@ -40,9 +40,10 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
 ) -> Path:
     """Measure a recorded experiment again from its raw topics, by the same step functions that the nodes call.
 
-    With the recorded parameters the maps equal those of the nodes bit by bit. A step that fails has a row without maps,
-    and the variable ``error`` contains the reason. Of a recording that is cut off all complete steps are measured; the
-    attribute ``damage`` describes the loss.
+    With the recorded parameters the maps equal those of the nodes bit by bit; independent checks of phase and
+    displacement are added, see docs/results.md. A step that fails has a row without maps, and the variable ``error``
+    contains the reason. Of a recording that is cut off all complete steps are measured; the attribute ``damage``
+    describes the loss.
 
     Parameters
     ----------
@@ -111,15 +112,15 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
 
     def passing(numbers: set[int] | None) -> Iterator[Row]:
         for event in events(reader, topics, timeline.experiment):
-            yield from map(row_of, pipeline.take(event, numbers))
+            yield from (row_of(each, pipeline.settings.spacing) for each in pipeline.take(event, numbers))
 
     def rows() -> Iterator[Row]:
         if reference is not None:
             yield from passing(references)
         yield from passing(wanted)
-        yield from map(row_of, pipeline.finish())
+        yield from (row_of(each, pipeline.settings.spacing) for each in pipeline.finish())
 
-    _write(target, timeline, in_order_of_steps(rows()), lambda: pipeline.settings, progress)
+    _write(target, timeline, in_order_of_steps(rows()), lambda: pipeline.settings, progress, PROCESSED)
     return target
 
 
@@ -169,7 +170,7 @@ def dataset_from_derived(
             yield from collected.take(event.topic, event.message)
         yield from collected.finish()
 
-    _write(target, timeline, in_order_of_steps(rows()), collected.settings, None)
+    _write(target, timeline, in_order_of_steps(rows()), collected.settings, None, RECORDING)
     return target
 
 
@@ -179,11 +180,12 @@ def _write(
     rows: Iterator[Row],
     settings: Callable[[], StepSettings],
     progress: Callable[[int, str], None] | None,
+    layout: Layout,
 ) -> None:
     attributes = {"experiment": timeline.experiment, "source": timeline.source}
     if timeline.damage:
         attributes["damage"] = timeline.damage
-    with DatasetWriter(target, attributes) as writer:
+    with DatasetWriter(target, attributes, layout) as writer:
         for row in rows:
             timeline.complete(row)
             writer.add(row, settings())

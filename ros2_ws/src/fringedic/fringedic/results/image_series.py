@@ -17,10 +17,12 @@ from fringedic.errors import DatasetError, FringedicError, ImageError
 from fringedic.frames.files import image_files, read_grey
 from fringedic.inputs.arguments import array, check_arguments, number, optional, path, several, whole
 from fringedic.metadata import Metadata
+from fringedic.results.confirmation import confirmed_fraction
 from fringedic.results.quantities import layout_of_images
 from fringedic.results.rows import Row, displacement_maps
 from fringedic.results.stores import dataset_path
 from fringedic.results.writer import DatasetWriter
+from fringedic.steps.closures import ClosureChecks
 from fringedic.steps.displacement_tracker import DisplacementTracker
 from fringedic.steps.parameters import DicParameters, Parameters
 from fringedic.steps.recorded_parameters import StepSettings
@@ -207,6 +209,7 @@ class _Measuring:
         self._parameters = DicParameters(window=window, spacing=spacing, minimum_valid_fraction=0.0, kept_steps=1)
         self._strain = StrainParameters(strain_window_px=strain_window)
         self._tracker = DisplacementTracker(self._parameters)
+        self._checks = ClosureChecks()
         self._scale, self._mask = pixel_size, None if mask is None else mask.astype(bool)
         self._names: dict[int, str] = {}
         self._reference: np.ndarray | None = None
@@ -254,6 +257,9 @@ class _Measuring:
         else:
             moved = field.displacement_x.values, field.displacement_y.values
             row.maps["grey_residual"] = grey_residual(self._reference, texture, *moved, spacing)
+        closures = self._checks.displacement(result, texture, self._parameters.kept_steps)
+        row.maps |= closures
+        row.confirmed_fraction = confirmed_fraction(closures, spacing)
         if scale is not None:
             maps = row.maps
             row.maps |= {"u": scale * maps["displacement_x"], "v": -scale * maps["displacement_y"]}

@@ -51,6 +51,11 @@ MAPS: dict[str, Quantity] = {
     "sigma_e_22": Quantity("1", "standard deviation of e_22"),
     "sigma_e_12": Quantity("1", "standard deviation of e_12"),
 }
+CLOSURES: dict[str, Quantity] = {  # of the desk, not of the nodes
+    "phase_closure": Quantity("standard deviations", "phase of the next coarser pitch minus that of the finest one"),
+    "displacement_closure_x": Quantity("standard deviations", "what an independent check leaves of displacement_x"),
+    "displacement_closure_y": Quantity("standard deviations", "what an independent check leaves of displacement_y"),
+}
 SCALARS: dict[str, Quantity] = {
     "force": Quantity("N", "mean force over the exposures"),
     "position": Quantity("m", "mean crosshead position over the exposures"),
@@ -75,6 +80,8 @@ class Layout(NamedTuple):
 
 
 RECORDING = Layout(MAPS, SCALARS, TEXTS, timed=True)
+_CONFIRMED = {"confirmed_fraction": Quantity("1", "part of the checked points with closures within 3 sigma")}
+PROCESSED = Layout({**MAPS, **CLOSURES}, {**SCALARS, **_CONFIRMED}, TEXTS, timed=True)
 _FLAT_STRAIN = {
     "e_xx": Quantity("1", "strain along x (right)"),
     "e_yy": Quantity("1", "strain along y (up)"),
@@ -100,7 +107,9 @@ def layout_of_images(scaled: bool) -> Layout:
         "rms_displacement": Quantity("m" if scaled else "px", "root mean square length of the displacement"),
     }
     texts = {**TEXTS, "image": "name of the image"}
-    return Layout({**maps, **_FLAT_STRAIN, "grey_residual": GREY_RESIDUAL}, scalars, texts, timed=False)
+    checks = {name: CLOSURES[name] for name in ("displacement_closure_x", "displacement_closure_y")}
+    maps |= {**_FLAT_STRAIN, "grey_residual": GREY_RESIDUAL, **checks}
+    return Layout(maps, {**scalars, **_CONFIRMED}, texts, timed=False)
 
 
 POSITIONS = {"x", "y", "z", "shape_x", "shape_y", "shape_z"}

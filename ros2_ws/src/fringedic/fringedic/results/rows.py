@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import xarray as xr
 
+from fringedic.results.confirmation import confirmed_fraction
 from fringedic.steps.pipeline import MeasuredStep
 
 
@@ -26,10 +27,11 @@ class Row:
     rms_displacement: float = float("nan")
     maps: dict[str, np.ndarray] = field(default_factory=dict)
     image: str = ""
+    confirmed_fraction: float = float("nan")
 
 
-def row_of(measured: MeasuredStep) -> Row:
-    """Return the row of a step that was measured offline."""
+def row_of(measured: MeasuredStep, spacing: int) -> Row:
+    """Return the row of a step that was measured offline, at points of a distance of `spacing` [px]."""
     row = Row(measured.step, measured.stamp, error=measured.error)
     phase, displacement, coupling = measured.phase, measured.displacement, measured.coupling
     if phase is not None:
@@ -50,6 +52,8 @@ def row_of(measured: MeasuredStep) -> Row:
         row.rms_displacement = coupling.rms
         row.maps |= {f"shape_{name}": array.values for name, array in coupling.shape.items()}
         row.maps |= {str(name): array.values for name, array in coupling.displacement.items()}
+    row.maps |= measured.closures
+    row.confirmed_fraction = confirmed_fraction(measured.closures, spacing)
     return row
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.frames import RecordedFrame, RecordedMessage
 from fringedic.rig.compatibility import RigSetup, check_calibration
 from fringedic.rig.model import RigModel
+from fringedic.steps.closures import ClosureChecks
 from fringedic.steps.displacement_tracker import DisplacementTracker
 from fringedic.steps.phase import phase_step, white_texture
 from fringedic.steps.recorded_parameters import RecordedParameters, StepSettings
@@ -37,6 +38,8 @@ class MeasuredStep:
         Why it could not be measured to the end; empty when it could.
     phase, displacement, coupling
         The results; None for those that a white step does not have, and after an error.
+    closures
+        Independent checks, see `ClosureChecks`, by the names of their maps [standard deviations].
     """
 
     step: int
@@ -45,6 +48,7 @@ class MeasuredStep:
     phase: PhaseResult | None = None
     displacement: DicResult | None = None
     coupling: CouplingResult | None = None
+    closures: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 class OfflinePipeline:
@@ -79,6 +83,7 @@ class OfflinePipeline:
         self._collector = FrameCollector()
         self._displacement = DisplacementTracker(self._parameters.dic)
         self._shape = ShapeTracker(self._parameters.coupling)
+        self._checks = ClosureChecks()
         self._answered: set[int] = set()
         if reference is not None:
             self._set_reference(experiment, reference)
@@ -152,16 +157,20 @@ class OfflinePipeline:
         measured = MeasuredStep(stack.step, stack.stamp)
         try:
             if stack.kind == PatternKind.WHITE:
-                measured.displacement = self._displace(stack, white_texture(stack.frames[-1]))
+                self._displace(stack, white_texture(stack.frames[-1]), measured)
                 return measured
             measured.phase = phase_step(stack, self._parameters.phase)
-            measured.displacement = self._displace(stack, measured.phase.texture)
+            measured.closures |= self._checks.phase(stack, measured.phase)
+            self._displace(stack, measured.phase.texture, measured)
             self._shape.parameters = self._parameters.coupling
+            assert measured.displacement is not None
             measured.coupling = self._shape.step(measured.phase, measured.displacement)
         except FringedicError as error:
             measured.error = str(error)
         return measured
 
-    def _displace(self, stack: Stack, texture: np.ndarray) -> DicResult:
+    def _displace(self, stack: Stack, texture: np.ndarray, measured: MeasuredStep) -> None:
         self._displacement.parameters = self._parameters.dic
-        return self._displacement.step(stack.experiment, stack.step, stack.stamp, texture)
+        result = self._displacement.step(stack.experiment, stack.step, stack.stamp, texture)
+        measured.displacement = result
+        measured.closures |= self._checks.displacement(result, texture, self._parameters.dic.kept_steps)

@@ -29,6 +29,7 @@ from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.patterns.render import render_pattern
 from fringedic.recording.topics import Topic
 from fringedic.recording.writer import BagWriter
+from fringedic.report.confirmation import confirmation_sentence
 from fringedic.results import MAPS, compare_with_truth, dataset_from_derived, open_experiment, process_bag, truth_errors
 from fringedic.results.derived import Collected
 from fringedic.results.quantities import SCALARS, STEP_NUMBERS
@@ -316,6 +317,21 @@ def test_desk_and_nodes_agree_bit_by_bit(bench, processed, tmp_path):
         assert not desk.increments_summed.any()
 
 
+def test_the_desk_checks_phase_and_displacement(processed, bench, tmp_path):
+    at_rest, moved = processed.sel(step=0), processed.sel(step=3)
+    for name in ("displacement_closure_x", "displacement_closure_y", "phase_closure"):
+        assert np.isfinite(moved[name]).mean() > 0.5, name
+        assert 0.6 < np.nanstd(moved[name]) < 1.6, name
+        assert moved[name].units == "standard deviations"
+    assert np.isnan(at_rest.displacement_closure_x).all()
+    assert np.isfinite(at_rest.phase_closure).mean() > 0.5
+    assert 0.9 < float(moved.confirmed_fraction) <= 1
+    assert "are confirmed within 3 sigma" in confirmation_sentence(processed)
+    with open_experiment(dataset_from_derived(bench.bag, output=tmp_path / "derived.nc")) as derived:
+        assert confirmation_sentence(derived) == ""
+        assert not [name for name in derived if "closure" in name]
+
+
 def test_steps_whose_increments_were_summed_are_told_by_desk_and_nodes(tmp_path):
     """A texture that turns into another one within eight steps, which also moves."""
     generator = np.random.default_rng(7)
@@ -327,6 +343,10 @@ def test_steps_whose_increments_were_summed_are_told_by_desk_and_nodes(tmp_path)
         bench.step(number, 0.0, white=True, image=np.round(128 + 40 * texture / first.std()).clip(0, 255).astype("u1"))
     bench.writer.close()
     desk = process_bag(tmp_path / "plate", output=tmp_path / "desk.nc")
+    with open_experiment(desk) as dataset:
+        checked = np.isfinite(dataset.displacement_closure_x).any(["row", "column"]).values
+        assert checked.tolist() == [bool(step) and not summed for step, summed in enumerate(dataset.increments_summed)]
+        assert 1 < checked.sum() < 7
     nodes = dataset_from_derived(tmp_path / "plate", output=tmp_path / "nodes.nc")
     with open_experiment(desk) as one, open_experiment(nodes) as other:
         for name in ("displacement_x", "displacement_sigma_x", *STEP_NUMBERS):

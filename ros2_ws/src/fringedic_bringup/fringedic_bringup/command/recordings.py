@@ -51,7 +51,8 @@ def process(
 ) -> None:
     """Process recordings again without nodes and write the results as datasets."""
     from fringedic.recording.reader import BagReader
-    from fringedic.results import process_bag
+    from fringedic.report.confirmation import confirmation_sentence
+    from fringedic.results import open_experiment, process_bag
     from fringedic.rig.model import RigModel
     from fringedic.steps.recorded_rig import require_calibration
 
@@ -84,7 +85,10 @@ def process(
                 overwrite=overwrite,
                 progress=tell,
             )
-        say(f"dataset: {written}", f"whole: {errors.count('')} of {len(errors)} steps", next_reading(written))
+        with open_experiment(written) as dataset:
+            verdict = confirmation_sentence(dataset)
+        say(f"dataset: {written}", f"whole: {errors.count('')} of {len(errors)} steps", *([verdict] if verdict else []))
+        say(next_reading(written))
 
     for_each(bags, work)
 

@@ -1,0 +1,76 @@
+"""Closure of the displacement: a z-score where the displacement is right, large where it is wrong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import fourier_shift, gaussian_filter
+
+from fringedic import measure_displacement
+from fringedic.correlation.closure import displacement_closure
+from fringedic.errors import CorrelationError
+
+MOVED = (0.4, 2.3)  # rows, columns
+
+
+@pytest.fixture(scope="module", params=[1, 3])
+def measured(request):
+    """Two noisy images of a texture that moves, of another brightness and contrast, and the displacement."""
+    generator = np.random.default_rng(11)
+    texture = gaussian_filter(generator.normal(size=(240, 260)), 1.6, mode="wrap")
+    texture *= 30 / texture.std()
+    moved = np.fft.ifft2(fourier_shift(np.fft.fft2(texture), MOVED)).real
+    first, second = (image + generator.normal(0, 1, image.shape) for image in (texture, 20 + 1.1 * moved))
+    first[100:110, 60:75] = np.nan
+    return first, second, measure_displacement(first, second, window=24, spacing=request.param)
+
+
+def closures(images, field):
+    closure = displacement_closure(*images, field)
+    return np.stack([closure.closure_x.values, closure.closure_y.values])
+
+
+def test_the_closure_of_a_right_displacement_is_a_z_score(measured):
+    first, second, field = measured
+    found = closures((first, second), field)
+    known = np.isfinite(found)
+    assert known.all(axis=0).sum() > 0.97 * np.isfinite(field.displacement_x.values).sum()
+    assert not known[:, ~np.isfinite(field.displacement_x.values)].any()
+    assert 0.8 < np.sqrt(np.mean(found[known] ** 2)) < 1.25
+    assert np.mean(np.abs(found[known]) <= 3) > 0.985
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+@pytest.mark.parametrize("error", [8.0, -8.0])
+def test_an_error_of_eight_sigma_is_found_with_its_sign(measured, axis, error):
+    first, second, field = measured
+    name = f"displacement_{axis}"
+    found = closures((first, second), field.assign({name: field[name] + error * field[f"sigma_{axis}"]}))
+    part = found["xy".index(axis)]
+    part = part[np.isfinite(part)]
+    assert np.mean(np.abs(part) > 3) > 0.99
+    assert np.mean(np.sign(part) == -np.sign(error)) > 0.99
+
+
+def test_a_wrong_match_is_found(measured):
+    """On a third of the surface: the usual noise comes from the other points."""
+    first, second, field = measured
+    wrong = field.column < 80
+    found = closures((first, second), field.assign(displacement_x=field.displacement_x + np.float32(7) * wrong))
+    checked = np.isfinite(found).all(axis=0) & wrong.values
+    assert np.mean((np.abs(found) > 3).any(axis=0)[checked]) > 0.99
+
+
+def test_nothing_measured_is_nothing_checked(measured):
+    first, second, field = measured
+    found = closures((first, second), field.where(False).assign_attrs(field.attrs))
+    assert found.shape[1:] == field.displacement_x.shape
+    assert not np.isfinite(found).any()
+
+
+def test_arrays_that_do_not_belong_together_are_refused(measured):
+    first, second, field = measured
+    with pytest.raises(CorrelationError, match="equal shapes"):
+        displacement_closure(first[:-1], second, field)
+    with pytest.raises(CorrelationError, match="result of measure_displacement"):
+        displacement_closure(first, second, field.drop_attrs())
