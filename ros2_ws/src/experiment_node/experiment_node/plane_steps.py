@@ -22,7 +22,7 @@ from fringedic.report.calibration_sentences import place_in_words
 from fringedic_msgs.msg import ReferencePlane
 from fringedic_msgs.srv import PlaceReferencePlane
 from fringedic_ros.parameters import Parameters
-from fringedic_ros.qos import EVENTS
+from fringedic_ros.qos import LATCHED_BY_MANY
 from fringedic_ros.rig_node import RIG_FRAME, frame_id
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.waiting import Condition, call, wait_for
@@ -58,7 +58,7 @@ class PlaneSteps:
         self._runner = runner
         self._worker = Worker(node)
         self._place = node.create_client(PlaceReferencePlane, "reference_plane/place")
-        self._planes = node.create_publisher(ReferencePlane, "experiment/plane", EVENTS)
+        self._planes = node.create_publisher(ReferencePlane, "experiment/plane", LATCHED_BY_MANY)
 
     @property
     def parameters(self) -> ExperimentParameters:

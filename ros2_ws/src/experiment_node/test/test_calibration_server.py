@@ -24,7 +24,7 @@ from fringedic_msgs.msg import Exposure, NodeStatus, ReferencePlane, RigCalibrat
 from fringedic_msgs.srv import CaptureFrame, PlaceReferencePlane, ShowPattern
 from fringedic_ros.images import image_message
 from fringedic_ros.matching import offer_reader_counts
-from fringedic_ros.qos import DERIVED, EVENTS, IMAGES, LATCHED
+from fringedic_ros.qos import DERIVED, EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY
 from fringedic_ros.stamps import to_msg
 from fringedic_ros.testing import NodeProcess, Peer
 
@@ -226,6 +226,8 @@ def test_calibration_from_begin_to_end(rig: Rig, tmp_path: Path) -> None:
     assert (tmp_path / "distortion.yaml").exists()
     [grid] = rig.planes
     assert (grid.kind, grid.experiment, grid.step, grid.grid_pitch) == (0, camera.experiment, 0, GRID_PITCH)
+    late = rig.listen(ReferencePlane, "experiment/plane", LATCHED_BY_MANY)
+    rig.wait(lambda: grid in late, "the plane for a recorder that connects late")
     rig.behave()
 
     result = rig.calibrate(tmp_path)
