@@ -85,7 +85,10 @@ def commands(folder: Path) -> dict[str, list[str]]:
             *("--operator", "Ada"),
         ],
         "measure": ["measure", *images, "--spacing", "4", "--output", str(folder / "measured")],
-        "phase": ["phase", str(folder / "fringes"), "--description", str(folder / "fringes" / "phase.yaml")],
+        "phase": [
+            *("phase", str(folder / "fringes"), "--description", str(folder / "fringes" / "phase.yaml")),
+            *("--output", str(folder / "phases")),
+        ],
         "advise": ["advise", *images],
         "noise": ["noise", *(word for image in images for word in ("--images", image)), "--output", str(folder / "n")],
         "region": ["region", images[0], "--output", str(folder / "region.png")],
