@@ -37,10 +37,10 @@ if ! setup/hardware.sh; then
     echo "without these packages the tests of real devices are left out; make test-hardware runs them alone" >&2
     chosen=(-m "not hardware and not operate")
 fi
-files=$(git status --porcelain)
+files=$(git status --porcelain || true)
 # Most tests of nodes wait more than they compute; more processes than these would take time from what is being timed.
 "${pytest[@]}" -n 3 "${chosen[@]}" "${rest[@]}"
-if [ "$files" != "$(git status --porcelain)" ]; then
+if [ "$files" != "$(git status --porcelain || true)" ]; then
     echo "the tests have left files in the checkout:" >&2
     git status --porcelain >&2
     exit 1
