@@ -7,6 +7,7 @@ from .calibration import calibrate_rig as calibrate_rig
 from .calibration import check_rig as check_rig
 from .camera import DistortionMap as DistortionMap
 from .camera import measure_distortion as measure_distortion
+from .campaign import open_campaign as open_campaign
 from .configuration import load_programme as load_programme
 from .configuration import load_rig_file as load_rig_file
 from .correlation import Reference as Reference

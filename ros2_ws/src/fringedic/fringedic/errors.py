@@ -135,6 +135,10 @@ class ExportError(FringedicError, ValueError):
     """A format cannot hold what is to be exported, or something is in its place already."""
 
 
+class CampaignError(FringedicError, ValueError):
+    """A campaign, its store or one of its recordings does not allow what is asked for."""
+
+
 class CameraError(FringedicError, RuntimeError):
     """The camera cannot deliver a frame."""
 
@@ -190,6 +194,7 @@ _EXTRAS = {
     "paraview": "a file for ParaView",
     "models": "reading a model",
     "zarr": "a Zarr dataset",
+    "campaign": "a campaign",
 }
 
 
@@ -201,7 +206,7 @@ def optional_import(extra: str) -> Iterator[None]:
     ----------
     extra
         The extra of this library that installs the package: ``figures``, ``report``, ``operator``, ``paraview``,
-        ``models`` or ``zarr``.
+        ``models``, ``zarr`` or ``campaign``.
 
     Raises
     ------

@@ -97,6 +97,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
         "verify": ["verify", bag],
         "recover": ["recover", bag, "--output", str(folder / "recovered")],
         "process": ["process", bag, "--output", dataset],
+        "campaign": ["campaign", "run", str(folder / "campaign")],
         "export": ["export", dataset, "--to", "netcdf", "--output", str(folder / "exported")],
         "report": ["report", dataset, "--output", str(folder / "report.html")],
         "compare-model": [
@@ -124,6 +125,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def outcomes(folder: Path) -> dict[str, Outcome]:
     """Run all commands, and the help of every subcommand, in one process that cannot import ROS."""
     shutil.copytree(BAG, folder / "run" / "bag")
+    (folder / "campaign").mkdir()
+    (folder / "campaign" / "campaign.yaml").write_text("recordings: [{path: ../run}]")
     rng = np.random.default_rng(5)
     texture = gaussian_filter(rng.normal(size=(160, 200)), 1.5)
     grey = 128 + 35 * texture / texture.std()

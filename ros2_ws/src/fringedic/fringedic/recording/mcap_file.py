@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from io import BytesIO
+from io import SEEK_END, BytesIO
 from pathlib import Path
 from typing import NamedTuple
 
@@ -148,6 +148,31 @@ def read_index(path: Path, data: Bytes) -> McapFile | None:
     file.counts = Counter(file.indexed)
     definitions = {channel.schema_id for channel in file.channels.values() if channel.schema_id}
     return file if file.counts.keys() <= file.channels.keys() and definitions <= file.schemas.keys() else None
+
+
+def index_bytes(path: Path) -> bytes | None:
+    """Return the index at the end of a file; None for a file without one, which is not read any further.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read.
+    """
+    tail = _FOOTER.size + len(MAGIC)
+    try:
+        with open(path, "rb") as stream:
+            size = stream.seek(0, SEEK_END)
+            if size < tail:
+                return None
+            stream.seek(size - tail)
+            footer = stream.read(tail)
+            _, _, start, _, _ = _FOOTER.unpack_from(footer)
+            if footer[_FOOTER.size :] != MAGIC or not 0 < start < size - tail:
+                return None
+            stream.seek(start)
+            return stream.read(size - tail - start)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
 
 
 def _place(index: ChunkIndex, file: McapFile) -> ChunkPlace:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from fringedic.errors import DatasetError
 from fringedic.inputs.arguments import check_arguments, optional
 from fringedic.inputs.arguments import path as file_path
+from fringedic.recording.bag_files import recording_of
 from fringedic.recording.frames import RecordedMessage, events
 from fringedic.recording.reader import BagReader
 from fringedic.results.derived import Collected
 from fringedic.results.quantities import PHASE_TOPICS, PROCESSED, RECORDING, Layout
 from fringedic.results.rows import Row, in_order_of_steps, row_of
-from fringedic.results.stores import dataset_path
+from fringedic.results.stores import Store, dataset_path
 from fringedic.results.timeline import Timeline
 from fringedic.results.writer import DatasetWriter
 from fringedic.rig.compatibility import check_calibration
@@ -93,24 +96,61 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     >>> process_bag("recordings/plate-7/bag", overrides={"dic.window": 24})  # doctest: +SKIP
     PosixPath('recordings/plate-7/bag.nc')
     """
+    only = None if steps is None else frozenset(steps)
+    settings = ProcessingSettings(overrides or {}, reference, calibration, experiment, only)
+    target = dataset_path(recording_of(Path(path)), output, overwrite)
+    process_into(target, path, settings, progress)
+    return target
+
+
+@dataclass(frozen=True)
+class ProcessingSettings:
+    """What a recording is processed with; see `process_bag`."""
+
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    reference: int | None = None
+    calibration: RigModel | None = None
+    experiment: str | None = None
+    steps: frozenset[int] | None = None
+
+
+def process_into(
+    target: Path | Store,
+    path: str | os.PathLike[str],
+    settings: ProcessingSettings,
+    progress: Callable[[int, str], None] | None = None,
+) -> None:
+    """Measure a recorded experiment into any store; `process_bag` with a path.
+
+    Parameters
+    ----------
+    target
+        Path of a dataset, or a store that takes it.
+    path, settings, progress
+        The recording, what it is processed with, and the call after each step, as of `process_bag`.
+
+    Raises
+    ------
+    FringedicError
+        See `process_bag`.
+    """
     reader = BagReader(path)
-    path = reader.path
+    reference = settings.reference
     names = reader.find("camera/image_raw", "camera/exposure")
     names |= reader.find_optional(
         "experiment/step", "experiment/reference", "calibration", "node_parameters", "load_frame/state"
     )
-    timeline = Timeline(reader, names, experiment)
-    if calibration is not None:
-        check_calibration(calibration, recorded_setup(reader))
-    pipeline = OfflinePipeline(overrides or {}, timeline.experiment, reference, calibration)
+    timeline = Timeline(reader, names, settings.experiment)
+    if settings.calibration is not None:
+        check_calibration(settings.calibration, recorded_setup(reader))
+    pipeline = OfflinePipeline(settings.overrides, timeline.experiment, reference, settings.calibration)
     references = timeline.references if reference is None else {reference}
     asked = references if reference is not None else set()
-    wanted = None if steps is None else set(steps) | references
+    wanted = None if settings.steps is None else settings.steps | references
     timeline.require_steps(asked | (wanted or set()))
-    target = dataset_path(path, output, overwrite)
     topics = {name: full for name, full in names.items() if name != "load_frame/state"}
 
-    def passing(numbers: set[int] | None) -> Iterator[Row]:
+    def passing(numbers: AbstractSet[int] | None) -> Iterator[Row]:
         for event in events(reader, topics, timeline.experiment):
             yield from (row_of(each, pipeline.settings.spacing) for each in pipeline.take(event, numbers))
 
@@ -121,9 +161,9 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
         yield from (row_of(each, pipeline.settings.spacing) for each in pipeline.finish())
 
     _write(target, timeline, in_order_of_steps(rows()), lambda: pipeline.settings, progress, PROCESSED)
-    return target
 
 
+@check_arguments(DatasetError, path=file_path, output=optional(file_path))
 def dataset_from_derived(
     path: str | os.PathLike[str],
     *,
@@ -175,7 +215,7 @@ def dataset_from_derived(
 
 
 def _write(
-    target: Path,
+    target: Path | Store,
     timeline: Timeline,
     rows: Iterator[Row],
     settings: Callable[[], StepSettings],

@@ -36,6 +36,13 @@ class Variable(NamedTuple):
 class Store(Protocol):
     """A dataset that is being written."""
 
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+
+    def room(self) -> float:
+        """Return the bytes that still fit; infinity where that is not known."""
+
     def add_variable(self, variable: Variable, sizes: Mapping[str, int]) -> None:
         """Make a variable; `sizes` is that of each dimension now (step may grow)."""
 
@@ -97,6 +104,11 @@ def dataset_path(
     return target
 
 
+def free_bytes(target: Path) -> float:
+    """Return the bytes that still fit beside a file or folder."""
+    return shutil.disk_usage(target.absolute().parent).free
+
+
 def _temporary(target: Path) -> Path:
     return target.with_name(f".{target.name}.writing")
 
@@ -108,6 +120,15 @@ class NetcdfStore:
         self._target = target
         self._file: Any = h5netcdf.File(_temporary(target), "w")
         self._file.dimensions = {"step": None}
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return str(self._target)
+
+    def room(self) -> float:
+        """Return the bytes that still fit."""
+        return free_bytes(self._target)
 
     def add_variable(self, variable: Variable, sizes: Mapping[str, int]) -> None:
         """Make a variable; `sizes` is that of each dimension now (step may grow)."""
@@ -182,6 +203,15 @@ class ZarrStore:
         self._target = target
         self._group = zarr.open_group(_temporary(target), mode="w", zarr_format=2)
         self._growing: list[Any] = []
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return str(self._target)
+
+    def room(self) -> float:
+        """Return the bytes that still fit."""
+        return free_bytes(self._target)
 
     def add_variable(self, variable: Variable, sizes: Mapping[str, int]) -> None:
         """Make a variable; `sizes` is that of each dimension now (step may grow)."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -22,19 +21,19 @@ _ROOM_LEFT = 10_000_000  # [byte] beside the maps of a step: attributes, the ind
 
 
 class DatasetWriter:
-    """Appends steps to a dataset, NetCDF or Zarr by its suffix, which gets its name when it is complete.
+    """Appends steps to a dataset, which gets its name when it is complete.
 
     Parameters
     ----------
     target
-        The dataset.
+        The dataset: a path, which becomes NetCDF or Zarr by its suffix, or a store.
     attributes
         Of the dataset, beside software, commit, settings and conventions.
     layout
         Its variables.
     """
 
-    def __init__(self, target: Path, attributes: Mapping[str, Any], layout: Layout = RECORDING) -> None:
+    def __init__(self, target: Path | Store, attributes: Mapping[str, Any], layout: Layout = RECORDING) -> None:
         self._target = target
         self._layout = layout
         self._store: Store
@@ -50,7 +49,7 @@ class DatasetWriter:
         self._last_error = ""
 
     def __enter__(self) -> DatasetWriter:
-        self._store = create_store(self._target)
+        self._store = create_store(self._target) if isinstance(self._target, Path) else self._target
         self._variable("step", ("step",), "i8", "1", "load step")
         if self._layout.timed:
             self._variable("time", ("step",), "i8", "nanoseconds since 1970-01-01", "stamp of the last exposure")
@@ -68,7 +67,7 @@ class DatasetWriter:
             return
         self._store.discard()
         if kind is None:
-            raise DatasetError(f"{self._target}: no step could be measured: {self._last_error or 'no frames'}")
+            raise DatasetError(f"{self._store.name}: no step could be measured: {self._last_error or 'no frames'}")
 
     def add(self, row: Row, settings: StepSettings) -> None:
         """Append one step."""
@@ -96,10 +95,10 @@ class DatasetWriter:
     def _require_room(self, row: Row) -> None:
         """Refuse a step that the disk has no room for: HDF5 ends the process when it cannot write."""
         needed = sum(values.nbytes for values in row.maps.values()) + _ROOM_LEFT
-        free = shutil.disk_usage(self._target.absolute().parent).free
+        free = self._store.room()
         if free < needed:
             raise DatasetError(
-                f"{self._target}: the disk is full, step {row.step} needs {1e-6 * needed:.0f} MB and "
+                f"{self._store.name}: the disk is full, step {row.step} needs {1e-6 * needed:.0f} MB and "
                 f"{1e-6 * free:.0f} MB are free: make room, or choose another output",
                 code=ErrorCode.DISK_FULL,
             )
@@ -111,7 +110,7 @@ class DatasetWriter:
             self._create_grid(grid)
         elif grid != self._grid:
             raise DatasetError(
-                f"{self._target}: step {row.step} has {grid[1]}x{grid[0]} points at a spacing of {grid[2]} px, the "
+                f"{self._store.name}: step {row.step} has {grid[1]}x{grid[0]} points at a spacing of {grid[2]} px, the "
                 f"steps before have {self._grid[1]}x{self._grid[0]} at {self._grid[2]} px; process them separately"
             )
         for name, values in row.maps.items():

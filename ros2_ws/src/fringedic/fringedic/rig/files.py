@@ -69,7 +69,26 @@ def read_rig(path: str | Path) -> dict[str, Any]:
         The lens distortion in the file is invalid.
     """
     try:
-        content = load_yaml(Path(path).read_text(encoding="utf-8"))
+        text = Path(path).read_text(encoding="utf-8")
+    except OSError as error:
+        raise CalibrationError(f"cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise CalibrationError(f"this is not the calibration of a rig: {error}") from None
+    return parse_rig(text)
+
+
+def parse_rig(text: str) -> dict[str, Any]:
+    """Return the fields of the `RigGeometry` (SI) from the text of a file that `write_rig` wrote.
+
+    Raises
+    ------
+    CalibrationError
+        The text is not the calibration of a rig, or an entry is missing.
+    GridError
+        The lens distortion is invalid.
+    """
+    try:
+        content = load_yaml(text)
         values: dict[str, Any] = {
             name: _from_people(content[section][key], unit)
             for section, entries in _SECTIONS.items()
@@ -87,9 +106,7 @@ def read_rig(path: str | Path) -> dict[str, Any]:
         }
     except KeyError as error:
         raise CalibrationError(f"{error.args[0]} is missing") from None
-    except OSError as error:
-        raise CalibrationError(f"cannot be read: {error.strerror}") from None
-    except (yaml.YAMLError, UnicodeDecodeError, TypeError, AttributeError) as error:
+    except (yaml.YAMLError, TypeError, AttributeError) as error:
         raise CalibrationError(f"this is not the calibration of a rig: {error}") from None
 
 

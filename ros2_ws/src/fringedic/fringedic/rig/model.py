@@ -13,7 +13,7 @@ import xarray as xr
 from fringedic.errors import CalibrationError, GridError, ImageError
 from fringedic.inputs.arguments import array, check_arguments, number, optional
 from fringedic.patterns.pattern import Orientation
-from fringedic.rig.files import read_rig, write_rig
+from fringedic.rig.files import parse_rig, read_rig, write_rig
 from fringedic.rig.geometry import RigGeometry
 from fringedic.rig.messages import fields_of_rig, rig_of_fields
 from fringedic.rig.reconstruction import reconstruct_surface
@@ -179,6 +179,17 @@ class RigModel(RigGeometry):
             return cls(**read_rig(path))
         except (CalibrationError, GridError) as error:
             raise CalibrationError(f"{path}: {error}") from None
+
+    @classmethod
+    def from_text(cls, text: str) -> RigModel:
+        """Read a model from the text of a file that `to_yaml` wrote.
+
+        Raises
+        ------
+        CalibrationError, GridError
+            The text is not such a model, or a parameter is missing or not allowed.
+        """
+        return cls(**parse_rig(text))
 
     def message_fields(self) -> dict[str, Any]:
         """Return the fields of ``fringedic_msgs/RigCalibration`` as plain numbers and lists, without its header.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -95,7 +96,9 @@ class OfflinePipeline:
         """Everything that the next step is measured with."""
         return self._parameters.settings(self._calibration)
 
-    def take(self, event: RecordedFrame | RecordedMessage, wanted: set[int] | None = None) -> list[MeasuredStep]:
+    def take(
+        self, event: RecordedFrame | RecordedMessage, wanted: AbstractSet[int] | None = None
+    ) -> list[MeasuredStep]:
         """Take what was recorded next and return the steps that it completes.
 
         Parameters
@@ -137,7 +140,7 @@ class OfflinePipeline:
         self._answered.add(step)
         return MeasuredStep(step, error=str(self._collector.abandon(experiment, step)))
 
-    def _take_frame(self, frame: RecordedFrame, wanted: set[int] | None) -> list[MeasuredStep]:
+    def _take_frame(self, frame: RecordedFrame, wanted: AbstractSet[int] | None) -> list[MeasuredStep]:
         record = frame.record
         unwanted = wanted is not None and record.step not in wanted
         if record.pattern.kind == PatternKind.OTHER or unwanted or record.step in self._answered:

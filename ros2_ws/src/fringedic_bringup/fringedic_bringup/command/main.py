@@ -8,12 +8,22 @@ from typing import Any, NoReturn
 import typer
 
 from fringedic.errors import FringedicError
-from fringedic_bringup.command import calibration, experiments, images, models, operator, recordings, rig_setup
+from fringedic_bringup.command import (
+    calibration,
+    campaign,
+    experiments,
+    images,
+    models,
+    operator,
+    recordings,
+    rig_setup,
+)
 from fringedic_bringup.command.app import app
 
 __all__ = [
     "app",
     "calibration",
+    "campaign",
     "experiments",
     "images",
     "main",

@@ -1,0 +1,234 @@
+"""Engines: they hand the units of a campaign to workers. The results do not depend on the engine."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+from fringedic.campaign.plan import Unit
+from fringedic.campaign.unit import Failure, Receipt, attempt, record_failure
+from fringedic.errors import CampaignError, optional_import
+
+with optional_import("campaign"):
+    import psutil
+
+Outcome = Receipt | Failure
+_THREADS = (
+    "NUMBA_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "OPENCV_FOR_THREADS_NUM",
+)
+ONE_THREAD = dict.fromkeys(_THREADS, "1")
+"""Environment of a worker, which has to be set before it starts: workers are parallel, not their kernels."""
+_ATTEMPTS = 3  # at a unit whose worker dies
+
+
+class Engine(Protocol):
+    """Distributes units."""
+
+    def outcomes(self, units: Sequence[Unit]) -> Iterator[Outcome]:
+        """Process units and yield the outcome of each one as soon as it is known, in any order.
+
+        Raises
+        ------
+        CampaignError
+            The workers or their scheduler are lost; what is committed stays.
+        """
+
+
+class Serial:
+    """Processes one unit after the other in this process, with the threads of the library."""
+
+    def outcomes(self, units: Sequence[Unit]) -> Iterator[Outcome]:
+        """See `Engine`."""
+        for unit in units:
+            limit = float(psutil.virtual_memory().available)
+            yield attempt(unit) if unit.memory <= limit else _too_large(unit, limit)
+
+
+class Processes:
+    """Processes units in worker processes of this computer, each with one thread.
+
+    Parameters
+    ----------
+    workers
+        Number of processes.
+    """
+
+    def __init__(self, workers: int) -> None:
+        self._workers = workers
+
+    def outcomes(self, units: Sequence[Unit]) -> Iterator[Outcome]:
+        """See `Engine`; a unit whose process dies is tried again, three times altogether."""
+        limit = psutil.virtual_memory().available / self._workers
+        waiting = [unit for unit in units if unit.memory <= limit]
+        yield from (_too_large(unit, limit) for unit in units if unit.memory > limit)
+        deaths: Counter[str] = Counter()
+        while waiting:
+            lost: list[Unit] = []
+            yield from self._with_one_pool(waiting, lost)
+            deaths.update(unit.name for unit in lost)
+            for unit in lost:
+                if deaths[unit.name] < _ATTEMPTS:
+                    waiting.append(unit)
+                else:
+                    yield _died(unit)
+
+    def _with_one_pool(self, waiting: list[Unit], lost: list[Unit]) -> Iterator[Outcome]:
+        """Process units until none is waiting, or until a process dies: its unit and its neighbours are then lost."""
+        with _environment(ONE_THREAD):
+            pool = ProcessPoolExecutor(self._workers, multiprocessing.get_context("spawn"))
+            with pool:
+                running: dict[Future[Outcome], Unit] = {}
+                while (waiting or running) and not lost:
+                    while waiting and len(running) < self._workers:
+                        unit = waiting.pop(0)
+                        try:
+                            running[pool.submit(attempt, unit)] = unit
+                        except BrokenProcessPool:
+                            waiting.insert(0, unit)
+                            break
+                    for future in wait(running, return_when=FIRST_COMPLETED).done:
+                        unit = running.pop(future)
+                        try:
+                            yield future.result()
+                        except BrokenProcessPool:
+                            lost.append(unit)
+                lost += running.values()
+
+
+class Dask:
+    """Processes units on a Dask cluster: one of this computer, or any other by the address of its scheduler.
+
+    Parameters
+    ----------
+    workers
+        Number of worker processes of this computer.
+    scheduler
+        Address of another cluster, ``tcp://...`` or ``tls://...``; its workers need the software of the plan, and
+        `ONE_THREAD` in their environment.
+
+    Attributes
+    ----------
+    dashboard
+        Address of the scheduler's web page, while units are processed.
+    """
+
+    def __init__(self, workers: int, scheduler: str | None = None) -> None:
+        with optional_import("campaign"):
+            import distributed
+        self._distributed: Any = distributed
+        self._workers = workers
+        self._scheduler = scheduler
+        self.dashboard = ""
+
+    def outcomes(self, units: Sequence[Unit]) -> Iterator[Outcome]:
+        """See `Engine`; a unit whose worker dies is tried again, three times altogether."""
+        with self._client() as client:
+            self.dashboard = client.dashboard_link or ""
+            limit = self._memory_limit(client)
+            yield from (_too_large(unit, limit) for unit in units if unit.memory > limit)
+            futures = {
+                client.submit(attempt, unit, key=f"{unit.name}-{unit.key[:16]}", pure=False): unit
+                for unit in units
+                if unit.memory <= limit
+            }
+            completed = self._distributed.as_completed(futures, with_results=True, raise_errors=False)
+            for future, result in completed:
+                yield self._outcome(future, result, futures[future])
+
+    def _outcome(self, future: Any, result: Any, unit: Unit) -> Outcome:
+        if future.status == "finished":
+            assert isinstance(result, Receipt | Failure)
+            return result
+        error = future.exception() if future.status == "error" else None
+        if isinstance(error, self._distributed.KilledWorker):
+            return _died(unit)
+        raise _lost(self._scheduler or "this computer", error)
+
+    def _memory_limit(self, client: Any) -> float:
+        try:
+            client.wait_for_workers(1, timeout=60)
+        except TimeoutError as error:
+            raise CampaignError(
+                f"the Dask scheduler {client.scheduler.address} has no workers: start some, and repeat the command"
+            ) from error
+        workers = client.scheduler_info(n_workers=-1)["workers"].values()
+        return min(
+            (float(worker["memory_limit"]) for worker in workers if worker["memory_limit"]), default=float("inf")
+        )
+
+    @contextmanager
+    def _client(self) -> Iterator[Any]:
+        if self._scheduler is not None:
+            try:
+                client = self._distributed.Client(self._scheduler, timeout="10s")
+            except OSError as error:
+                raise CampaignError(
+                    f"the Dask scheduler {self._scheduler} does not answer: start it with 'dask scheduler', or leave "
+                    "--scheduler out"
+                ) from error
+            with client:
+                yield client
+            return
+        import dask
+
+        started = {f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in ONE_THREAD.items()}
+        with (
+            dask.config.set(started),
+            self._distributed.LocalCluster(
+                n_workers=self._workers,
+                threads_per_worker=1,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",
+            ) as cluster,
+            self._distributed.Client(cluster) as client,
+        ):
+            yield client
+
+
+def _too_large(unit: Unit, limit: float) -> Failure:
+    return record_failure(
+        unit,
+        f"{unit.path}: needs about {1e-9 * unit.memory:.1f} GB of memory and a worker has {1e-9 * limit:.1f} GB: use "
+        "fewer workers or a computer with more memory, and repeat it with 'fringedic campaign retry'",
+    )
+
+
+def _died(unit: Unit) -> Failure:
+    return record_failure(
+        unit,
+        f"{unit.path}: its worker died {_ATTEMPTS} times, most often for lack of memory: use fewer workers, and repeat "
+        "it with 'fringedic campaign retry'",
+    )
+
+
+def _lost(place: str, error: BaseException | None) -> CampaignError:
+    reason = f" ({type(error).__name__})" if error is not None else ""
+    return CampaignError(
+        f"the connection to the Dask scheduler of {place} is lost{reason}: repeat the command, which continues "
+        "with what is not committed"
+    )
+
+
+@contextmanager
+def _environment(values: dict[str, str]) -> Iterator[None]:
+    """Set environment variables for the processes that are started meanwhile."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

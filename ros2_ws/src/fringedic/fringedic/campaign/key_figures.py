@@ -1,0 +1,73 @@
+"""Figures of one experiment for the catalogue of a campaign."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from fringedic.results.attributes import recorded_metadata
+from fringedic.results.confirmation import confirmed_share
+from fringedic.results.noise_floor import noise_floors, static_steps
+
+_STRAINS = ("e_11", "e_22")
+_NOISE = ("u", "v", "w", *_STRAINS)
+
+
+def key_figures(dataset: xr.Dataset) -> dict[str, Any]:
+    """Return the figures of an experiment in SI units; None for those that are not known.
+
+    Parameters
+    ----------
+    dataset
+        From `fringedic.open_experiment`.
+
+    Returns
+    -------
+    dict
+        ``experiment``, ``specimen``, ``material``; numbers of ``steps`` and ``failed_steps``; ``confirmed_fraction``
+        and the mean ``valid_fraction``; ``largest_force`` by its magnitude [N]; ``largest_strain``, the largest
+        magnitude of e_11 and e_22 at any point, with ``sigma_largest_strain`` there and ``largest_strain_step``;
+        ``noise_u``, ... [m] and ``noise_e_11``, ...: standard deviation over the points of the steps at rest.
+    """
+    specimen = recorded_metadata(dataset).specimen
+    floors = {floor.name: floor.spatial for floor in noise_floors(dataset, static_steps(dataset))}
+    figures: dict[str, Any] = {
+        "experiment": dataset.attrs["experiment"],
+        "specimen": specimen.name,
+        "material": specimen.material,
+        "steps": dataset.sizes["step"],
+        "failed_steps": int(np.count_nonzero(dataset["error"].values != "")),
+        "confirmed_fraction": confirmed_share(dataset),
+        "valid_fraction": _mean(dataset["valid_fraction"].values),
+        "largest_force": _largest(dataset["force"].values),
+        **_largest_strain(dataset),
+        **{f"noise_{name}": floors.get(name, np.nan) for name in _NOISE},
+    }
+    return {name: None if isinstance(value, float) and np.isnan(value) else value for name, value in figures.items()}
+
+
+def _largest_strain(dataset: xr.Dataset) -> dict[str, Any]:
+    """Return the strain of the largest magnitude with its standard deviation and its step, one map after the other."""
+    largest, sigma, step = np.nan, np.nan, None
+    for index in range(dataset.sizes["step"]):
+        for name in _STRAINS:
+            values = dataset[name].isel(step=index).values
+            if not np.isfinite(values).any():
+                continue
+            place = np.unravel_index(np.nanargmax(np.abs(values)), values.shape)
+            if not abs(values[place]) <= abs(largest):
+                largest, step = float(values[place]), int(dataset["step"][index])
+                sigma = float(dataset[f"sigma_{name}"].isel(step=index).values[place])
+    return {"largest_strain": largest, "sigma_largest_strain": sigma, "largest_strain_step": step}
+
+
+def _largest(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known[np.argmax(np.abs(known))]) if known.size else np.nan
+
+
+def _mean(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else np.nan

@@ -1,0 +1,102 @@
+"""Opening of the results of a campaign: a tree of datasets and a catalogue."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+
+from fringedic.campaign.settings import FILE, load_campaign
+from fringedic.campaign.store import PLAN, RECEIPTS, CampaignStore
+from fringedic.errors import CampaignError
+from fringedic.inputs.arguments import check_arguments
+from fringedic.inputs.arguments import path as file_path
+from fringedic.results.millimetres import with_millimetres
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@check_arguments(CampaignError, place=file_path)
+def open_campaign(place: str | os.PathLike[str]) -> tuple[xr.DataTree, pd.DataFrame]:
+    """Open the results of a campaign; maps are read when they are used.
+
+    Parameters
+    ----------
+    place
+        Folder of the campaign, its ``campaign.yaml``, or the address of its store (a folder, ``s3://...``).
+
+    Returns
+    -------
+    tree : DataTree
+        One dataset per complete recording under its name, as of `fringedic.open_experiment`:
+        ``tree["plate-7"].dataset``.
+    catalogue : DataFrame
+        One row per complete recording under its name: labels, the figures of
+        `fringedic.campaign.key_figures.key_figures`, software and key. SI units; NaN is not known.
+
+    Raises
+    ------
+    CampaignError
+        There is no campaign, or its store cannot be read.
+
+    Examples
+    --------
+    >>> tree, catalogue = open_campaign("batch-7")  # doctest: +SKIP
+    >>> catalogue.groupby("material").largest_strain.describe()  # doctest: +SKIP
+    """
+    store = CampaignStore(store_address(place))
+    plan = store.read(PLAN)
+    if plan is None:
+        raise CampaignError(f"{store.address}: is no campaign: it has no {PLAN}; 'fringedic campaign run' makes one")
+    keys = {unit["name"]: unit["key"] for unit in plan["units"]}
+    receipts = {
+        name: receipt
+        for name, receipt in store.documents(RECEIPTS).items()
+        if keys.get(name, receipt["key"]) == receipt["key"]
+    }
+    tree = xr.DataTree.from_dict({name: open_group(store, name) for name in receipts}, name=plan["title"] or None)
+    return tree, _catalogue(receipts)
+
+
+def store_address(place: str | os.PathLike[str]) -> str:
+    """Return the address of the store of a campaign that is named by its folder, its file or the store itself."""
+    if "://" in str(place):
+        return str(place)
+    path = Path(place)
+    if path.is_file() or (path / FILE).is_file():
+        return load_campaign(path).store
+    return str(path.absolute())
+
+
+def open_group(store: CampaignStore, recording: str) -> xr.Dataset:
+    """Open the dataset of one recording."""
+    dataset = xr.open_dataset(
+        store.zarr_store(recording, read_only=True),  # type: ignore[arg-type]
+        engine="zarr",
+        cache=False,
+        consolidated=True,
+    )
+    return with_millimetres(dataset)
+
+
+def _catalogue(receipts: dict[str, dict[str, object]]) -> pd.DataFrame:
+    import pandas as pd  # not at the top: most tasks do not need it, and it takes long to load
+
+    rows = {name: _row(receipt) for name, receipt in receipts.items()}
+    return pd.DataFrame.from_dict(rows, orient="index").rename_axis("recording")
+
+
+def _row(receipt: dict[str, object]) -> dict[str, object]:
+    """Return the row of a recording: labels of the campaign replace what was recorded."""
+    figures, labels, software = receipt["figures"], receipt["labels"], receipt["software"]
+    assert isinstance(figures, dict)
+    assert isinstance(labels, dict)
+    assert isinstance(software, dict)
+    entered = {name: value for name, value in labels.items() if value or name not in figures}
+    known = {name: np.nan if value is None else value for name, value in figures.items()}
+    origin = {"software": software["fringedic"], "commit": software["commit"], "key": receipt["key"]}
+    return {**known, **entered, **origin}

@@ -1,0 +1,215 @@
+"""The plan of a campaign: one unit of work per recording, made from the summaries alone."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from fringedic.campaign.recordings import Found, Summary, summarise
+from fringedic.campaign.settings import Campaign, Labels
+from fringedic.campaign.software import software_identity
+from fringedic.errors import FringedicError
+from fringedic.results.datasets import ProcessingSettings
+from fringedic.rig.model import RigModel
+
+_SHARED = ("processing", "software", "store")  # by all units
+_LIBRARIES = 0.45e9  # [byte] of a worker before it processes anything
+_IMAGES = 3  # stacks of a step's frames in memory at the same time
+_MAPS = 140  # float32 images in memory at the same time, see benchmarks/campaign.py
+
+
+@dataclass(frozen=True)
+class Unit:
+    """The unit of work of a campaign: one recording from its frames to its datasets.
+
+    Attributes
+    ----------
+    name
+        Of the recording, and of its group in the store.
+    path
+        The recording.
+    store
+        Address of the store.
+    key
+        Hash of settings, software and fingerprint: results of another key are others.
+    processing
+        Settings as of `Campaign.processing`.
+    software
+        Of `software_identity`.
+    fingerprint
+        Of `Summary`.
+    labels
+        Of the catalogue.
+    steps
+        Estimated number of steps.
+    size
+        Of the recording [byte].
+    memory
+        Predicted need of memory [byte].
+    """
+
+    name: str
+    path: str
+    store: str
+    key: str
+    processing: dict[str, Any]
+    software: dict[str, str]
+    fingerprint: dict[str, tuple[int, int]]
+    labels: dict[str, str]
+    steps: int
+    size: int
+    memory: float
+
+    @property
+    def settings(self) -> ProcessingSettings:
+        """What the recording is processed with."""
+        calibration = self.processing["calibration"]
+        return ProcessingSettings(
+            overrides=self.processing["overrides"],
+            reference=self.processing["reference"],
+            calibration=RigModel.from_text(calibration) if calibration else None,
+        )
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Units of a campaign, and what is refused.
+
+    Attributes
+    ----------
+    title, store
+        Title of the campaign, and the address of its store.
+    settings_hash
+        Of the settings, without recordings and software.
+    units
+        Units of work in the order of their names.
+    refused
+        Recordings that cannot be processed, each with the reason as one sentence.
+    odd
+        What differs between the recordings, each as one sentence.
+    """
+
+    title: str
+    store: str
+    settings_hash: str
+    units: tuple[Unit, ...] = ()
+    refused: dict[str, str] = field(default_factory=dict)
+    odd: tuple[str, ...] = ()
+
+    def to_document(self) -> dict[str, Any]:
+        """Return the plan as JSON values; what all units share is there once."""
+        document = asdict(self)
+        for unit in document["units"]:
+            for name in _SHARED:
+                document[name] = unit.pop(name)
+        return document
+
+    @classmethod
+    def from_document(cls, document: dict[str, Any]) -> Plan:
+        """Return what `to_document` returned."""
+        shared = {name: document[name] for name in _SHARED if name in document}
+        units = tuple(
+            Unit(**shared, **{**each, "fingerprint": _tuples(each["fingerprint"])}) for each in document["units"]
+        )
+        own = {name: value for name, value in document.items() if name not in ("processing", "software")}
+        return cls(**{**own, "units": units, "odd": tuple(document["odd"])})
+
+
+def make_plan(campaign: Campaign, recordings: Iterable[Found]) -> Plan:
+    """Make the plan of a campaign; recordings that cannot be processed are listed with the reason.
+
+    Parameters
+    ----------
+    campaign
+        From `fringedic.campaign.settings.load_campaign`.
+    recordings
+        From `fringedic.campaign.recordings.find_recordings`.
+    """
+    return plan_of(campaign, ((each, _summary_or_reason(each, campaign)) for each in recordings))
+
+
+def plan_of(campaign: Campaign, summaries: Iterable[tuple[Found, Summary | str]]) -> Plan:
+    """Make the plan of a campaign from the summaries of its recordings, or the reasons why they are refused."""
+    processing, software = campaign.processing, software_identity()
+    units: list[Unit] = []
+    refused: dict[str, str] = {}
+    shapes: dict[tuple[int, int], list[str]] = {}
+    for found, summary in summaries:
+        if isinstance(summary, str):
+            refused[found.name] = summary
+            continue
+        shapes.setdefault(summary.image_shape, []).append(found.name)
+        units.append(_unit(campaign.store, found, summary, processing, software))
+    return Plan(
+        title=campaign.content.title,
+        store=campaign.store,
+        settings_hash=_hash(processing),
+        units=tuple(units),
+        refused=refused,
+        odd=tuple(_odd_sizes(shapes)),
+    )
+
+
+def predicted_memory(summary: Summary) -> float:
+    """Return the memory that a worker needs for a recording [byte].
+
+    Its largest part are the float32 images of a step, which exist at the same time: maps, their derivatives and the
+    reference. The numbers are measured by benchmarks/campaign.py.
+    """
+    pixels = summary.image_shape[0] * summary.image_shape[1]
+    itemsize = 2 if summary.image_type == "uint16" else 1
+    return _LIBRARIES + pixels * (4 * _MAPS + _IMAGES * itemsize * summary.frames_per_step)
+
+
+def _unit(store: str, found: Found, summary: Summary, processing: dict[str, Any], software: dict[str, str]) -> Unit:
+    return Unit(
+        name=found.name,
+        path=found.path,
+        store=store,
+        key=_hash([processing, software, summary.fingerprint]),
+        processing=processing,
+        software=software,
+        fingerprint=summary.fingerprint,
+        labels=_labels(found.labels),
+        steps=summary.steps,
+        size=summary.size,
+        memory=predicted_memory(summary),
+    )
+
+
+def _summary_or_reason(found: Found, campaign: Campaign) -> Summary | str:
+    try:
+        summary = summarise(found.path)
+    except FringedicError as error:
+        return str(error)
+    except OSError as error:
+        return f"{found.path}: cannot be read: {error.strerror}"
+    if not summary.calibrated and not campaign.calibration and summary.frames_per_step > 1:
+        return (
+            f"{found.path}: contains no calibration of the rig, which fringes need; give one as 'calibration' in the "
+            "file of the campaign"
+        )
+    return summary
+
+
+def _odd_sizes(shapes: dict[tuple[int, int], list[str]]) -> Iterator[str]:
+    """Yield which recordings have another size of images than most."""
+    usual = max(shapes.values(), key=len, default=[])
+    for (rows, columns), names in shapes.items():
+        if names is not usual:
+            yield f"images of {columns}x{rows} px, unlike most recordings: {', '.join(names)}"
+
+
+def _labels(labels: Labels) -> dict[str, str]:
+    return {name: str(value) for name, value in labels.model_dump().items()}
+
+
+def _tuples(fingerprint: dict[str, list[int]]) -> dict[str, tuple[int, int]]:
+    return {name: (size, crc) for name, (size, crc) in fingerprint.items()}
+
+
+def _hash(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,185 @@
+"""Finds the recordings of a campaign and reads their summaries: index, first image and first exposure record."""
+
+from __future__ import annotations
+
+import glob
+import re
+import zlib
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fringedic.campaign.settings import Campaign, Labels
+from fringedic.errors import CampaignError, RecordingError
+from fringedic.frames.messages import image_array
+from fringedic.recording.bag_files import METADATA, find_files, recording_of
+from fringedic.recording.frames import EXPOSURE, IMAGE
+from fringedic.recording.mcap_file import index_bytes
+from fringedic.recording.reader import BagReader
+
+_NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9._-]+")
+
+
+@dataclass(frozen=True)
+class Found:
+    """A recording of a campaign: its name in the store, its place, and its labels."""
+
+    name: str
+    path: str
+    labels: Labels
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What the summary of a recording contains.
+
+    Attributes
+    ----------
+    fingerprint
+        Size [byte] and CRC-32 of the index of each file, by its name: another recording has another one.
+    size
+        Of all files [byte].
+    frames
+        Images.
+    frames_per_step
+        Images of the first step.
+    image_shape, image_type
+        (row, column) and NumPy type of the first image.
+    calibrated
+        Whether it contains the calibration of its rig.
+    """
+
+    fingerprint: dict[str, tuple[int, int]]
+    size: int
+    frames: int
+    frames_per_step: int
+    image_shape: tuple[int, int]
+    image_type: str
+    calibrated: bool
+
+    @property
+    def steps(self) -> int:
+        """Estimated number of steps: exact if all have as many frames as the first one."""
+        return max(1, round(self.frames / max(1, self.frames_per_step)))
+
+
+def find_recordings(campaign: Campaign) -> list[Found]:
+    """Return the recordings of a campaign, sorted by their names in the store.
+
+    Raises
+    ------
+    CampaignError
+        An entry names no recording, or one is named twice.
+    """
+    places: dict[Path, Labels] = {}
+    for entry in campaign.content.recordings:
+        found = sorted(_matching(entry.path, campaign.folder))
+        if not found:
+            raise CampaignError(
+                f"{campaign.folder}: no recording matches '{entry.path}'; give a recording, a folder with recordings, "
+                "or a pattern with *"
+            )
+        labels = Labels(**entry.model_dump(exclude={"path"}))
+        for path in found:
+            if path in places:
+                raise CampaignError(f"{path}: is named by two entries of the campaign; remove it from one of them")
+            places[path] = labels
+    names = _names(list(places))
+    return sorted(
+        (Found(names[path], str(path), labels) for path, labels in places.items()), key=lambda each: each.name
+    )
+
+
+def _matching(pattern: str, folder: Path) -> set[Path]:
+    """Return the recordings that a pattern matches, also inside folders."""
+    matches = (Path(each) for each in glob.glob(str(folder / pattern), recursive=True))
+    return {found for match in matches for found in _inside(match.absolute())}
+
+
+def _inside(path: Path) -> Iterator[Path]:
+    if path.suffix == ".mcap":
+        yield path
+    if not path.is_dir():
+        return
+    recording = recording_of(path)
+    if recording != path or (path / METADATA).exists() or any(path.glob("*.mcap")):
+        yield recording
+        return
+    for inner in sorted(path.iterdir()):
+        if inner.is_dir():
+            yield from _inside(inner)
+
+
+def _names(paths: list[Path]) -> dict[Path, str]:
+    """Return the shortest name of each recording that distinguishes it: the end of its path."""
+    parts = {path: _name_parts(path) for path in paths}
+    names: dict[Path, str] = {}
+    for depth in range(1, 1 + max(map(len, parts.values()))):
+        candidates = {path: "_".join(parts[path][-depth:]) for path in paths if path not in names}
+        counted = Counter([*candidates.values(), *names.values()])
+        names |= {path: name for path, name in candidates.items() if counted[name] == 1}
+    same = [str(path) for path in paths if path not in names]
+    if same:
+        raise CampaignError(f"{', '.join(same)}: the names cannot be distinguished; rename one of the recordings")
+    return names
+
+
+def _name_parts(path: Path) -> list[str]:
+    """Return the parts of the path that name a recording: that of its run for the folder ``bag`` of a run."""
+    named = path.parent if path.name == "bag" else path.with_suffix("") if path.suffix == ".mcap" else path
+    return [_NOT_IN_NAMES.sub("-", part).strip("-") or "-" for part in named.parts[1:]] or ["recording"]
+
+
+def fingerprint(path: str) -> dict[str, tuple[int, int]]:
+    """Return size and CRC-32 of the index of each file of a recording.
+
+    Raises
+    ------
+    RecordingError
+        There is no such recording, or a file has no index because its recording was cut off.
+    """
+    found = {}
+    for file in find_files(Path(path)).present:
+        index = index_bytes(file)
+        if index is None:
+            raise RecordingError(
+                f"{path}: {file.name} has no index because its recording was cut off; 'fringedic recover {path}' "
+                "writes a complete one"
+            )
+        found[file.name] = (file.stat().st_size, zlib.crc32(index))
+    return found
+
+
+def summarise(path: str) -> Summary:
+    """Return the summary of a recording; of its messages the first image and the first exposure record are read.
+
+    Raises
+    ------
+    RecordingError
+        There is no such recording, it is damaged or cut off, or has no images or exposure records.
+    """
+    identity = fingerprint(path)
+    reader = BagReader(path)
+    if reader.lost:
+        raise RecordingError(f"{path}: {reader.lost}; 'fringedic recover {path}' writes a complete one")
+    names = reader.find(IMAGE, EXPOSURE)
+    image = _first(reader, names[IMAGE])
+    pixels = image_array(image)
+    return Summary(
+        fingerprint=identity,
+        size=sum(size for size, _ in identity.values()),
+        frames=reader.counts[names[IMAGE]],
+        frames_per_step=int(_first(reader, names[EXPOSURE]).count),
+        image_shape=(pixels.shape[0], pixels.shape[1]),
+        image_type=np.dtype(pixels.dtype).name,
+        calibrated=bool(reader.find_optional("calibration")),
+    )
+
+
+def _first(reader: BagReader, topic: str) -> Any:
+    _, message, _ = next(reader.messages([topic]))
+    return message

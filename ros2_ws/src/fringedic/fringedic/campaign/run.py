@@ -1,0 +1,161 @@
+"""Running a campaign: which units are left, and their outcomes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from fringedic.campaign.engines import Engine
+from fringedic.campaign.plan import Plan, Unit, make_plan
+from fringedic.campaign.recordings import find_recordings
+from fringedic.campaign.settings import Campaign
+from fringedic.campaign.software import software_identity
+from fringedic.campaign.store import FAILURES, PLAN, RECEIPTS, RECORDINGS, CampaignStore
+from fringedic.campaign.unit import Failure, Receipt, other_results
+from fringedic.errors import CampaignError
+
+
+@dataclass(frozen=True)
+class Status:
+    """State of a campaign by its receipts and failures alone.
+
+    Attributes
+    ----------
+    plan
+        The plan.
+    done
+        Receipts by the names of their recordings.
+    failed
+        Failures by the names of their recordings.
+    """
+
+    plan: Plan
+    done: dict[str, Receipt]
+    failed: dict[str, Failure]
+
+    @property
+    def waiting(self) -> list[Unit]:
+        """Units that are neither complete nor failed."""
+        return [unit for unit in self.plan.units if unit.name not in self.done and unit.name not in self.failed]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every recording of the campaign is processed."""
+        return len(self.done) == len(self.plan.units) and not self.plan.refused
+
+
+def read_plan(store: CampaignStore) -> Plan:
+    """Return the plan of a store.
+
+    Raises
+    ------
+    CampaignError
+        There is none.
+    """
+    document = store.read(PLAN)
+    if document is None:
+        raise CampaignError(f"{store.address}: has no plan; 'fringedic campaign plan' makes one")
+    return Plan.from_document(document)
+
+
+def status_of(store: CampaignStore, plan: Plan) -> Status:
+    """Return the state of a campaign.
+
+    Raises
+    ------
+    CampaignError
+        The store contains results of another plan, or cannot be read.
+    """
+    keys = {unit.name: unit.key for unit in plan.units}
+    receipts, failures = store.documents(RECEIPTS), store.documents(FAILURES)
+    other = [name for name, receipt in receipts.items() if name in keys and receipt["key"] != keys[name]]
+    if other:
+        raise other_results(store.address, other)
+    done = {name: Receipt(**receipt) for name, receipt in receipts.items() if name in keys}
+    failed = {
+        name: Failure(**failure)
+        for name, failure in failures.items()
+        if failure["key"] == keys.get(name) and name not in done
+    }
+    return Status(plan, done, failed)
+
+
+def update_plan(campaign: Campaign, *, recompute: bool = False) -> Plan:
+    """Make the plan of a campaign and write it to the store.
+
+    Parameters
+    ----------
+    campaign
+        From `load_campaign`.
+    recompute
+        Remove results of other settings, recordings or software instead of refusing them.
+
+    Raises
+    ------
+    CampaignError
+        The store contains results of other settings, recordings or software.
+    """
+    store = CampaignStore(campaign.store)
+    plan = make_plan(campaign, find_recordings(campaign))
+    if recompute:
+        _remove_other(store, plan)
+    status_of(store, plan)
+    store.write(PLAN, plan.to_document())
+    return plan
+
+
+def current_plan(campaign: Campaign, *, recompute: bool = False) -> Plan:
+    """Return the plan of the store if it is that of the campaign and of this software, otherwise a new one."""
+    store = CampaignStore(campaign.store)
+    document: dict[str, Any] | None = None if recompute else store.read(PLAN)
+    if document is not None:
+        plan = Plan.from_document(document)
+        if _fits(plan, campaign):
+            return plan
+    return update_plan(campaign, recompute=recompute)
+
+
+def run_units(units: list[Unit], engine: Engine, shard: tuple[int, int] = (1, 1)) -> Iterator[Receipt | Failure]:
+    """Process units and yield their outcomes.
+
+    Parameters
+    ----------
+    units
+        Of `Status.waiting`.
+    engine
+        How they are distributed.
+    shard
+        (number from 1, count): only this part of the units.
+    """
+    number, count = shard
+    yield from engine.outcomes(units[number - 1 :: count])
+
+
+def forget_failures(store: CampaignStore) -> None:
+    """Remove the records of failures, so that their recordings are processed again."""
+    store.remove(FAILURES)
+
+
+def _fits(plan: Plan, campaign: Campaign) -> bool:
+    """Return whether a plan names the recordings and settings of a campaign, and the software of this computer."""
+    named = {each.name: each.path for each in find_recordings(campaign)}
+    planned = {unit.name: unit.path for unit in plan.units}
+    units = plan.units
+    return (
+        named.keys() == planned.keys() | plan.refused.keys()
+        and planned.items() <= named.items()
+        and bool(units)
+        and units[0].processing == campaign.processing
+        and units[0].software == software_identity()
+        and plan.title == campaign.content.title
+    )
+
+
+def _remove_other(store: CampaignStore, plan: Plan) -> None:
+    """Remove results that are not those of the plan, the receipt first."""
+    keys = {unit.name: unit.key for unit in plan.units}
+    for name, receipt in store.documents(RECEIPTS).items():
+        if receipt["key"] != keys.get(name):
+            store.remove(f"{RECEIPTS}/{name}.json")
+            store.remove(f"{RECORDINGS}/{name}")

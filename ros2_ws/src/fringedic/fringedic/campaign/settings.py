@@ -1,0 +1,136 @@
+"""What a person writes: ``campaign.yaml`` names recordings, their labels, the settings and the store."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from fringedic.configuration.yaml_section import Section, load_sections
+from fringedic.errors import CalibrationError, CampaignError
+from fringedic.rig.model import RigModel
+from fringedic.steps.recorded_parameters import RecordedParameters
+
+FILE = "campaign.yaml"
+EXAMPLE = """\
+# Recordings that are processed with the same settings into one store. Paths count from the folder of this file.
+title: plates of batch 7
+store: store                        # a folder, or an address such as s3://laboratory/batch-7
+recordings:
+  - path: recordings/plate-*        # a recording, the folder of a run, a folder with recordings, or a pattern
+    material: PMMA                  # labels of the catalogue: specimen, material, group, test
+    group: batch 7
+settings:                           # replace the recorded parameters, as --set of fringedic process
+  dic.window: 32
+# calibration: calibration/calibration.yaml   # replaces the recorded one
+# reference: 0                                # step that all others are measured against
+"""
+
+
+class Labels(Section):
+    """Labels of recordings in the catalogue."""
+
+    specimen: str = Field("", description="Name of the specimen; by default as recorded.")
+    material: str = Field("", description="Its material; by default as recorded.")
+    group: str = Field("", description="Group of specimens that belong together.")
+    test: str = Field("", description="Number or name of the test.")
+
+
+class RecordingEntry(Labels):
+    """Recordings with the same labels."""
+
+    path: str = Field(description="Recording, folder of a run, folder with recordings, or a pattern with * and **.")
+
+
+class CampaignFile(Section):
+    """Content of ``campaign.yaml``."""
+
+    title: str = Field("", description="Title of the campaign.")
+    store: str = Field("store", description="Folder or address (s3://...) of the results.")
+    recordings: list[RecordingEntry] = Field(min_length=1, description="Recordings with their labels.")
+    settings: dict[str, bool | int | float | str | list[int]] = Field(
+        {}, description="Parameters that replace the recorded ones, such as dic.window."
+    )
+    calibration: str | None = Field(None, description="File of a calibration that replaces the recorded ones.")
+    reference: int | None = Field(None, description="Step that all others are measured against.")
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A campaign as it is written in its file.
+
+    Attributes
+    ----------
+    folder
+        Of the file; relative paths count from it.
+    content
+        The checked content.
+    calibration
+        Text of the calibration that replaces the recorded ones; empty without one.
+    """
+
+    folder: Path
+    content: CampaignFile
+    calibration: str
+
+    @property
+    def store(self) -> str:
+        """Address of the store."""
+        return address(self.content.store, self.folder)
+
+    @property
+    def processing(self) -> dict[str, Any]:
+        """Everything that the results depend on beside recordings and software, as JSON values."""
+        return {
+            "overrides": dict(sorted(self.content.settings.items())),
+            "reference": self.content.reference,
+            "calibration": self.calibration,
+        }
+
+
+def load_campaign(path: Path) -> Campaign:
+    """Read and check the file of a campaign.
+
+    Parameters
+    ----------
+    path
+        The file, or its folder.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be read, or an entry is not allowed.
+    CampaignError
+        The calibration cannot be read.
+    """
+    file = path / FILE if path.is_dir() else path
+    content = load_sections(file, CampaignFile)
+    RecordedParameters(content.settings)
+    return Campaign(file.parent, content, _calibration_text(file, content.calibration))
+
+
+def address(store: str, folder: Path) -> str:
+    """Return the address of a store: a URL as it is, a path from the folder of the campaign.
+
+    Examples
+    --------
+    >>> address("s3://laboratory/batch-7", Path("/data"))
+    's3://laboratory/batch-7'
+    >>> address("store", Path("/data"))
+    '/data/store'
+    """
+    return store if "://" in store else str((folder / store).absolute())
+
+
+def _calibration_text(file: Path, calibration: str | None) -> str:
+    if calibration is None:
+        return ""
+    path = file.parent / calibration
+    try:
+        text = path.read_text("utf-8")
+        RigModel.from_text(text)
+    except (OSError, ValueError, CalibrationError) as error:
+        raise CampaignError(f"{file}: calibration {path}: {error}") from error
+    return text

@@ -1,0 +1,301 @@
+"""The store of a campaign: a folder or an object store with results, plan, receipts and failures.
+
+::
+
+    plan.json              settings, software and units
+    recordings/NAME/       one Zarr group (format 3) per recording, one chunk per step and map
+    receipts/NAME.json     written last: the recording is complete
+    failures/NAME.json     why it could not be processed
+
+Nothing is renamed, appended to or resized in place, so that the same rules hold for object stores.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import warnings
+from collections.abc import AsyncIterator, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fringedic.errors import CampaignError, FringedicError, optional_import
+from fringedic.results.quantities import MAP_DIMENSIONS
+from fringedic.results.stores import TEXT, Variable, free_bytes
+
+with optional_import("campaign"):
+    import fsspec
+    import zarr
+    from zarr.abc.store import Store as ZarrStore
+    from zarr.storage import FsspecStore, LocalStore, WrapperStore
+
+PLAN = "plan.json"
+RECORDINGS, RECEIPTS, FAILURES = "recordings", "receipts", "failures"
+_METADATA = "zarr.json"
+_STEPS_PER_CHUNK = 1024  # of values per step
+
+
+class CampaignStore:
+    """Reads and writes the objects of a store.
+
+    Parameters
+    ----------
+    address
+        A folder, or an address such as ``s3://laboratory/batch-7``. Credentials and the end point of an object store
+        are those of the environment.
+
+    Raises
+    ------
+    CampaignError
+        The address is of no known kind; from every method, when the store cannot be read or written.
+    """
+
+    def __init__(self, address: str) -> None:
+        self.address = address
+        try:
+            self._files, self._root = fsspec.core.url_to_fs(address)
+        except (ValueError, ImportError) as error:
+            raise CampaignError(f"{address}: is no folder and no known kind of address: {error}") from error
+
+    @property
+    def local(self) -> Path | None:
+        """The folder; None of an object store."""
+        return None if "://" in self.address else Path(self.address)
+
+    def read(self, name: str) -> dict[str, Any] | None:
+        """Return a JSON object; None if there is none, or if it is not complete."""
+        with self._named("read"):
+            try:
+                return _document(self._files.cat_file(self._path(name)))
+            except FileNotFoundError:
+                return None
+
+    def write(self, name: str, document: Mapping[str, Any]) -> None:
+        """Write a JSON object."""
+        self.put({name: json.dumps(document, indent=1).encode()})
+
+    def put(self, objects: Mapping[str, bytes]) -> None:
+        """Write objects by their names."""
+        with self._named("written"):
+            if self.local is not None:
+                for name in objects:
+                    (self.local / name).parent.mkdir(parents=True, exist_ok=True)
+            self._files.pipe({self._path(name): data for name, data in objects.items()})
+
+    def remove(self, name: str) -> None:
+        """Remove an object or everything below a name, if there is something."""
+        with self._named("written"), suppress(FileNotFoundError):
+            self._files.rm(self._path(name), recursive=True)
+
+    def documents(self, folder: str) -> dict[str, dict[str, Any]]:
+        """Return all complete JSON objects of a folder by their names, in the order of the names."""
+        with self._named("read"):
+            self._files.invalidate_cache()
+            try:
+                paths = sorted(path for path in self._files.find(self._path(folder)) if path.endswith(".json"))
+            except FileNotFoundError:
+                return {}
+            contents = self._files.cat(paths) if paths else {}
+        found = {Path(path).stem: _document(contents[path]) for path in paths}
+        return {name: document for name, document in found.items() if document is not None}
+
+    def zarr_store(self, recording: str, *, read_only: bool = False) -> ZarrStore:
+        """Return the Zarr store of a recording, whose root is its group."""
+        name = f"{RECORDINGS}/{recording}"
+        if self.local is not None:
+            return LocalStore(self.local / name, read_only=read_only)
+        return FsspecStore.from_url(f"{self.address}/{name}", read_only=read_only)
+
+    def _path(self, name: str) -> str:
+        return f"{self._root}/{name}"
+
+    @contextmanager
+    def _named(self, what: str) -> Iterator[None]:
+        try:
+            yield
+        except (FringedicError, FileNotFoundError):
+            raise
+        except Exception as error:  # every kind of store has its own errors
+            reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:200] or type(error).__name__
+            raise CampaignError(
+                f"the store {self.address} cannot be {what}: {reason}; check the address, the rights and the "
+                "credentials, and repeat the command: what is committed stays"
+            ) from error
+
+
+def _document(data: bytes) -> dict[str, Any] | None:
+    """Return a JSON object; None when a killed process has left only a part of it."""
+    try:
+        found = json.loads(data)
+    except ValueError:
+        return None
+    return found if isinstance(found, dict) else None
+
+
+class GroupStore:
+    """The group of one recording while it is written, as `fringedic.results.stores.Store`.
+
+    Maps are written at once, one whole chunk each. Values per step and all metadata are kept until the end. A second
+    worker with the same unit, or a later one after a crash, writes the same bytes under the same names.
+
+    Parameters
+    ----------
+    store
+        Of the campaign.
+    recording
+        Name of the recording.
+    """
+
+    def __init__(self, store: CampaignStore, recording: str) -> None:
+        self._store = store
+        self._folder = f"{RECORDINGS}/{recording}"
+        self._target = _HeldMetadata(store.zarr_store(recording))
+        self._group = zarr.create_group(self._target)
+        self._growing: list[str] = []
+        self._values: dict[str, list[Any]] = {}
+        self._steps = 0
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return f"{self._store.address}/{self._folder}"
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 over the names and SHA-256 of all objects of the group."""
+        lines = (f"{checksum}  {name}\n" for name, checksum in sorted(self._target.checksums.items()))
+        return hashlib.sha256("".join(lines).encode()).hexdigest()
+
+    @property
+    def objects(self) -> int:
+        """Number of objects."""
+        return len(self._target.checksums)
+
+    @property
+    def size(self) -> int:
+        """Of all objects [byte]."""
+        return self._target.size
+
+    def room(self) -> float:
+        """Return the bytes that still fit; infinity in an object store."""
+        folder = self._store.local
+        if folder is None:
+            return np.inf
+        folder.mkdir(parents=True, exist_ok=True)
+        return free_bytes(folder / RECORDINGS)
+
+    def add_variable(self, variable: Variable, sizes: Mapping[str, int]) -> None:
+        """Make a variable; `sizes` is that of each dimension now (step may grow)."""
+        name, dimensions, dtype, attributes = variable
+        shape = tuple(sizes[dimension] for dimension in dimensions)
+        chunks = (1, *shape[1:]) if dimensions == MAP_DIMENSIONS else (_STEPS_PER_CHUNK,)
+        if dimensions[0] != "step":
+            chunks = shape
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # texts of variable length are not in the specification yet
+            self._group.create_array(
+                name,
+                shape=shape,
+                dtype=str if dtype == TEXT else dtype,
+                chunks=chunks,
+                fill_value=np.nan if dtype in ("f4", "f8") else None,
+                dimension_names=dimensions,
+                attributes=dict(attributes),
+            )
+        if dimensions[0] == "step":
+            self._growing.append(name)
+        if dimensions == ("step",):
+            self._values[name] = []
+
+    def grow(self, steps: int) -> None:
+        """Make room for as many steps; only the metadata, which are not written yet, contain their number."""
+        self._steps = steps
+        for name in self._growing:
+            if name not in self._values:
+                self._resize(name)
+
+    def put(self, name: str, index: int | slice, value: Any) -> None:
+        """Write one map, or a whole coordinate; keep a value of a step."""
+        if name in self._values:
+            self._values[name].append(value)
+            return
+        self._array(name)[index] = value
+
+    def flush(self) -> None:
+        """Every chunk is written already."""
+
+    def finish(self, attributes: Mapping[str, str]) -> None:
+        """Write the values of the steps, and the metadata."""
+        for name, values in self._values.items():
+            self._resize(name)
+            self._array(name)[:] = np.array(values, dtype=object if isinstance(values[0], str) else None)
+        self._group.attrs.update(dict(attributes))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # consolidated metadata are not in the specification yet
+            zarr.consolidate_metadata(self._target)
+        self._store.put({f"{self._folder}/{name}": data for name, data in self._target.metadata.items()})
+
+    def discard(self) -> None:
+        """Leave what was written: without a receipt it counts as nothing."""
+
+    def _array(self, name: str) -> Any:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return self._group[name]
+
+    def _resize(self, name: str) -> None:
+        array = self._array(name)
+        array.resize((self._steps, *array.shape[1:]))
+
+
+class _HeldMetadata(WrapperStore[Any]):
+    """Keeps metadata in memory and writes everything else at once, with its checksum.
+
+    The metadata of an earlier attempt do not exist for it.
+    """
+
+    def __init__(self, store: ZarrStore) -> None:
+        super().__init__(store)
+        self._held: dict[str, Any] = {}
+        self._checksums: dict[str, str] = {}
+        self.size = 0
+
+    @property
+    def metadata(self) -> dict[str, bytes]:
+        """The metadata by their names, with sorted keys: their order differs from run to run."""
+        documents = {key: json.loads(value.to_bytes()) for key, value in self._held.items()}
+        return {key: json.dumps(document, sort_keys=True).encode() for key, document in documents.items()}
+
+    @property
+    def checksums(self) -> dict[str, str]:
+        """SHA-256 of every object by its name."""
+        return self._checksums | {key: hashlib.sha256(data).hexdigest() for key, data in self.metadata.items()}
+
+    async def get(self, key: str, prototype: Any, byte_range: Any = None) -> Any:
+        if key.endswith(_METADATA):
+            return self._held.get(key)
+        return await super().get(key, prototype, byte_range)
+
+    async def exists(self, key: str) -> bool:
+        if key.endswith(_METADATA):
+            return key in self._held
+        return await super().exists(key)
+
+    async def list_dir(self, prefix: str) -> AsyncIterator[str]:
+        """List the arrays, for the consolidated metadata; those without a chunk have no folder in the store."""
+        for key in self._held:
+            name, _, rest = key.removeprefix(prefix).lstrip("/").partition("/")
+            if rest == _METADATA:
+                yield name
+
+    async def set(self, key: str, value: Any) -> None:
+        if key.endswith(_METADATA):
+            self._held[key] = value
+            return
+        data = value.to_bytes()
+        self._checksums[key] = hashlib.sha256(data).hexdigest()
+        self.size += len(data)
+        await super().set(key, value)

@@ -1,0 +1,180 @@
+"""One unit of work: a recording is processed into its group of the store, and its receipt is written last."""
+
+from __future__ import annotations
+
+import time
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from fringedic.campaign.key_figures import key_figures
+from fringedic.campaign.opening import open_group
+from fringedic.campaign.plan import Unit
+from fringedic.campaign.recordings import fingerprint
+from fringedic.campaign.software import differences, processor, software_identity, worker_name
+from fringedic.campaign.store import FAILURES, RECEIPTS, CampaignStore, GroupStore
+from fringedic.errors import CampaignError, FringedicError
+from fringedic.results.datasets import process_into
+
+
+@dataclass(frozen=True)
+class Receipt:
+    """The commit marker of a recording: all objects of its group are written.
+
+    Attributes
+    ----------
+    name, key
+        Of the unit.
+    software, fingerprint, labels
+        Of the unit.
+    digest, objects, size
+        SHA-256 over all objects of the group, their number and their size [byte].
+    figures
+        Of `key_figures`.
+    seconds, worker, processor
+        Duration, and where it was processed.
+    input_size
+        Of the recording [byte].
+    """
+
+    name: str
+    key: str
+    software: dict[str, str]
+    fingerprint: dict[str, Any]
+    labels: dict[str, str]
+    digest: str
+    objects: int
+    size: int
+    figures: dict[str, Any]
+    seconds: float
+    worker: str
+    processor: str
+    input_size: int
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A recording that could not be processed, with the reason as one sentence."""
+
+    name: str
+    key: str
+    reason: str
+    worker: str = field(default_factory=worker_name)
+
+
+def process_unit(unit: Unit) -> Receipt:
+    """Process one recording; a unit that is complete already is not processed again.
+
+    The results are those of `fringedic.process_bag`, bit by bit on the same kind of processor. The function can be
+    repeated at any time, also by several workers at once: all write the same objects.
+
+    Parameters
+    ----------
+    unit
+        From the plan of a campaign.
+
+    Returns
+    -------
+    Receipt
+        The new one, or that of the store.
+
+    Raises
+    ------
+    CampaignError
+        The store contains results of other settings, this computer has another version of the software than the plan,
+        the recording is not the one that was planned, or the store cannot be read or written.
+    FringedicError
+        The recording cannot be processed; see `fringedic.process_bag`.
+    """
+    store = CampaignStore(unit.store)
+    done = read_receipt(store, unit)
+    if done is not None:
+        return done
+    _require_software(unit)
+    _require_recording(unit)
+    started = time.perf_counter()
+    group = GroupStore(store, unit.name)
+    process_into(group, unit.path, unit.settings)
+    _require_recording(unit)
+    with open_group(store, unit.name) as dataset:
+        figures = key_figures(dataset)
+    receipt = Receipt(
+        name=unit.name,
+        key=unit.key,
+        software=unit.software,
+        fingerprint=dict(unit.fingerprint),
+        labels=unit.labels,
+        digest=group.digest,
+        objects=group.objects,
+        size=group.size,
+        figures=figures,
+        seconds=time.perf_counter() - started,
+        worker=worker_name(),
+        processor=processor(),
+        input_size=unit.size,
+    )
+    store.write(f"{RECEIPTS}/{unit.name}.json", asdict(receipt))
+    return receipt
+
+
+def attempt(unit: Unit) -> Receipt | Failure:
+    """Process one recording; a failure is recorded in the store, and returned instead of being raised."""
+    try:
+        return process_unit(unit)
+    except FringedicError as error:
+        reason = str(error)
+    except OSError as error:
+        reason = f"{error.filename or unit.path}: {error.strerror or error}; make room or check the rights"
+    except Exception as error:  # a fault of one recording must not end a campaign of a thousand
+        reason = f"{unit.path}: {type(error).__name__}: {error}; report this as a fault of fringedic"
+    return record_failure(unit, reason)
+
+
+def record_failure(unit: Unit, reason: str) -> Failure:
+    """Write why a unit could not be processed, and return it."""
+    failure = Failure(unit.name, unit.key, " ".join(reason.split())[:500])
+    with suppress(CampaignError):  # a full disk has no room for the reason either
+        CampaignStore(unit.store).write(f"{FAILURES}/{unit.name}.json", asdict(failure))
+    return failure
+
+
+def read_receipt(store: CampaignStore, unit: Unit) -> Receipt | None:
+    """Return the receipt of a unit; None if it is not complete.
+
+    Raises
+    ------
+    CampaignError
+        The store contains results of other settings.
+    """
+    document = store.read(f"{RECEIPTS}/{unit.name}.json")
+    if document is None:
+        return None
+    if document["key"] != unit.key:
+        raise other_results(store.address, [unit.name])
+    return Receipt(**document)
+
+
+def other_results(address: str, names: list[str]) -> CampaignError:
+    """Return the error of a store whose results have another key than the plan."""
+    shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    return CampaignError(
+        f"the store {address} contains results of other settings, recordings or software for {shown}: give another "
+        "store in the file of the campaign, or compute them again with 'fringedic campaign run --recompute'"
+    )
+
+
+def _require_software(unit: Unit) -> None:
+    here = software_identity()
+    if here != unit.software:
+        raise CampaignError(
+            f"{worker_name()} has {differences(here, unit.software)}: install the software of the plan there, or plan "
+            "again with 'fringedic campaign plan'"
+        )
+
+
+def _require_recording(unit: Unit) -> None:
+    if fingerprint(unit.path) != unit.fingerprint:
+        raise CampaignError(
+            f"{unit.path}: has changed since it was planned; wait until it is complete, plan again, and repeat it with "
+            "'fringedic campaign retry'"
+        )

@@ -1,0 +1,100 @@
+"""Sentences about the units of a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from fringedic.campaign.plan import Plan, Unit
+from fringedic.campaign.run import Status
+from fringedic.campaign.unit import Failure, Receipt
+
+_SHOWN = 20  # failures, before the rest is counted
+
+
+def plan_sentences(plan: Plan) -> list[str]:
+    """Return what a plan contains, refuses and finds odd."""
+    steps, size = sum(unit.steps for unit in plan.units), sum(unit.size for unit in plan.units)
+    largest = max((unit.memory for unit in plan.units), default=0.0)
+    return [
+        f"plan: {_count(len(plan.units), 'recording')}, about {_count(steps, 'step')}, {1e-9 * size:.2f} GB, "
+        f"{1e-9 * largest:.1f} GB of memory per worker, store {plan.store}",
+        *(f"odd: {sentence}" for sentence in plan.odd),
+        *(f"refused: {reason}" for reason in plan.refused.values()),
+    ]
+
+
+def status_sentences(status: Status) -> list[str]:
+    """Return the state of a campaign and its failures."""
+    counts = f"{len(status.done)} of {_count(len(status.plan.units), 'recording')} complete"
+    return [
+        f"{counts}, {len(status.failed)} failed, {len(status.waiting)} waiting, {len(status.plan.refused)} refused",
+        *_listed("refused", list(status.plan.refused.values())),
+        *_listed("failed", [failure.reason for failure in status.failed.values()]),
+    ]
+
+
+def _listed(what: str, reasons: list[str]) -> Iterator[str]:
+    yield from (f"{what}: {reason}" for reason in reasons[:_SHOWN])
+    if len(reasons) > _SHOWN:
+        yield f"{what}: {len(reasons) - _SHOWN} more"
+
+
+@dataclass
+class CampaignProgress:
+    """Rates and remaining time while units are processed.
+
+    Attributes
+    ----------
+    units
+        Those that are to be processed.
+    finished
+        Their outcomes so far.
+    """
+
+    units: list[Unit]
+    finished: list[Receipt | Failure] = field(default_factory=list)
+
+    def sentence(self, outcome: Receipt | Failure, seconds: float) -> str:
+        """Take an outcome and return one line about it.
+
+        Parameters
+        ----------
+        outcome
+            Of a unit.
+        seconds
+            Since the beginning.
+        """
+        self.finished.append(outcome)
+        place = f"{len(self.finished)} of {len(self.units)}: {outcome.name}"
+        if isinstance(outcome, Failure):
+            return f"{place} failed: {outcome.reason}"
+        failed = outcome.figures["failed_steps"]
+        words = f"{place}: {_count(outcome.figures['steps'], 'step')}" + (f", {failed} failed" if failed else "")
+        return f"{words}, {outcome.seconds:.1f} s; {self._rates(seconds)}"
+
+    def _rates(self, seconds: float) -> str:
+        done = [outcome for outcome in self.finished if isinstance(outcome, Receipt)]
+        seconds = max(seconds, 1e-3)
+        steps = sum(receipt.figures["steps"] for receipt in done) / seconds
+        rate = sum(receipt.input_size for receipt in done) / seconds
+        names = {outcome.name for outcome in self.finished}
+        left = sum(unit.size for unit in self.units if unit.name not in names)
+        return f"{steps:.2g} steps/s, {1e-6 * rate:.3g} MB/s, {_duration(left / max(rate, 1.0))} left"
+
+
+def _duration(seconds: float) -> str:
+    """Return a duration in its usual unit.
+
+    Examples
+    --------
+    >>> [_duration(value) for value in (12.3, 600, 9000)]
+    ['12 s', '10 min', '2.5 h']
+    """
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"

@@ -1,0 +1,247 @@
+"""Campaigns: the results are those of the desk, whatever happens on the way."""
+
+from __future__ import annotations
+
+import shutil
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import fringedic
+from fringedic.campaign import (
+    Campaign,
+    CampaignStore,
+    Failure,
+    Receipt,
+    Serial,
+    current_plan,
+    forget_failures,
+    load_campaign,
+    process_unit,
+    status_of,
+    update_plan,
+)
+from fringedic.errors import CampaignError, ConfigurationError
+from fringedic.recording import BagReader, BagWriter
+
+RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
+NAMES = ["plate-1", "plate-2"]
+
+
+def written(folder: Path, **content: object) -> Campaign:
+    """A campaign over all recordings of a folder."""
+    entries = {"recordings": [{"path": "recordings", "group": "batch 7"}], **content}
+    (folder / "campaign.yaml").write_text(yaml.safe_dump(entries))
+    return load_campaign(folder)
+
+
+def copied(folder: Path, *names: str) -> Path:
+    for name in names:
+        shutil.copytree(RECORDED, folder / "recordings" / name / "bag")
+    return folder
+
+
+def run(campaign: Campaign, *, recompute: bool = False) -> dict[str, Receipt | Failure]:
+    plan = current_plan(campaign, recompute=recompute)
+    waiting = status_of(CampaignStore(campaign.store), plan).waiting
+    return {outcome.name: outcome for outcome in Serial().outcomes(waiting)}
+
+
+def objects(campaign: Campaign) -> dict[str, tuple[int, int]]:
+    """Size and time of writing of every object of the results."""
+    files = [path for path in Path(campaign.store, "recordings").rglob("*") if path.is_file()]
+    return {str(path): (path.stat().st_size, path.stat().st_mtime_ns) for path in files}
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
+    folder = copied(tmp_path_factory.mktemp("campaign"), *NAMES)
+    campaign = written(folder, title="plates", settings={"dic.window": 24})
+    assert set(run(campaign)) == set(NAMES)
+    return campaign
+
+
+def test_results_are_those_of_the_desk_bit_by_bit(done: Campaign, tmp_path: Path) -> None:
+    file = fringedic.process_bag(RECORDED, output=tmp_path / "desk.nc", overrides={"dic.window": 24})
+    tree, _ = fringedic.open_campaign(done.folder)
+    with fringedic.open_experiment(file) as desk:
+        for name in NAMES:
+            found = tree[name].to_dataset()
+            assert found.identical(desk.load())
+            assert np.isfinite(found.w).mean() > 0.5
+
+
+def test_every_chunk_is_one_map_of_one_step(done: Campaign) -> None:
+    tree, _ = fringedic.open_campaign(done.store)
+    maps = [variable for variable in tree["plate-1"].data_vars.values() if variable.ndim == 3]
+    assert len(maps) > 30
+    assert {variable.encoding["chunks"] for variable in maps} == {(1, 120, 160)}
+
+
+def test_catalogue_has_labels_and_figures_with_their_uncertainty(done: Campaign) -> None:
+    _, catalogue = fringedic.open_campaign(done.folder / "campaign.yaml")
+    assert catalogue.index.tolist() == NAMES
+    row = catalogue.loc["plate-1"]
+    assert (row["group"], row["experiment"], row["steps"], row["failed_steps"]) == ("batch 7", "tiny", 3, 0)
+    assert 0 < row["sigma_largest_strain"] < 0.1 * row["largest_strain"]
+    assert row["software"] == f"fringedic {fringedic.__version__}"
+
+
+def test_a_second_run_writes_nothing(done: Campaign) -> None:
+    before = objects(done)
+    assert run(done) == {}
+    plan = current_plan(done)
+    assert process_unit(plan.units[0]) == status_of(CampaignStore(done.store), plan).done["plate-1"]
+    assert objects(done) == before
+
+
+def test_without_receipts_the_same_bytes_are_written_again(done: Campaign) -> None:
+    store, plan = CampaignStore(done.store), current_plan(done)
+    before = status_of(store, plan).done
+    store.remove("receipts")
+    unit = plan.units[0]
+    with ThreadPoolExecutor(2) as two:
+        first, second = two.map(process_unit, [unit, unit])
+    assert first.digest == second.digest == before[unit.name].digest
+    assert first.objects > 100
+    assert set(run(done)) == {"plate-2"}
+    assert status_of(store, plan).done["plate-2"].digest == before["plate-2"].digest
+
+
+def test_a_receipt_that_a_killed_process_left_unfinished_counts_as_none(done: Campaign) -> None:
+    receipt = Path(done.store, "receipts", "plate-2.json")
+    receipt.write_text(receipt.read_text()[:-10])
+    assert set(run(done)) == {"plate-2"}
+
+
+def test_bad_recordings_are_named_and_the_others_finish(tmp_path: Path) -> None:
+    campaign = written(copied(tmp_path, "good", "cut", "uncalibrated", "changing"))
+    cut = tmp_path / "recordings" / "cut" / "bag" / "bag_0.mcap"
+    cut.write_bytes(cut.read_bytes()[:-5000])
+    bag = tmp_path / "recordings" / "uncalibrated" / "bag"
+    without("calibration", bag)
+    plan = update_plan(campaign)
+    assert set(plan.refused) == {"cut", "uncalibrated"}
+    assert "recover" in plan.refused["cut"]
+    assert "calibration" in plan.refused["uncalibrated"]
+    with (tmp_path / "recordings" / "changing" / "bag" / "bag_0.mcap").open("ab") as file:
+        file.write(b"more")
+    outcomes = run(campaign)
+    assert isinstance(outcomes["good"], Receipt)
+    assert isinstance(outcomes["changing"], Failure)
+    assert "changing" in outcomes["changing"].reason
+    status = status_of(CampaignStore(campaign.store), plan)
+    assert (set(status.done), set(status.failed), status.waiting) == ({"good"}, {"changing"}, [])
+    assert not status.complete
+    forget_failures(CampaignStore(campaign.store))
+    assert [unit.name for unit in status_of(CampaignStore(campaign.store), plan).waiting] == ["changing"]
+
+
+def without(topic: str, bag: Path) -> None:
+    """Write a recording again without one of its topics."""
+    reader = BagReader(bag)
+    full = reader.find(topic)[topic]
+    with BagWriter(bag.with_name("new")) as writer:
+        for each in reader.topics.values():
+            if each.name != full:
+                writer.add_recorded_topic(each)
+        for message in reader.stored():
+            if message.topic != full:
+                writer.write(*message)
+    shutil.rmtree(bag)
+    bag.with_name("new").rename(bag)
+
+
+def test_changed_settings_are_refused_or_computed_again(done: Campaign, tmp_path: Path) -> None:
+    folder = copied(tmp_path, "plate-1")
+    shutil.copytree(done.store, folder / "store")
+    changed = written(folder, settings={"dic.window": 32})
+    before = objects(changed)
+    with pytest.raises(CampaignError, match=r"other settings.*plate-1.*--recompute"):
+        run(changed)
+    assert objects(changed) == before
+    assert set(run(changed, recompute=True)) == {"plate-1"}
+    tree, _ = fringedic.open_campaign(folder)
+    file = fringedic.process_bag(RECORDED, output=tmp_path / "desk.nc", overrides={"dic.window": 32})
+    with fringedic.open_experiment(file) as desk:
+        assert tree["plate-1"].to_dataset().identical(desk.load())
+
+
+def test_a_calibration_replaces_the_recorded_one(tmp_path: Path) -> None:
+    reader = BagReader(RECORDED)
+    _, message, _ = next(reader.messages(reader.find("calibration").values()))
+    calibration = tmp_path / "calibration.yaml"
+    replace(fringedic.RigModel.from_message(message), projector_rotation=(0.0, 0.0, 0.001)).to_yaml(calibration)
+    campaign = written(copied(tmp_path, "plate"), calibration="calibration.yaml", reference=1)
+    run(campaign)
+    model = fringedic.RigModel.from_yaml(calibration)
+    file = fringedic.process_bag(RECORDED, output=tmp_path / "desk.nc", calibration=model, reference=1)
+    tree, _ = fringedic.open_campaign(tmp_path)
+    with fringedic.open_experiment(file) as desk:
+        assert tree["plate"].to_dataset().identical(desk.load())
+
+
+def test_other_software_is_refused(done: Campaign, tmp_path: Path) -> None:
+    unit = replace(
+        current_plan(done).units[0],
+        store=str(tmp_path),
+        software={**current_plan(done).units[0].software, "numpy": "1"},
+    )
+    with pytest.raises(CampaignError, match=r"has numpy .* instead of 1: install"):
+        process_unit(unit)
+
+
+def test_a_unit_that_needs_more_memory_than_there_is_is_refused(done: Campaign, tmp_path: Path) -> None:
+    unit = replace(current_plan(done).units[0], store=str(tmp_path), memory=1e15)
+    (failure,) = Serial().outcomes([unit])
+    assert isinstance(failure, Failure)
+    assert "needs about 1000000.0 GB of memory" in failure.reason
+
+
+def test_a_store_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "store").write_text("a file")
+    campaign = written(copied(tmp_path, "plate"))
+    with pytest.raises(CampaignError, match=f"the store {tmp_path}/store cannot be"):
+        update_plan(campaign)
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ({"recordings": []}, "recordings"),
+        ({"settings": {"dic.windows": 3}}, "there is no parameter 'dic.windows'"),
+        ({"stores": "x"}, "stores: unknown key"),
+        ({"recordings": [{"path": "recordings", "colour": "red"}]}, "colour"),
+    ],
+)
+def test_a_wrong_file_is_refused(tmp_path: Path, content: dict[str, object], sentence: str) -> None:
+    with pytest.raises(ConfigurationError, match=sentence):
+        written(tmp_path, **content)
+
+
+def test_entries_have_to_name_recordings_once(tmp_path: Path) -> None:
+    with pytest.raises(CampaignError, match="no recording matches 'nothing-\\*'"):
+        update_plan(written(tmp_path, recordings=[{"path": "nothing-*"}]))
+    copied(tmp_path, "plate")
+    twice = [{"path": "recordings"}, {"path": "recordings/plate"}]
+    with pytest.raises(CampaignError, match="is named by two entries"):
+        update_plan(written(tmp_path, recordings=twice))
+
+
+def test_names_are_the_shortest_that_distinguish(tmp_path: Path) -> None:
+    for batch in ("a", "b"):
+        copied(tmp_path / batch, "plate 1")
+    campaign = written(tmp_path, recordings=[{"path": "*/recordings/*"}])
+    names = [unit.name for unit in update_plan(campaign).units]
+    assert names == ["a_recordings_plate-1", "b_recordings_plate-1"]
+
+
+def test_a_store_without_plan_is_no_campaign(tmp_path: Path) -> None:
+    with pytest.raises(CampaignError, match="is no campaign"):
+        fringedic.open_campaign(tmp_path)
+    with pytest.raises(CampaignError, match="is no folder and no known kind of address"):
+        fringedic.open_campaign("nowhere://campaign")

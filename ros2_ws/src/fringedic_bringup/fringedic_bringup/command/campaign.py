@@ -1,0 +1,177 @@
+"""Subcommands of campaigns: many recordings, one store, without ROS."""
+
+from __future__ import annotations
+
+import time
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.table import Table
+
+from fringedic.errors import CampaignError, ConfigurationError
+from fringedic_bringup.command.app import app, begin, console, output_file, say
+
+if TYPE_CHECKING:
+    from fringedic.campaign import Engine, Status
+    from fringedic.campaign.unit import Failure, Receipt
+
+campaigns = typer.Typer(
+    help="Process many recordings into one store; resumable at any time.",
+    no_args_is_help=True,
+    epilog="Example: fringedic campaign run batch-7 --workers 2",
+)
+app.add_typer(campaigns, name="campaign")
+
+Folder = Annotated[
+    Path, typer.Argument(metavar="DIR", help="Folder of the campaign with its campaign.yaml.", callback=begin)
+]
+Recompute = Annotated[
+    bool, typer.Option("--recompute", help="Remove results of other settings, recordings or software.")
+]
+
+
+class EngineName(StrEnum):
+    """Engines of a campaign."""
+
+    SERIAL = "serial"
+    PROCESSES = "processes"
+    DASK = "dask"
+
+
+EngineChoice = Annotated[
+    EngineName | None,
+    typer.Option("--engine", help="By default dask with several workers or a scheduler, otherwise serial."),
+]
+Workers = Annotated[int, typer.Option(min=1, help="Worker processes of this computer.")]
+Scheduler = Annotated[str | None, typer.Option(metavar="ADDRESS", help="Of another Dask cluster: tcp://computer:8786.")]
+Shard = Annotated[str, typer.Option(metavar="I/N", help="Only the I-th of N parts, for arrays of jobs.")]
+
+
+@campaigns.command(epilog="Example: fringedic campaign init batch-7")
+def init(folder: Folder) -> None:
+    """Write an example of campaign.yaml into a new folder."""
+    from fringedic.campaign.settings import EXAMPLE, FILE
+
+    file = output_file(folder / FILE, overwrite=False)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(EXAMPLE, encoding="utf-8")
+    say(f"campaign: {file}", f"next: enter the recordings, then `fringedic campaign plan {folder}`")
+
+
+@campaigns.command(epilog="Example: fringedic campaign plan batch-7")
+def plan(folder: Folder, recompute: Recompute = False) -> None:
+    """Read the summaries of the recordings and write the plan; refuse what is damaged."""
+    from fringedic.campaign import load_campaign, update_plan
+    from fringedic.report.campaign import plan_sentences
+
+    made = update_plan(load_campaign(folder), recompute=recompute)
+    say(*plan_sentences(made), f"next: `fringedic campaign run {folder}`")
+    if made.refused:
+        raise typer.Exit(1)
+
+
+@campaigns.command(epilog="Example: fringedic campaign run batch-7 --workers 2")
+def run(
+    folder: Folder,
+    workers: Workers = 1,
+    engine: EngineChoice = None,
+    scheduler: Scheduler = None,
+    shard: Shard = "1/1",
+    recompute: Recompute = False,
+) -> None:
+    """Process all recordings that are not complete; after any interruption the command continues."""
+    _run(folder, _engine(engine, workers, scheduler), _shard(shard), recompute=recompute)
+
+
+@campaigns.command(epilog="Example: fringedic campaign retry batch-7")
+def retry(
+    folder: Folder,
+    workers: Workers = 1,
+    engine: EngineChoice = None,
+    scheduler: Scheduler = None,
+) -> None:
+    """Plan again, and process the recordings that failed or were refused before."""
+    from fringedic.campaign import CampaignStore, forget_failures, load_campaign, update_plan
+
+    campaign = load_campaign(folder)
+    update_plan(campaign)
+    forget_failures(CampaignStore(campaign.store))
+    _run(folder, _engine(engine, workers, scheduler), (1, 1))
+
+
+@campaigns.command(epilog="Example: fringedic campaign status batch-7")
+def status(folder: Folder) -> None:
+    """Say what is complete, failed and waiting, by the receipts in the store alone."""
+    from fringedic.campaign import CampaignStore, read_plan, status_of
+    from fringedic.campaign.opening import store_address
+    from fringedic.report.campaign import status_sentences
+
+    store = CampaignStore(store_address(folder))
+    found = status_of(store, read_plan(store))
+    say(*status_sentences(found))
+    _end(found)
+
+
+@campaigns.command("open", epilog="Example: fringedic campaign open batch-7")
+def open_results(folder: Folder) -> None:
+    """Print the catalogue, and how to open the results in Python."""
+    from fringedic.campaign import open_campaign
+
+    _, catalogue = open_campaign(folder)
+    columns = ["specimen", "group", "steps", "confirmed_fraction", "largest_strain", "sigma_largest_strain"]
+    table = Table(title=f"{folder}: {len(catalogue)} recordings", title_justify="left")
+    for heading in ("recording", *columns):
+        table.add_column(heading.replace("_", " "))
+    for name, row in catalogue.iterrows():
+        table.add_row(str(name), *(_cell(row[column]) for column in columns))
+    console.print(table)
+    say(f'tree, catalogue = fringedic.open_campaign("{folder}")')
+
+
+def _cell(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _run(folder: Path, engine: Engine, shard: tuple[int, int], *, recompute: bool = False) -> None:
+    from fringedic.campaign import CampaignStore, current_plan, load_campaign, run_units, status_of
+    from fringedic.report.campaign import CampaignProgress, plan_sentences, status_sentences
+
+    campaign = load_campaign(folder)
+    made = current_plan(campaign, recompute=recompute)
+    say(*plan_sentences(made))
+    store = CampaignStore(campaign.store)
+    waiting = status_of(store, made).waiting
+    progress, started = CampaignProgress(waiting[shard[0] - 1 :: shard[1]]), time.monotonic()
+    outcome: Receipt | Failure
+    for outcome in run_units(waiting, engine, shard):
+        say(progress.sentence(outcome, time.monotonic() - started))
+    found = status_of(store, made)
+    say(*status_sentences(found), f"next: `fringedic campaign open {folder}`")
+    _end(found)
+
+
+def _end(found: Status) -> None:
+    if found.failed or found.plan.refused:
+        raise typer.Exit(1)
+
+
+def _engine(name: EngineName | None, workers: int, scheduler: str | None) -> Engine:
+    from fringedic.campaign import Dask, Processes, Serial
+
+    chosen = name or (EngineName.DASK if workers > 1 or scheduler else EngineName.SERIAL)
+    if scheduler and chosen is not EngineName.DASK:
+        raise ConfigurationError(f"--scheduler belongs to the engine dask, not to {chosen}; leave one of them out")
+    if chosen is EngineName.SERIAL:
+        if workers > 1:
+            raise ConfigurationError("the engine serial has one worker; leave --workers out or choose another engine")
+        return Serial()
+    return Processes(workers) if chosen is EngineName.PROCESSES else Dask(workers, scheduler)
+
+
+def _shard(text: str) -> tuple[int, int]:
+    number, slash, count = text.partition("/")
+    if not (slash and number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
+        raise CampaignError(f"--shard {text}: write I/N, for example 2/8 for the second of eight parts")
+    return int(number), int(count)

@@ -1,0 +1,51 @@
+"""The subcommands of a campaign: what they print, and their exit codes."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from fringedic.errors import CampaignError, ConfigurationError
+from fringedic_bringup.command import main
+
+RECORDED = Path(__file__).parents[2] / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
+
+
+def command(*words: str) -> tuple[int, str]:
+    done = CliRunner().invoke(main.app, ["campaign", *words])
+    if done.exception is not None and not isinstance(done.exception, SystemExit):
+        raise done.exception
+    return done.exit_code, " ".join(done.output.split())
+
+
+def test_a_campaign_from_its_file_to_its_catalogue(tmp_path: Path) -> None:
+    folder = tmp_path / "batch"
+    code, said = command("init", str(folder))
+    assert (code, (folder / "campaign.yaml").is_file()) == (0, True)
+    with pytest.raises(ConfigurationError, match="exists already"):
+        command("init", str(folder))
+    for name in ("plate-1", "plate-2"):
+        shutil.copytree(RECORDED, folder / "recordings" / name)
+    cut = folder / "recordings" / "plate-2" / "bag_0.mcap"
+    whole = cut.read_bytes()
+    cut.write_bytes(whole[:-9])
+    code, said = command("plan", str(folder))
+    assert code == 1
+    assert "1 recording, about 3 steps" in said
+    assert "plate-2: bag_0.mcap has no index" in said
+    with pytest.raises(CampaignError, match=r"--shard 3/2: write I/N"):
+        command("run", str(folder), "--shard", "3/2")
+    code, said = command("run", str(folder))
+    assert code == 1
+    assert "1 of 1: plate-1: 3 steps" in said
+    cut.write_bytes(whole)
+    code, said = command("retry", str(folder))
+    assert code == 0
+    assert "1 of 1: plate-2: 3 steps" in said
+    assert command("status", str(folder))[1].endswith("2 of 2 recordings complete, 0 failed, 0 waiting, 0 refused")
+    code, said = command("open", str(folder))
+    assert "fringedic.open_campaign" in said
+    assert "batch 7" in said
