@@ -11,9 +11,8 @@ from sensor_msgs.msg import CameraInfo, Image
 from fringedic.figures.previews import displacement_preview
 from fringedic.frames.collector import Stack
 from fringedic.patterns.pattern import PatternKind
-from fringedic.steps.displacement_tracker import DisplacementTracker
+from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import DicParameters
-from fringedic.steps.phase import white_texture
 from fringedic.steps.step_results import DicResult
 from fringedic_msgs.msg import NodeStatus, Reference
 from fringedic_ros.frame_steps import FrameSteps

@@ -9,9 +9,8 @@ import pytest
 from sensor_msgs.msg import CameraInfo, Image
 
 from fringedic.figures.previews import displacement_preview
-from fringedic.steps.displacement_tracker import DisplacementTracker
+from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import DicParameters
-from fringedic.steps.phase import white_texture
 from fringedic.steps.step_results import DicResult
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import NodeStatus, Reference

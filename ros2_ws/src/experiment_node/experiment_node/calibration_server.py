@@ -8,43 +8,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Awaitable, Callable
-from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
 from rclpy.action.server import ActionServer, ServerGoalHandle
 from rclpy.node import Node
 
 from experiment_node.active_goal import GoalSlot, StepFailure
-from experiment_node.calibration_run import CalibrationRun, grid_angles, plane_sequence
+from experiment_node.calibration_run import CalibrationRun
 from experiment_node.experiments import Experiments
-from experiment_node.plane_steps import Images, PlaneSteps
-from fringedic.calibration.result import RigCalibration
-from fringedic.calibration.session import CalibrationSession, Plane, Setting
+from experiment_node.plane_steps import PlaneSteps
 from fringedic.errors import FringedicError
-from fringedic.patterns.pattern import PatternKind, ProjectedPattern
-from fringedic.report.calibration import CALIBRATION_REPORT, write_calibration_report
-from fringedic.report.calibration_sentences import (
-    calibration_in_words,
-    grid_in_words,
-    place_in_words,
-    plane_in_words,
-    verdict_sentence,
-)
 from fringedic.rig.model import RigModel
 from fringedic_msgs.action import CalibrateDistortion, CalibrateRig
-from fringedic_msgs.msg import ReferencePlane
 from fringedic_ros.diagnostics import NodeDiagnostics
-from fringedic_ros.images import image_array
-from fringedic_ros.qos import DERIVED, IMAGES
 
-GRID_FRAMES = 8
-CAMERA_IMAGE = "camera/image_raw"
-PHASE_MAPS = {"phase/map": DERIVED, "phase/sigma": DERIVED}
+if TYPE_CHECKING:
+    from experiment_node.calibration_procedures import CalibrationProcedures
 
 
 class CalibrationServer:
-    """Two action servers that place and measure planes; a `CalibrationSession` computes.
+    """Two action servers whose goals run one of the `CalibrationProcedures`.
 
     Parameters
     ----------
@@ -77,7 +62,6 @@ class CalibrationServer:
         self._experiments = experiments
         self._diagnostics = diagnostics
         self._publish_calibration = publish_calibration
-        self._session = CalibrationSession()
         for action, name, callback in (
             (CalibrateDistortion, "calibrate_distortion", self._calibrate_distortion),
             (CalibrateRig, "calibrate_rig", self._calibrate_rig),
@@ -89,7 +73,7 @@ class CalibrationServer:
         if self._refuse(goal, result):
             return result
         run = self._begin(goal, result, feedback, "the camera's distortion is being measured")
-        await self._run(run, self._measure_distortion)
+        await self._run(run, self._procedures.measure_distortion)
         return result
 
     async def _calibrate_rig(self, goal: ServerGoalHandle) -> CalibrateRig.Result:
@@ -97,10 +81,17 @@ class CalibrationServer:
         if self._refuse(goal, result):
             return result
         run = self._begin(goal, result, CalibrateRig.Feedback(), "the rig is being calibrated")
-        await self._run(run, self._measure_rig)
+        await self._run(run, self._procedures.measure_rig)
         return result
 
     # one goal from begin to end
+
+    @cached_property
+    def _procedures(self) -> CalibrationProcedures:
+        # with the first goal: most experiments need nothing that fits a rig, and start in half the time
+        from experiment_node.calibration_procedures import CalibrationProcedures
+
+        return CalibrationProcedures(self._steps, self._publish_calibration)
 
     def _refuse(self, goal: ServerGoalHandle, result: CalibrateDistortion.Result | CalibrateRig.Result) -> bool:
         """Refuse a goal when the rig is not free."""
@@ -143,95 +134,3 @@ class CalibrationServer:
             goal.canceled()
         else:
             goal.abort()
-
-    # the printed grid
-
-    async def _measure_distortion(self, run: CalibrationRun) -> None:
-        request, result, session = run.goal.goal.request, run.result, self._session
-        angles = [0.0, *grid_angles(request)]
-        result.experiment = result.identifier = run.experiment.name
-        run.feedback.planes = len(angles)
-        for run.feedback.plane, angle in enumerate(angles, start=1):
-            await self._measure_grid(run, angle)
-        orientation = self._steps.parameters.patterns()[-1].orientation
-        grid = await self._steps.compute(
-            run, result.GRID_REJECTED, session.locate_pin_hole, request.sigma_angle, orientation
-        )
-        await self._steps.compute(run, result.FILES_FAILED, session.save_grid, run.folder)
-        result.residual, result.go, result.verdict = grid.residual, True, grid_in_words(grid)
-        result.folder = str(run.folder)
-
-    async def _measure_grid(self, run: CalibrationRun, angle: float) -> None:
-        """Measure the grid at one angle [rad]; the first one is at 0 and gives the distortion."""
-        request, session = run.goal.goal.request, self._session
-        plane = ReferencePlane(
-            kind=ReferencePlane.GRID, angle=angle, grid_pitch=request.grid_pitch, sigma_angle=request.sigma_angle
-        )
-        white = (ProjectedPattern(PatternKind.WHITE),) * (request.frames or GRID_FRAMES)
-        with self._steps.collect({CAMERA_IMAGE: IMAGES}) as images:
-            run.report(place_in_words(plane.kind, angle, 0.0))
-            await self._steps.place(run, plane)
-            step = await self._steps.measure(run, plane, white)
-            await self._steps.await_images(run, images, CAMERA_IMAGE, step.stamps)
-            frames = np.stack([image_array(images[CAMERA_IMAGE][stamp]) for stamp in step.stamps])
-        if run.feedback.plane == 1:
-            run.report("measuring the distortion")
-            await self._steps.compute(run, run.result.GRID_REJECTED, session.measure_grid, frames, request.grid_pitch)
-        else:
-            run.report("finding the grid on the tilted plane")
-            await self._steps.compute(run, run.result.GRID_REJECTED, session.measure_tilted_grid, frames, plane.angle)
-
-    # the planes
-
-    async def _measure_rig(self, run: CalibrationRun) -> None:
-        request, result, parameters = run.goal.goal.request, run.result, self._steps.parameters
-        if not parameters.projector:
-            raise StepFailure(result.INVALID_GOAL, "a rig without projector needs no calibration beside its distortion")
-        planes = plane_sequence(request)
-        result.experiment = result.identifier = run.experiment.name
-        setting = Setting(
-            run.experiment.name,
-            (parameters.projector_width_px, parameters.projector_height_px),
-            parameters.patterns()[-1],
-            request.sigma_angle,
-            request.sigma_height,
-        )
-        await self._steps.compute(run, result.INVALID_GOAL, self._session.begin, setting)
-        run.feedback.planes = len(planes)
-        with self._steps.collect(PHASE_MAPS) as images:
-            await self._steps.reach_readers(run, "phase")
-            for run.feedback.plane, plane in enumerate(planes, start=1):
-                stamp = await self._measure_plane(run, plane, images)
-        run.report("fitting the model of the rig")
-        calibrated = await self._fit(run, datetime.fromtimestamp(1e-9 * stamp, UTC))
-        if not calibrated.go:
-            raise StepFailure(result.NO_GO, verdict_sentence(calibrated))
-        result.go = True
-        self._publish_calibration(calibrated.model, str(run.folder))
-
-    async def _measure_plane(self, run: CalibrationRun, plane: ReferencePlane, images: Images) -> int:
-        """Measure the phase of one plane and return the stamp of its step [ns]."""
-        run.report(place_in_words(plane.kind, plane.angle, plane.height))
-        await self._steps.place(run, plane)
-        step = await self._steps.measure(run, plane, self._steps.parameters.patterns(), ("phase",))
-        for topic in PHASE_MAPS:
-            await self._steps.await_images(run, images, topic, [step.stamp])
-        phase, sigma = (image_array(images[topic].pop(step.stamp)) for topic in PHASE_MAPS)
-        measured = Plane(plane.angle, plane.height, plane.held_out, phase, sigma)
-        quality = await self._steps.compute(run, run.result.PLANE_REJECTED, self._session.add_plane, measured)
-        run.report(plane_in_words(quality))
-        return step.stamp
-
-    async def _fit(self, run: CalibrationRun, measured_at: datetime) -> RigCalibration:
-        """Fit the model of the rig, write its files and enter its figures in the result."""
-        result, session = run.result, self._session
-        calibrated = await self._steps.compute(run, result.FIT_FAILED, session.calibrate, measured_at)
-        summary = verdict_sentence(calibrated)
-        await self._steps.compute(run, result.FILES_FAILED, session.save, run.folder, summary)
-        await self._steps.compute(
-            run, result.FILES_FAILED, write_calibration_report, calibrated, run.folder / CALIBRATION_REPORT
-        )
-        result.verdict, result.folder = calibration_in_words(calibrated), str(run.folder)
-        result.residual, result.held_out_residual = calibrated.residual, calibrated.held_out
-        result.drift = session.drift
-        return calibrated

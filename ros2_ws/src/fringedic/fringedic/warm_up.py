@@ -17,9 +17,9 @@ from fringedic.frames.collector import Stack
 from fringedic.frames.records import FrameRecord
 from fringedic.patterns.sequences import fringe_sequence
 from fringedic.rig.model import RigModel
-from fringedic.steps.displacement_tracker import DisplacementTracker
+from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
-from fringedic.steps.phase import phase_step, white_texture
+from fringedic.steps.phase import phase_step
 from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.surface.planes import fit_planes
 

@@ -29,7 +29,7 @@ from std_srvs.srv import Trigger
 
 from fringedic.configuration.conditions import Reading
 from fringedic.errors import StepFailedError, WaitTimeoutError
-from fringedic.report.calibration_sentences import place_in_words
+from fringedic.report.plane_instructions import place_in_words
 from fringedic_bringup.launch.readiness import Readiness
 from fringedic_bringup.participant import Participant
 from fringedic_msgs.action import CalibrateDistortion, CalibrateRig, MeasureStep, MoveCrosshead

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from fringedic.frames.records import FrameRecord
 from fringedic.recording.clocks import ClockEstimate
-from fringedic.rig.model import RigModel
 from fringedic_msgs.msg import ClockDrift, Exposure, RigCalibration
 from fringedic_ros.stamps import to_msg
+
+if TYPE_CHECKING:
+    from fringedic.rig.model import RigModel
 
 
 def exposure_message(record: FrameRecord, *, frame_id: str) -> Exposure:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 
@@ -14,6 +15,14 @@ FEWEST_PLANES = 3  # of a fit; the closed form needs two
 LARGEST_ANGLE = math.radians(70)  # larger angles are probably in degree
 SMALLEST_TURN = math.radians(0.05)  # planes closer to each other than this carry no information
 SMALLEST_MOVE = 20e-6  # the same for translated planes [m]
+
+
+class PlaneKind(IntEnum):
+    """The object in front of the camera, numbered as in ``fringedic_msgs/ReferencePlane``."""
+
+    GRID = 0
+    PLANE = 1
+    SPECIMEN = 2
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from fringedic.calibration.session import CalibrationSession, Plane, PlaneKind, PlaneQuality, Setting
+from fringedic.calibration.placement import PlaneKind
+from fringedic.calibration.session import CalibrationSession, Plane, PlaneQuality, Setting
 from fringedic.errors import RecordingError
 from fringedic.frames.collector import FrameCollector, Stack
 from fringedic.recording.frames import RecordedMessage, events

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from datetime import datetime
-from enum import IntEnum
 from pathlib import Path
 
 import numpy as np
@@ -22,14 +21,6 @@ from fringedic.errors import CalibrationError
 from fringedic.patterns.pattern import Orientation, ProjectedPattern
 
 DISTORTION_FILE = "distortion.yaml"
-
-
-class PlaneKind(IntEnum):
-    """The object in front of the camera, numbered as in ``fringedic_msgs/ReferencePlane``."""
-
-    GRID = 0
-    PLANE = 1
-    SPECIMEN = 2
 
 
 @dataclasses.dataclass(frozen=True)

@@ -15,7 +15,7 @@ from fringedic.calibration.fit_results import Candidate, PlaneResult, Reason
 from fringedic.calibration.history import recorded_checks
 from fringedic.calibration.recorded import RecordedPlane
 from fringedic.calibration.result import RigCalibration
-from fringedic.calibration.session import PlaneKind, PlaneQuality
+from fringedic.calibration.session import PlaneQuality
 from fringedic.calibration.variants import ModelVariant
 from fringedic.camera.carriers import aliasing_text
 from fringedic.camera.findings import Finding, GridFinding
@@ -25,20 +25,6 @@ from fringedic.errors import CalibrationError
 
 CHECK_AFTER = 7 * 86400.0  # [s] after which a change of temperature or an accidental contact is likely
 _MM, _UM, _FRINGE = 1e3, 1e6, 2 * math.pi
-
-
-def place_in_words(kind: int, angle: float, height: float) -> str:
-    """Return the instruction to put something in front of the camera; angle [rad], height [m]."""
-    if kind == PlaneKind.SPECIMEN:
-        return "put the specimen back"
-    degrees, lift = math.degrees(angle), _MM * height
-    side = f" ({'right' if degrees > 0 else 'left'} side towards the camera)" if abs(degrees) > 1e-6 else ""
-    if kind == PlaneKind.GRID and not side:
-        return "lay the printed grid on the reference plane at 0 degree, turned in its plane by 1 to 3 degrees"
-    if kind == PlaneKind.GRID:
-        return f"turn the reference plane with the grid on it to {degrees:+.2f} degree{side}"
-    lifted = f", {abs(lift):.3f} mm {'above' if lift > 0 else 'below'} its place" if abs(lift) > 1e-6 else ""
-    return f"turn the plain reference plane to {degrees + 0.0:+.2f} degree{side}{lifted}"
 
 
 def grid_in_words(grid: GridMeasurement) -> str:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
 
 from fringedic.errors import CalibrationError, GridError, ImageError
 from fringedic.inputs.arguments import array, check_arguments, number, optional
@@ -16,8 +15,10 @@ from fringedic.patterns.pattern import Orientation
 from fringedic.rig.files import parse_rig, read_rig, write_rig
 from fringedic.rig.geometry import RigGeometry
 from fringedic.rig.messages import fields_of_rig, rig_of_fields
-from fringedic.rig.reconstruction import reconstruct_surface
 from fringedic.rig.six_parameter import SixParameterModel
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 
 @dataclass(frozen=True)
@@ -138,6 +139,8 @@ class RigModel(RigGeometry):
         ImageError
             The phase is not an image (row, column), or sigma has another shape.
         """
+        from fringedic.rig.reconstruction import reconstruct_surface  # loads xarray and Numba: many nodes need neither
+
         return reconstruct_surface(self, phase, pitch, sigma_phase, orientation)
 
     def six_parameter_model(self, pitch: float) -> SixParameterModel:

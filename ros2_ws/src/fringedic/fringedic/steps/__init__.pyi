@@ -1,9 +1,9 @@
 from .displacement_tracker import DisplacementTracker as DisplacementTracker
+from .displacement_tracker import white_texture as white_texture
 from .parameters import CouplingParameters as CouplingParameters
 from .parameters import DicParameters as DicParameters
 from .parameters import PhaseParameters as PhaseParameters
 from .phase import phase_step as phase_step
-from .phase import white_texture as white_texture
 from .pipeline import OfflinePipeline as OfflinePipeline
 from .shape_tracker import ShapeTracker as ShapeTracker
 from .step_results import CouplingResult as CouplingResult

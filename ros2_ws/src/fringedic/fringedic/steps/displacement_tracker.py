@@ -280,3 +280,8 @@ def _agreement(measured: xr.Dataset, shape: tuple[int, ...]) -> float:
         there = measured[axis].values + (float(np.median(known)) if count else 0.0)
         staying *= int(np.count_nonzero((there >= 0) & (there <= length - 1)))
     return count / max(1, staying)
+
+
+def white_texture(image: np.ndarray) -> np.ndarray:
+    """Return the texture of a white exposure: the image itself as float32 [grey level]."""
+    return image.astype(np.float32)

@@ -92,8 +92,3 @@ def _lit_region(valid: np.ndarray) -> np.ndarray:
     without phase stays part of the surface.
     """
     return cv2.blur(valid.astype(np.float32), (LIT_NEIGHBOURHOOD, LIT_NEIGHBOURHOOD)) > 0.5
-
-
-def white_texture(image: np.ndarray) -> np.ndarray:
-    """Return the texture of a white exposure: the image itself as float32 [grey level]."""
-    return image.astype(np.float32)

@@ -16,8 +16,8 @@ from fringedic.recording.frames import RecordedFrame, RecordedMessage
 from fringedic.rig.compatibility import RigSetup, check_calibration
 from fringedic.rig.model import RigModel
 from fringedic.steps.closures import ClosureChecks
-from fringedic.steps.displacement_tracker import DisplacementTracker
-from fringedic.steps.phase import phase_step, white_texture
+from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
+from fringedic.steps.phase import phase_step
 from fringedic.steps.recorded_parameters import RecordedParameters, StepSettings
 from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult

@@ -12,17 +12,18 @@ import pytest
 from fringedic.calibration import check_rig
 from fringedic.calibration.findings import CalibrationWarning
 from fringedic.calibration.history import record_check
-from fringedic.calibration.session import CalibrationSession, Plane, PlaneKind, Setting
+from fringedic.calibration.placement import PlaneKind
+from fringedic.calibration.session import CalibrationSession, Plane, Setting
 from fringedic.errors import CalibrationError
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.report.calibration import write_calibration_report
 from fringedic.report.calibration_sentences import (
     check_in_words,
     in_force_words,
-    place_in_words,
     plane_in_words,
     verdict_sentence,
 )
+from fringedic.report.plane_instructions import place_in_words
 from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 

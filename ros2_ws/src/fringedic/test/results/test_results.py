@@ -33,9 +33,9 @@ from fringedic.report.confirmation import confirmation_sentence
 from fringedic.results import MAPS, compare_with_truth, dataset_from_derived, open_experiment, process_bag, truth_errors
 from fringedic.results.derived import Collected
 from fringedic.results.quantities import SCALARS, STEP_NUMBERS
-from fringedic.steps.displacement_tracker import DisplacementTracker
+from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
-from fringedic.steps.phase import phase_step, white_texture
+from fringedic.steps.phase import phase_step
 from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.virtual_rig import VirtualRig
 

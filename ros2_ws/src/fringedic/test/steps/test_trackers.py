@@ -16,9 +16,9 @@ from fringedic.frames.records import FrameRecord
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.patterns.sequences import fringe_sequence, gray_code_sequence, one_image_sequence
 from fringedic.phase.findings import FindingKind
-from fringedic.steps.displacement_tracker import DisplacementTracker
+from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
-from fringedic.steps.phase import phase_step, white_texture
+from fringedic.steps.phase import phase_step
 from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.steps.step_results import DicResult, PhaseResult, displacement_field
 from fringedic.virtual_rig import VirtualRig

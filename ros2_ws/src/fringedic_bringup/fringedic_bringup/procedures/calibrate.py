@@ -7,14 +7,14 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from fringedic.calibration.placement import PlaneKind
 from fringedic.calibration.result import RigCalibration
-from fringedic.calibration.session import PlaneKind
 from fringedic.configuration.rig_file import RigFile
 from fringedic.configuration.sections import ReferencePlaneSection
 from fringedic.configuration.yaml_section import validate
 from fringedic.errors import ConfigurationError
 from fringedic.report.calibration import CALIBRATION_REPORT, Traceability, write_calibration_report
-from fringedic.report.calibration_sentences import place_in_words
+from fringedic.report.plane_instructions import place_in_words
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.graph import calibration_graph
 from fringedic_bringup.launch.processes import RunningGraph

@@ -1,0 +1,157 @@
+"""What a calibration does: planes are placed and measured one after the other, then lens and rig are fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+
+import numpy as np
+
+from experiment_node.active_goal import StepFailure
+from experiment_node.calibration_goals import grid_angles, plane_sequence
+from experiment_node.calibration_run import CalibrationRun
+from experiment_node.plane_steps import Images, PlaneSteps
+from fringedic.calibration.result import RigCalibration
+from fringedic.calibration.session import CalibrationSession, Plane, Setting
+from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.report.calibration import CALIBRATION_REPORT, write_calibration_report
+from fringedic.report.calibration_sentences import (
+    calibration_in_words,
+    grid_in_words,
+    plane_in_words,
+    verdict_sentence,
+)
+from fringedic.report.plane_instructions import place_in_words
+from fringedic.rig.model import RigModel
+from fringedic_msgs.msg import ReferencePlane
+from fringedic_ros.images import image_array
+from fringedic_ros.qos import DERIVED, IMAGES
+
+GRID_FRAMES = 8
+CAMERA_IMAGE = "camera/image_raw"
+PHASE_MAPS = {"phase/map": DERIVED, "phase/sigma": DERIVED}
+
+
+class CalibrationProcedures:
+    """Places and measures planes; a `CalibrationSession` computes.
+
+    The session remains from goal to goal: the distortion that one of them measures is that of the next calibration.
+
+    Parameters
+    ----------
+    steps
+        Places and measures planes.
+    publish_calibration
+        Puts a calibration in force; called with the model and its source.
+    """
+
+    def __init__(self, steps: PlaneSteps, publish_calibration: Callable[[RigModel, str], None]) -> None:
+        self._steps = steps
+        self._publish_calibration = publish_calibration
+        self._session = CalibrationSession()
+
+    # the printed grid
+
+    async def measure_distortion(self, run: CalibrationRun) -> None:
+        """Measure the printed grid at 0 and at the angles of the goal, and save the distortion of the lens.
+
+        Raises
+        ------
+        StepFailure
+            With an error code of the action.
+        """
+        request, result, session = run.goal.goal.request, run.result, self._session
+        angles = [0.0, *grid_angles(request)]
+        result.experiment = result.identifier = run.experiment.name
+        run.feedback.planes = len(angles)
+        for run.feedback.plane, angle in enumerate(angles, start=1):
+            await self._measure_grid(run, angle)
+        orientation = self._steps.parameters.patterns()[-1].orientation
+        grid = await self._steps.compute(
+            run, result.GRID_REJECTED, session.locate_pin_hole, request.sigma_angle, orientation
+        )
+        await self._steps.compute(run, result.FILES_FAILED, session.save_grid, run.folder)
+        result.residual, result.go, result.verdict = grid.residual, True, grid_in_words(grid)
+        result.folder = str(run.folder)
+
+    async def _measure_grid(self, run: CalibrationRun, angle: float) -> None:
+        """Measure the grid at one angle [rad]; the first one is at 0 and gives the distortion."""
+        request, session = run.goal.goal.request, self._session
+        plane = ReferencePlane(
+            kind=ReferencePlane.GRID, angle=angle, grid_pitch=request.grid_pitch, sigma_angle=request.sigma_angle
+        )
+        white = (ProjectedPattern(PatternKind.WHITE),) * (request.frames or GRID_FRAMES)
+        with self._steps.collect({CAMERA_IMAGE: IMAGES}) as images:
+            run.report(place_in_words(plane.kind, angle, 0.0))
+            await self._steps.place(run, plane)
+            step = await self._steps.measure(run, plane, white)
+            await self._steps.await_images(run, images, CAMERA_IMAGE, step.stamps)
+            frames = np.stack([image_array(images[CAMERA_IMAGE][stamp]) for stamp in step.stamps])
+        if run.feedback.plane == 1:
+            run.report("measuring the distortion")
+            await self._steps.compute(run, run.result.GRID_REJECTED, session.measure_grid, frames, request.grid_pitch)
+        else:
+            run.report("finding the grid on the tilted plane")
+            await self._steps.compute(run, run.result.GRID_REJECTED, session.measure_tilted_grid, frames, plane.angle)
+
+    # the planes
+
+    async def measure_rig(self, run: CalibrationRun) -> None:
+        """Measure the phase of all planes, fit the model of the rig, and put it in force when it is good.
+
+        Raises
+        ------
+        StepFailure
+            With an error code of the action.
+        """
+        request, result, parameters = run.goal.goal.request, run.result, self._steps.parameters
+        if not parameters.projector:
+            raise StepFailure(result.INVALID_GOAL, "a rig without projector needs no calibration beside its distortion")
+        planes = plane_sequence(request)
+        result.experiment = result.identifier = run.experiment.name
+        setting = Setting(
+            run.experiment.name,
+            (parameters.projector_width_px, parameters.projector_height_px),
+            parameters.patterns()[-1],
+            request.sigma_angle,
+            request.sigma_height,
+        )
+        await self._steps.compute(run, result.INVALID_GOAL, self._session.begin, setting)
+        run.feedback.planes = len(planes)
+        with self._steps.collect(PHASE_MAPS) as images:
+            await self._steps.reach_readers(run, "phase")
+            for run.feedback.plane, plane in enumerate(planes, start=1):
+                stamp = await self._measure_plane(run, plane, images)
+        run.report("fitting the model of the rig")
+        calibrated = await self._fit(run, datetime.fromtimestamp(1e-9 * stamp, UTC))
+        if not calibrated.go:
+            raise StepFailure(result.NO_GO, verdict_sentence(calibrated))
+        result.go = True
+        self._publish_calibration(calibrated.model, str(run.folder))
+
+    async def _measure_plane(self, run: CalibrationRun, plane: ReferencePlane, images: Images) -> int:
+        """Measure the phase of one plane and return the stamp of its step [ns]."""
+        run.report(place_in_words(plane.kind, plane.angle, plane.height))
+        await self._steps.place(run, plane)
+        step = await self._steps.measure(run, plane, self._steps.parameters.patterns(), ("phase",))
+        for topic in PHASE_MAPS:
+            await self._steps.await_images(run, images, topic, [step.stamp])
+        phase, sigma = (image_array(images[topic].pop(step.stamp)) for topic in PHASE_MAPS)
+        measured = Plane(plane.angle, plane.height, plane.held_out, phase, sigma)
+        quality = await self._steps.compute(run, run.result.PLANE_REJECTED, self._session.add_plane, measured)
+        run.report(plane_in_words(quality))
+        return step.stamp
+
+    async def _fit(self, run: CalibrationRun, measured_at: datetime) -> RigCalibration:
+        """Fit the model of the rig, write its files and enter its figures in the result."""
+        result, session = run.result, self._session
+        calibrated = await self._steps.compute(run, result.FIT_FAILED, session.calibrate, measured_at)
+        summary = verdict_sentence(calibrated)
+        await self._steps.compute(run, result.FILES_FAILED, session.save, run.folder, summary)
+        await self._steps.compute(
+            run, result.FILES_FAILED, write_calibration_report, calibrated, run.folder / CALIBRATION_REPORT
+        )
+        result.verdict, result.folder = calibration_in_words(calibrated), str(run.folder)
+        result.residual, result.held_out_residual = calibrated.residual, calibrated.held_out
+        result.drift = session.drift
+        return calibrated
