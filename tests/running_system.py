@@ -56,7 +56,7 @@ class Progress:
         self.lines.append(text)
 
     def step(self, number: int, last: int, text: str, frame: int = 0, frames: int = 0) -> None:
-        self.lines.append(f"step {number} of 0 to {last}: {text} {frame}/{frames}")
+        self.lines.append(f"step {number} (last: {last}): {text} {frame}/{frames}")
 
     def part(self, number: int, parts: int, text: str, frame: int = 0, frames: int = 0) -> None:
         self.lines.append(f"{number} of {parts}: {text} {frame}/{frames}")

@@ -51,7 +51,7 @@ def test_a_run_leaves_recording_dataset_truth_and_pictures(recorded: RecordedExp
 def test_a_run_prints_progress_and_a_table(recorded: RecordedExperiment) -> None:
     assert "starting 9 nodes" in recorded.output
     for step in (0, 1, 2):
-        assert f"step {step} of 0 to 2: " in recorded.output
+        assert f"step {step} (last: 2): " in recorded.output
     assert "errors are RMS against the ground truth" in recorded.output
     assert f"{recorded.report.folder}: report.html, recording (bag)" in " ".join(recorded.output.split())
 
@@ -184,7 +184,7 @@ class Running:
 
 def test_a_rig_has_one_owner_whose_interruption_closes_recording_and_nodes(tiny: Path, tmp_path: Path) -> None:
     running = Running(tiny, tmp_path)
-    running.wait_until_printed("step 1 of 0 to 2")
+    running.wait_until_printed("step 1 (last: 2)")
     pids = running.pids()
     second = fringedic_command("run", tiny, "--output", tmp_path / "second")
     assert isinstance(second.exception, ProcessError)
@@ -215,7 +215,7 @@ def test_a_rig_has_one_owner_whose_interruption_closes_recording_and_nodes(tiny:
 
 def test_nodes_end_with_a_killed_command(tiny: Path, tmp_path: Path) -> None:
     running = Running(tiny, tmp_path)
-    running.wait_until_printed("step 0 of 0 to 2")
+    running.wait_until_printed("step 0 (last: 2)")
     pids = running.pids()
     os.kill(running.process.pid, signal.SIGKILL)
     running.process.wait()

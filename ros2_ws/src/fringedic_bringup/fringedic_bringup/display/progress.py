@@ -54,7 +54,7 @@ class LiveProgress:
 
     def step(self, number: int, last: int, text: str, frame: int = 0, frames: int = 0) -> None:
         """Show the progress of a load step; its number and that of the last one are those of the dataset, from 0."""
-        self._advance(f"step {number} of 0 to {last}: {text}", number, last + 1, frame, frames)
+        self._advance(f"step {number} (last: {last}): {text}", number, last + 1, frame, frames)
 
     def part(self, number: int, parts: int, text: str, frame: int = 0, frames: int = 0) -> None:
         """Show the progress of one of several parts of a procedure; `number` counts from 1."""

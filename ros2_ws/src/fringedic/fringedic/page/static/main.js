@@ -46,7 +46,7 @@ const STATES = ["", "runs", "pauses after this step", "is paused", "stops", "has
 
 function takeProcedure(procedure) {
   if (!procedure) return;
-  const step = procedure.procedure === "run" && procedure.steps ? `, step ${procedure.step} of 0 to ${procedure.steps - 1}` : "";
+  const step = procedure.procedure === "run" && procedure.steps ? `, step ${procedure.step} (last: ${procedure.steps - 1})` : "";
   document.getElementById("summary").textContent = procedure.procedure ? `${procedure.title} ${STATES[procedure.state]}${step}` : "ready";
 }
 

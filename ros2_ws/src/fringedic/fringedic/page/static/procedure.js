@@ -44,7 +44,7 @@ function buttons(procedure) {
 }
 
 function activity({ procedure, activity, step, steps, frame, frames, remaining_s }) {
-  const parts = [procedure === "run" && steps ? `Step ${step} of 0 to ${steps - 1}: ${activity}` : steps > 1 ? `${step + 1} of ${steps}: ${activity}` : activity];
+  const parts = [procedure === "run" && steps ? `Step ${step} (last: ${steps - 1}): ${activity}` : steps > 1 ? `${step + 1} of ${steps}: ${activity}` : activity];
   if (frames) parts.push(`frame ${frame} of ${frames}`);
   if (remaining_s !== null) parts.push(`about ${duration(remaining_s)} left`);
   return parts.join(", ");
