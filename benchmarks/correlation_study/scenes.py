@@ -6,17 +6,31 @@ no image is interpolated. Seeds differ from those of the tests.
 
 from __future__ import annotations
 
+import importlib.util
 import os
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from runpy import run_path
+from types import ModuleType
 
 import numpy as np
 
 ROOT = Path(__file__).resolve().parents[2]
-_EXACT = run_path(str(ROOT / "ros2_ws" / "src" / "fringedic" / "test" / "conftest.py"))
-Speckle, camera = _EXACT["Speckle"], _EXACT["camera"]
+
+
+def _load_exact_images() -> ModuleType:
+    """Import the images of the tests; Numba's cached loops refer to their module by its name."""
+    path = ROOT / "ros2_ws" / "src" / "fringedic" / "test" / "conftest.py"
+    spec = importlib.util.spec_from_file_location("conftest", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["conftest"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+_EXACT = _load_exact_images()
+Speckle, camera = _EXACT.Speckle, _EXACT.camera
 
 Motion = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 

@@ -241,31 +241,41 @@ def _add_products(
         sum_ac[k] += wa * c[k]
 
 
+@njit(nogil=True, error_model="numpy")
+def _repeat_cells(values: np.ndarray, cell: int, out: np.ndarray) -> None:
+    """Set each pixel of a line to the value of its cell."""
+    for c in range(out.size):
+        out[c] = values[c // cell]
+
+
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy", fastmath={"contract"})
 def accumulate_cells(
     images: ImagePair,
     lines: np.ndarray,
     cell: int,
     limit: float,
-    lowest: float,
-    highest: float,
+    unresolved: np.ndarray,
+    saturation: tuple[float, float],
     out: np.ndarray,
 ) -> None:
     """Sum f, its gradient and the residual e with weights over each cell, out (CHANNELS, node row, node column).
 
-    See `_compute_residual` for e. Weights are one up to abs(e) = limit, decrease as Tukey's biweight and are zero from
-    twice the limit on: noise keeps its full weight, glare and decorrelated pixels have none. Pixels where g would have
-    to be below `lowest` or above `highest` have no weight either: saturation cuts their residuals on one side.
+    See `_compute_residual` for e. Weights are one up to abs(e) = limit + unresolved abs(grad f), decrease as Tukey's
+    biweight and are zero from twice this bound on: noise keeps its full weight, glare and decorrelated pixels have
+    none. `unresolved` (node row, node column) [px] is a displacement that may remain in a cell. Pixels where g would
+    have to be outside of `saturation`, the lowest and highest grey level, have no weight either: it cuts their
+    residuals on one side.
     """
     values, along_x, along_y, _, _ = images
     rows, columns = values.shape
-    inverse = f4(1.0 / limit)
-    low, high = f4(lowest), f4(highest)
+    least = f4(limit)
+    low, high = f4(saturation[0]), f4(saturation[1])
     block = BLOCK // cell * cell
     for node in prange(out.shape[1]):
         sums = np.empty((CHANNELS, block), f4)
         scratch, keys = np.zeros((7, block + GROUP), f4), np.empty(block + GROUP, np.int32)
-        residual, kept, clean_f, clean_e = (
+        allowed, residual, kept, clean_f, clean_e = (
+            np.empty(block, f4),
             np.empty(block, f4),
             np.empty(block, f4),
             np.empty(block, f4),
@@ -275,6 +285,8 @@ def accumulate_cells(
             size = min(block, columns - begin)
             end = begin + size
             sums[:] = f4(0)
+            reach = allowed[:size]
+            _repeat_cells(unresolved[node, begin // cell :], cell, reach)
             e, weight, grey, rest = residual[:size], kept[:size], clean_f[:size], clean_e[:size]
             w, wf, we, seen = sums[W, :size], sums[WF, :size], sums[WE, :size], sums[SEEN, :size]
             for r in range(node * cell, min(node * cell + cell, rows)):
@@ -286,7 +298,8 @@ def accumulate_cells(
                     rest[c] = e[c] if good else f4(0)
                     grey[c] = f[c] if good else f4(0)
                 for c in range(size):
-                    over = min(max(abs(rest[c]) * inverse - f4(1), f4(0)), f4(1))
+                    bound = least + reach[c] * np.sqrt(gx[c] * gx[c] + gy[c] * gy[c])
+                    over = min(max(abs(rest[c]) / bound - f4(1), f4(0)), f4(1))
                     share = f4(1) - over * over
                     weight[c] = share * share if e[c] == e[c] else f4(0)
                 for c in range(size):

@@ -130,19 +130,21 @@ class _LevelPair:
         self.lines = np.empty((4, rows + 4, level.shape[1]), f4)
         self.cells = np.empty((cell_kernels.CHANNELS, rows, columns), f4)
         self.sums = np.empty((cell_kernels.GXE, rows, columns), f4)
-        self.seen = np.empty((rows, columns), f4)
+        self.seen, self.unresolved = np.empty((rows, columns), f4), np.zeros((rows, columns), f4)
         self.start, self.moved = np.empty((2, rows, columns), f4), np.empty((2, rows, columns), f4)
 
     def warp(self, nodes: np.ndarray, expected: float) -> float:
         """Fill the sums over cells and windows after one warp; return the noise of a pixel's residual.
 
-        `expected` [px] is the displacement error that may remain: residuals that it explains are no outliers.
+        `expected` [px] is the displacement error that may remain: residuals that it explains are no outliers, nor are
+        those of a displacement that the window does not resolve, see `node_kernels.bound_unresolved`.
         """
         cell = self.window.cell
         resampling_kernels.upsample_nodes(nodes, cell, self.lines)
         noise = estimate_noise(self.images, self.lines, cell)
         limit = OUTLIER * np.hypot(noise, expected * self.level.slope)
-        cell_kernels.accumulate_cells(self.images, self.lines, cell, limit, *self.limits, self.cells)
+        images, lines, unresolved = self.images, self.lines, self.unresolved
+        cell_kernels.accumulate_cells(images, lines, cell, limit, unresolved, self.limits, self.cells)
         node_kernels.apply_window(self.cells, self.window.taps, self.sums)
         return noise
 
@@ -161,6 +163,7 @@ class _LevelPair:
         node_kernels.iterate_fixed_point(cells, sums, seen, self.start, filters, tau, RELAXATIONS[steps], u)
         u -= self.start
         nodes[:2] += u
+        node_kernels.bound_unresolved(cells, u, self.unresolved)
         self._match_brightness(nodes, noise)
         few = np.s_[..., ::2, ::2]
         return float(np.sqrt(np.sum(seen[few] * u[few] ** 2) / np.sum(seen[few])))

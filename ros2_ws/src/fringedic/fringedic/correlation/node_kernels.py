@@ -20,6 +20,11 @@ NARROW_REACH = 4
 # Node rows of a band.
 BAND = 32
 
+# Unresolved waves, see `bound_unresolved`: test_unresolved_waves_are_no_outliers and the tests of patches and borders.
+EXPLAINED = 2 / 3
+UNRESOLVED = 0.35  # [px]
+CREST = 1.5
+
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
 def _smooth_wide(padded: np.ndarray, taps: np.ndarray, line: np.ndarray, r: int, out: np.ndarray) -> None:
@@ -328,6 +333,51 @@ def iterate_fixed_point(
             _subtract_explained(cells[GXE, r], cells[GXX, r], cells[GXY, r], u, v, u0, v0, right[0, r + REACH])
             _subtract_explained(cells[GYE, r], cells[GXY, r], cells[GYY, r], u, v, u0, v0, right[1, r + REACH])
         _correct(right, sums, window, f4(tau), smooth, relaxations[k], out)
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _add_left(cells: np.ndarray, moved: np.ndarray, r: int, c: int, out: np.ndarray) -> None:
+    """Add to `out` the sums of a cell that a change of the displacement leaves: H (3), grad f e (2) and e^2."""
+    u, v = moved[0, r, c], moved[1, r, c]
+    xx, xy, yy = cells[GXX, r, c], cells[GXY, r, c], cells[GYY, r, c]
+    along_x, along_y = cells[GXE, r, c], cells[GYE, r, c]
+    out[0] += xx
+    out[1] += xy
+    out[2] += yy
+    out[3] += along_x - xx * u - xy * v
+    out[4] += along_y - xy * u - yy * v
+    out[5] += cells[WEE, r, c] - f4(2) * (u * along_x + v * along_y) + xx * u * u + f4(2) * xy * u * v + yy * v * v
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def bound_unresolved(cells: np.ndarray, moved: np.ndarray, out: np.ndarray) -> None:
+    """Bound the displacement (node row, node column) [px] that the window left in the residuals; 0 where none is seen.
+
+    A wave d of which the window keeps T d leaves e = grad f . r + noise with r = (1 - T) d: no outlier, however small
+    the noise is. r is the least-squares displacement of 3 x 3 cells. Glare and decorrelated patches do not follow the
+    gradient: of m independent pixels two parameters explain about 2 / m of the residual's energy, so r counts if it
+    explains EXPLAINED of it. Below this share noise is at least 1 / sqrt(3) of the residual, and the limit for noise
+    is wide enough. More than UNRESOLVED px are no wave but the border between two motions. A crest is higher than its
+    mean over the cells by up to CREST for the waves that T does not remove, and it may be in a neighbouring cell.
+    """
+    _, rows, columns = moved.shape
+    found = np.zeros((rows + 2, columns + 2), f4)
+    for r in prange(rows):
+        left = np.empty(6, f4)
+        for c in range(columns):
+            left[:] = f4(0)
+            for i in range(max(r - 1, 0), min(r + 2, rows)):
+                for j in range(max(c - 1, 0), min(c + 2, columns)):
+                    _add_left(cells, moved, i, j, left)
+            xx, xy, yy, along_x, along_y, energy = left
+            scale = f4(1) / max(xx * yy - xy * xy, f4(1e-12))
+            x, y = (yy * along_x - xy * along_y) * scale, (xx * along_y - xy * along_x) * scale
+            explained, length = x * along_x + y * along_y, np.sqrt(x * x + y * y)
+            if explained > f4(EXPLAINED) * energy and length < f4(UNRESOLVED):
+                found[r + 1, c + 1] = f4(CREST) * length
+    for r in prange(rows):
+        for c in range(columns):
+            out[r, c] = np.max(found[r : r + 3, c : c + 3])
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")

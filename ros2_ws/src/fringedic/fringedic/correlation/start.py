@@ -75,7 +75,7 @@ def _refine(level: Level, spline: np.ndarray, k: int, affine: np.ndarray, passes
     basis = np.stack([ones, ones * columns, ones * rows[:, None]]) / scale
     images = cell_kernels.ImagePair(level.values, level.along_x, level.along_y, spline, WEIGHTS)
     lines = np.empty((4, counts[0] + 4, shape[1]), f4)
-    mean = np.empty(counts, f4)
+    mean, unresolved = np.empty(counts, f4), np.zeros(counts, f4)
     sums = np.empty((cell_kernels.CHANNELS, *counts), f4)
     correlation = -1.0
     for _ in range(passes):
@@ -88,7 +88,7 @@ def _refine(level: Level, spline: np.ndarray, k: int, affine: np.ndarray, passes
         if not known.size:
             return affine, 1.0
         limit = 4 * float(np.median(known))
-        cell_kernels.accumulate_cells(images, lines, CELL, limit, -np.inf, np.inf, sums)
+        cell_kernels.accumulate_cells(images, lines, CELL, limit, unresolved, (-np.inf, np.inf), sums)
         s = sums.astype(np.float64)
         change = _solve_affine(s, basis)
         affine = affine + change

@@ -26,6 +26,24 @@ def test_a_wave_of_the_shortest_period_keeps_nine_tenths(speckle, method):
     assert amplitude / 0.1 == pytest.approx(0.9, abs=0.05 if method == "dense" else 0.02)
 
 
+@pytest.mark.parametrize("kept", [0.5, 0.7])
+def test_unresolved_waves_are_no_outliers(speckle, kept):
+    """Without noise, in a small part of the image: the displacement that the window leaves there is no outlier."""
+    period = shortest_period(32, kept=kept)
+    surface = speckle((96, 480), 77)
+
+    def wave(x, y):
+        return np.where(x < 160, 0.5 * np.sin(2 * np.pi * x / period), 0), 0 * y
+
+    field = measure_displacement(surface.image(), surface.image(wave), window=32, spacing=2)
+    inner = field.isel(row=slice(10, -10)).sel(column=slice(20, 130)).displacement_x
+    assert inner.notnull().all()
+    phase = 2 * np.pi * inner.column.values / period
+    basis = np.stack([np.sin(phase), np.cos(phase), np.ones_like(phase)], axis=1)
+    amplitude = np.linalg.lstsq(basis, inner.mean("row").values, rcond=None)[0][0]
+    assert amplitude / 0.5 == pytest.approx(kept, abs=0.08)
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_transfer_decreases_and_its_square_is_the_spectrum_of_the_noise(method):
     frequency = np.linspace(0, 0.1, 500)
