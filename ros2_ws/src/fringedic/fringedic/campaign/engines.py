@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -115,26 +115,25 @@ class Dask:
     scheduler
         Address of another cluster, ``tcp://...`` or ``tls://...``; its workers need the software of the plan, and
         `ONE_THREAD` in their environment.
-
-    Attributes
-    ----------
-    dashboard
-        Address of the scheduler's web page, while units are processed.
+    announce
+        Called with the address of the scheduler's web page when the workers are there.
     """
 
-    def __init__(self, workers: int, scheduler: str | None = None) -> None:
+    def __init__(
+        self, workers: int, scheduler: str | None = None, announce: Callable[[str], None] = lambda _: None
+    ) -> None:
         with optional_import("campaign"):
             import distributed
         self._distributed: Any = distributed
         self._workers = workers
         self._scheduler = scheduler
-        self.dashboard = ""
+        self._announce = announce
 
     def outcomes(self, units: Sequence[Unit]) -> Iterator[Outcome]:
         """See `Engine`; a unit whose worker dies is tried again, three times altogether."""
         with self._client() as client:
-            self.dashboard = client.dashboard_link or ""
             limit = self._memory_limit(client)
+            self._announce(client.dashboard_link)
             yield from (_too_large(unit, limit) for unit in units if unit.memory > limit)
             futures = {
                 client.submit(attempt, unit, key=f"{unit.name}-{unit.key[:16]}", pure=False): unit
@@ -170,7 +169,7 @@ class Dask:
     def _client(self) -> Iterator[Any]:
         if self._scheduler is not None:
             try:
-                client = self._distributed.Client(self._scheduler, timeout="10s")
+                client = self._distributed.Client(self._scheduler, timeout="5s")
             except OSError as error:
                 raise CampaignError(
                     f"the Dask scheduler {self._scheduler} does not answer: start it with 'dask scheduler', or leave "

@@ -167,7 +167,11 @@ def _engine(name: EngineName | None, workers: int, scheduler: str | None) -> Eng
         if workers > 1:
             raise ConfigurationError("the engine serial has one worker; leave --workers out or choose another engine")
         return Serial()
-    return Processes(workers) if chosen is EngineName.PROCESSES else Dask(workers, scheduler)
+    return Processes(workers) if chosen is EngineName.PROCESSES else Dask(workers, scheduler, _announce)
+
+
+def _announce(dashboard: str) -> None:
+    say(f"dashboard: {dashboard}")
 
 
 def _shard(text: str) -> tuple[int, int]:
