@@ -26,6 +26,12 @@ def test_citation_and_changelog_name_the_version() -> None:
     assert f"\n## {fringedic.__version__}\n" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
+def test_readme_lists_the_rooms_of_the_library() -> None:
+    rooms = {path.parent.name for path in (ROOT / "ros2_ws/src/fringedic/fringedic").glob("*/__init__.py")}
+    listed = re.findall(r"^ {8}(\w+)/ ", (ROOT / "README.md").read_text(encoding="utf-8"), re.M)
+    assert sorted(listed) == sorted(rooms)
+
+
 def test_messages_of_the_troubleshooting_page_exist() -> None:
     """Their words between placeholders and numbers are in the source, where strings can continue in the next line."""
     files = [*ROOT.glob("ros2_ws/src/*/*_node/**/*.py"), *ROOT.glob("ros2_ws/src/fringedic*/fringedic*/**/*.py")]
