@@ -24,6 +24,7 @@ from fringedic_bringup.command.main import app
 ROOT = Path(__file__).parents[4]
 WITHOUT_ROS = ROOT / "tests" / "without_ros"
 BAG = ROOT / "ros2_ws" / "src" / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
+PLANNED = ROOT / "ros2_ws" / "src" / "fringedic_bringup" / "config" / "planned.yaml"
 TABLE = re.findall(
     r"^\| `fringedic ([\w-]+) ?([^`]*)` \| .* \| (yes|no)([^|]*) \|$", (ROOT / "docs" / "command.md").read_text(), re.M
 )
@@ -90,6 +91,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
             *("--output", str(folder / "phases")),
         ],
         "advise": ["advise", *images],
+        "plan": ["plan", str(PLANNED), "--set", "plan.angle_degree=30", "--output", str(folder / "plan.html")],
         "noise": ["noise", *(word for image in images for word in ("--images", image)), "--output", str(folder / "n")],
         "region": ["region", images[0], "--output", str(folder / "region.png")],
         "target": ["target", "--pitch-mm", "0.5", "--output", str(folder / "grid.pdf")],
@@ -200,6 +202,7 @@ def test_results_are_written(folder: Path, outcomes: dict[str, Outcome]) -> None
         "grid.pdf",
         "recovered",
         "bench.yaml",
+        "plan.html",
     )
     for name in (*names, "without_ros.nc", "report.html"):
         assert (folder / name).exists(), name

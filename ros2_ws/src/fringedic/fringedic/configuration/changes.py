@@ -10,7 +10,8 @@ from typing import Any
 
 import yaml
 
-from fringedic.configuration.rig_file import load_rig_file
+from fringedic.configuration.rig_file import REPLACED_KEYS, RigFile, load_rig_file
+from fringedic.configuration.yaml_section import validate
 from fringedic.errors import ConfigurationError
 from fringedic.inputs.yaml_text import load_yaml
 
@@ -65,6 +66,37 @@ def change_rig_file(path: str | os.PathLike[str], settings: str) -> Path:
     finally:
         candidate.unlink(missing_ok=True)
     return before
+
+
+def load_changed_rig_file(path: str | os.PathLike[str], values: Mapping[str, Any]) -> RigFile:
+    """Read a rig file with some values replaced; the file stays as it is.
+
+    Parameters
+    ----------
+    path
+        The rig file.
+    values
+        By section and key, such as ``{"plan.angle_degree": 35}``.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be read, or would not be valid with these values.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> file = Path(tempfile.mkdtemp(), "rig.yaml")
+    >>> _ = file.write_text("{camera: {source: virtual}, virtual_rig: {preset: plate, size: tiny}}")
+    >>> load_changed_rig_file(file, {"sequence.shifts": 8}).sequence.shifts
+    8
+    """
+    load_rig_file(path)
+    content = load_yaml(Path(path).read_text("utf-8"))
+    for name, value in values.items():
+        section, key = name.split(".")
+        content = _merged(content, {section: {key: value}})
+    return validate(RigFile, content, str(path), REPLACED_KEYS)
 
 
 def _merged(old: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

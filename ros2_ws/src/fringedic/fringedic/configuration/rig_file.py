@@ -10,6 +10,7 @@ from typing import Annotated, Any
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from fringedic.configuration.calibration_section import CalibrationSection, calibration_metadata
+from fringedic.configuration.plan_section import PlanSection
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.sections import (
     FINEST_DEFAULT_PITCH_PX,
@@ -82,6 +83,7 @@ class RigFile(Section):
     virtual_rig: dict[str, Any] | None = Field(
         None, description="The virtual rig, as of `fringedic.virtual_rig.VirtualRigConfiguration`."
     )
+    plan: PlanSection | None = Field(None, description="Components of a rig to be built, for `fringedic plan`.")
     frame_prefix: str | None = Field(
         None, pattern=NAMESPACE, description="Prefix of the frame ids of the rig; by default its namespace."
     )

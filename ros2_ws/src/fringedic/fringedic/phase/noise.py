@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import nnls
 from scipy.special import chdtri  # scipy.stats takes each node half a second to load
 
@@ -76,6 +77,34 @@ def estimate_noise(
     variance = np.array([np.median(unexplained[each]) for each in classes]) / chdtri(freedom, 0.5)
     read_variance, shot = nnls(np.stack([np.ones_like(level), level], axis=1), variance)[0]
     return CameraNoise(max(math.sqrt(read_variance), ROUNDING_NOISE), float(shot))
+
+
+def phase_deviation(deviation: ArrayLike, modulation: ArrayLike, frames: int) -> np.ndarray:
+    """Return the standard deviation of the phase of `frames` phase-shifted frames, sqrt(2/N) sigma_I / B.
+
+    Parameters
+    ----------
+    deviation, modulation
+        Standard deviation of a grey level and modulation B [grey level], arrays that broadcast.
+    frames
+        Number of frames of the pitch, whole cycles of its shifts.
+
+    Returns
+    -------
+    ndarray
+        [rad], float64; infinite where there is no modulation.
+
+    References
+    ----------
+    Y. Surrel, "Additive noise effect in digital phase detection", Applied Optics 36 (1997) 271-276.
+
+    Examples
+    --------
+    >>> round(float(phase_deviation(1.0, 50.0, 8)), 3)
+    0.01
+    """
+    with np.errstate(divide="ignore"):
+        return np.asarray(math.sqrt(2 / frames) * np.asarray(deviation, float) / np.asarray(modulation, float))
 
 
 def noise_of_exposures(exposures: Sequence[ExposedStack], saturation: float | None) -> CameraNoise | None:

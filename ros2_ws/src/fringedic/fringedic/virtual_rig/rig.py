@@ -24,7 +24,7 @@ from fringedic.virtual_rig.configuration import (
 )
 from fringedic.virtual_rig.optics import camera_optics, camera_pin_hole, projector_optics, projector_pin_hole
 from fringedic.virtual_rig.specimens import make_surface
-from fringedic.virtual_rig.texture import make_texture
+from fringedic.virtual_rig.texture import make_texture, reflectance_at
 
 Map = NDArray[np.float64]
 
@@ -362,10 +362,9 @@ class VirtualRig:
 
     def _reflectance(self, X: Map, Y: Map) -> Map:
         """Return the reflectance relative to that of an unpainted specimen; 0 beside the specimen."""
-        value = np.empty(self.shape)
         if self._texture is not None:
-            tracing.reflectance(self._texture, self.configuration.texture.floor, X, Y, value)
-            return value
+            return reflectance_at(self._texture, self.configuration.texture.floor, X, Y)
+        value = np.empty(self.shape)
         stage, specimen = self.configuration.stage, self.configuration.specimen
         if isinstance(specimen, ReferencePlaneSpecimen) and specimen.surface == "grid":
             turned, pitch = math.radians(stage.grid_turned_degree), 1e-3 * stage.grid_pitch_mm

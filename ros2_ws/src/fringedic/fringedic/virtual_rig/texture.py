@@ -206,3 +206,22 @@ def _grain_strokes(outline: NDArray[np.float64], feature: float, seed: int) -> S
     width = feature / _FULL_WIDTH * rng.uniform(0.75, 1.3, x.size)
     pores = _gaussians(x, y, width, width, np.zeros(x.size), rng.uniform(0.1, 1.5, x.size))
     return np.concatenate([_inside(creases, outline), pores, _patch_strokes(outline, 25.0 * feature, 0.3, seed)])
+
+
+def reflectance_at(
+    strokes: tracing.StrokeField, floor: float, X: NDArray[np.float64], Y: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the reflectance of a painted surface at material points [m], relative to the unpainted surface.
+
+    Parameters
+    ----------
+    strokes
+        From `make_texture`.
+    floor
+        Darkest reflectance.
+    X, Y
+        Material coordinates [m], C-contiguous arrays of one shape (row, column).
+    """
+    value = np.empty(X.shape)
+    tracing.reflectance(strokes, floor, X, Y, value)
+    return value

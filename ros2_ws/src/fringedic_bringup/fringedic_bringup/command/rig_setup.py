@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import Overwrite, Rig, app, begin, console, output_file, say
+from fringedic_bringup.command.app import Overwrite, Rig, app, begin, console, output_file, parameter_values, say
 from fringedic_bringup.display.progress import LiveProgress
 from fringedic_bringup.launch.rig_files import rig_path_of
 from fringedic_bringup.procedures.folders import output_folder, unused_folder
@@ -55,6 +55,29 @@ def init(  # noqa: PLR0913 (options of a command)
     answers = Answers(camera.value, camera_address, image_size, display, projector_size, grid_pitch_mm, operator)
     write_rig_file(output_file(rig, overwrite), answers)
     say(f"rig file: {rig}; next: fringedic live {rig}")
+
+
+@app.command(epilog="Example: fringedic plan planned --set plan.angle_degree=35 --output plan.html")
+def plan(
+    rig: Rig,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="SECTION.KEY=VALUE", help="Replaces a value of the rig file; may be repeated."),
+    ] = None,
+    output: Annotated[Path, typer.Option(help="Page to write.")] = Path("plan.html"),
+    overwrite: Overwrite = False,
+) -> None:
+    """Predict the uncertainties of a rig from the data of its components, before anything is bought."""
+    page = output_file(output, overwrite)
+    from fringedic.configuration.changes import load_changed_rig_file
+    from fringedic.report.plan import plan_text, write_plan_page
+    from fringedic.rig_setup import PlannedRig, make_plan
+
+    path = rig_path_of(rig)
+    found = make_plan(PlannedRig.of(load_changed_rig_file(path, parameter_values(settings)), str(path)))
+    say(plan_text(found))
+    page.parent.mkdir(parents=True, exist_ok=True)
+    say(f"page: {write_plan_page(found, page, rig=path.stem)}")
 
 
 @app.command(epilog="Example: fringedic live plate.yaml --pattern fringes --region 320,240,640,480")
