@@ -49,3 +49,7 @@ def test_a_campaign_from_its_file_to_its_catalogue(tmp_path: Path) -> None:
     code, said = command("open", str(folder))
     assert "fringedic.open_campaign" in said
     assert "batch 7" in said
+    page = (folder / "campaign.html").read_text()
+    assert page.count("data:image/png") == 2
+    assert "2 of 2 recordings complete" in page
+    assert "w of step 2" in page

@@ -6,11 +6,13 @@ import heapq
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from mcap.records import Channel, Message, Schema
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.store import Typestore
 
 from fringedic.errors import ErrorCode, RecordingError
 from fringedic.recording.bag_files import BagFiles, find_files, open_file, recording_of
@@ -81,8 +83,6 @@ class BagReader:
         self.missing = dict(sorted(missing.items()))
         self.damage = "; ".join(_damage(self._files, found))
         self.lost = "; ".join(filter(None, (self.damage, _missing_words(self.missing))))
-        self._typestore = get_typestore(Stores.EMPTY)
-        self._registered: set[str] = set()
 
     @property
     def start_time(self) -> int:
@@ -217,16 +217,11 @@ class BagReader:
             The bytes do not fit the definition, or the definition is not in the language ``ros2msg``.
         """
         known = self.topics[topic]
-        if known.type_name not in self._registered:
-            if known.encoding != "ros2msg":
-                raise RecordingError(f"{self.path}: {topic} is defined in {known.encoding}, only ros2msg is supported")
-            definitions = get_types_from_msg(known.definition, known.type_name)
-            self._typestore.register(
-                {name: fields for name, fields in definitions.items() if name not in self._typestore.fielddefs}
-            )
-            self._registered.add(known.type_name)
+        if known.encoding != "ros2msg":
+            raise RecordingError(f"{self.path}: {topic} is defined in {known.encoding}, only ros2msg is supported")
+        types = _types(known.definition, known.type_name)
         try:
-            return self._typestore.deserialize_cdr(data, known.type_name)
+            return types.deserialize_cdr(data, known.type_name)
         except Exception as error:
             raise RecordingError(f"{self.path}: a message of {topic} is not a {known.type_name}: {error}") from error
 
@@ -234,6 +229,14 @@ class BagReader:
         return sorted(
             topic for topic, count in self.counts.items() if count and (topic == name or topic.endswith(f"/{name}"))
         )
+
+
+@lru_cache(maxsize=256)
+def _types(definition: str, type_name: str) -> Typestore:
+    """Return the types of a definition; their code is generated once for all recordings with the same definition."""
+    types = get_typestore(Stores.EMPTY)
+    types.register(get_types_from_msg(definition, type_name))
+    return types
 
 
 def _raw(file: McapFile, message: Message) -> RawMessage:

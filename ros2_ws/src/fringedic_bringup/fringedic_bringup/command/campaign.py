@@ -115,9 +115,14 @@ def status(folder: Folder) -> None:
 
 
 @campaigns.command("open", epilog="Example: fringedic campaign open batch-7")
-def open_results(folder: Folder) -> None:
-    """Print the catalogue, and how to open the results in Python."""
-    from fringedic.campaign import open_campaign
+def open_results(
+    folder: Folder,
+    output: Annotated[Path | None, typer.Option(help="HTML file; by default campaign.html in the folder.")] = None,
+) -> None:
+    """Print the catalogue, write a page with a thumbnail of each recording, and say how to open both in Python."""
+    from fringedic.campaign import CampaignStore, open_campaign, read_plan, status_of
+    from fringedic.campaign.opening import store_address
+    from fringedic.report.campaign_page import write_campaign_page
 
     _, catalogue = open_campaign(folder)
     columns = ["specimen", "group", "steps", "confirmed_fraction", "largest_strain", "sigma_largest_strain"]
@@ -127,7 +132,9 @@ def open_results(folder: Folder) -> None:
     for name, row in catalogue.iterrows():
         table.add_row(str(name), *(_cell(row[column]) for column in columns))
     console.print(table)
-    say(f'tree, catalogue = fringedic.open_campaign("{folder}")')
+    store = CampaignStore(store_address(folder))
+    page = write_campaign_page(store, status_of(store, read_plan(store)), output or folder / "campaign.html")
+    say(f"page: {page}", f'tree, catalogue = fringedic.open_campaign("{folder}")')
 
 
 def _cell(value: object) -> str:
