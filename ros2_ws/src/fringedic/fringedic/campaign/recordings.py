@@ -7,6 +7,7 @@ import re
 import zlib
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ from fringedic.recording.bag_files import METADATA, find_files, recording_of
 from fringedic.recording.frames import EXPOSURE, IMAGE
 from fringedic.recording.mcap_file import index_bytes
 from fringedic.recording.reader import BagReader
+from fringedic.recording.remote import RemoteRecording, find_remote, is_remote
+from fringedic.results.datasets import PROCESSED_TOPICS
 
 _NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9._-]+")
 
@@ -75,9 +78,9 @@ def find_recordings(campaign: Campaign) -> list[Found]:
     CampaignError
         An entry names no recording, or one is named twice.
     """
-    places: dict[Path, Labels] = {}
+    places: dict[str, Labels] = {}
     for entry in campaign.content.recordings:
-        found = sorted(_matching(entry.path, campaign.folder))
+        found = _matching(entry.path, campaign.folder)
         if not found:
             raise CampaignError(
                 f"{campaign.folder}: no recording matches '{entry.path}'; give a recording, a folder with recordings, "
@@ -89,15 +92,15 @@ def find_recordings(campaign: Campaign) -> list[Found]:
                 raise CampaignError(f"{path}: is named by two entries of the campaign; remove it from one of them")
             places[path] = labels
     names = _names(list(places))
-    return sorted(
-        (Found(names[path], str(path), labels) for path, labels in places.items()), key=lambda each: each.name
-    )
+    return sorted((Found(names[path], path, labels) for path, labels in places.items()), key=lambda each: each.name)
 
 
-def _matching(pattern: str, folder: Path) -> set[Path]:
+def _matching(pattern: str, folder: Path) -> list[str]:
     """Return the recordings that a pattern matches, also inside folders."""
+    if is_remote(pattern):
+        return find_remote(pattern)
     matches = (Path(each) for each in glob.glob(str(folder / pattern), recursive=True))
-    return {found for match in matches for found in _inside(match.absolute())}
+    return sorted({str(found) for match in matches for found in _inside(match.absolute())})
 
 
 def _inside(path: Path) -> Iterator[Path]:
@@ -114,22 +117,23 @@ def _inside(path: Path) -> Iterator[Path]:
             yield from _inside(inner)
 
 
-def _names(paths: list[Path]) -> dict[Path, str]:
+def _names(paths: list[str]) -> dict[str, str]:
     """Return the shortest name of each recording that distinguishes it: the end of its path."""
     parts = {path: _name_parts(path) for path in paths}
-    names: dict[Path, str] = {}
+    names: dict[str, str] = {}
     for depth in range(1, 1 + max(map(len, parts.values()))):
         candidates = {path: "_".join(parts[path][-depth:]) for path in paths if path not in names}
         counted = Counter([*candidates.values(), *names.values()])
         names |= {path: name for path, name in candidates.items() if counted[name] == 1}
-    same = [str(path) for path in paths if path not in names]
+    same = [path for path in paths if path not in names]
     if same:
         raise CampaignError(f"{', '.join(same)}: the names cannot be distinguished; rename one of the recordings")
     return names
 
 
-def _name_parts(path: Path) -> list[str]:
+def _name_parts(place: str) -> list[str]:
     """Return the parts of the path that name a recording: that of its run for the folder ``bag`` of a run."""
+    path = Path("/", *place.split("://")[-1].split("/"))
     named = path.parent if path.name == "bag" else path.with_suffix("") if path.suffix == ".mcap" else path
     return [_NOT_IN_NAMES.sub("-", part).strip("-") or "-" for part in named.parts[1:]] or ["recording"]
 
@@ -142,6 +146,8 @@ def fingerprint(path: str) -> dict[str, tuple[int, int]]:
     RecordingError
         There is no such recording, or a file has no index because its recording was cut off.
     """
+    if is_remote(path):
+        return {file.name: (file.size, zlib.crc32(file.index)) for file in RemoteRecording(path).files}
     found = {}
     for file in find_files(Path(path)).present:
         index = index_bytes(file)
@@ -162,8 +168,31 @@ def summarise(path: str) -> Summary:
     RecordingError
         There is no such recording, it is damaged or cut off, or has no images or exposure records.
     """
-    identity = fingerprint(path)
-    reader = BagReader(path)
+    if is_remote(path):
+        with RemoteRecording(path).copied((IMAGE, EXPOSURE), first=True) as nearby:
+            return _summary(path, nearby)
+    return _summary(path, Path(path))
+
+
+@contextmanager
+def local_copy(path: str) -> Iterator[Path]:
+    """Return a recording on this computer: itself, or what processing needs of one in an object store.
+
+    Raises
+    ------
+    RecordingError
+        The recording cannot be read.
+    """
+    if not is_remote(path):
+        yield Path(path)
+        return
+    with RemoteRecording(path).copied(PROCESSED_TOPICS) as nearby:
+        yield nearby
+
+
+def _summary(path: str, nearby: Path) -> Summary:
+    identity = fingerprint(str(nearby))
+    reader = BagReader(nearby)
     if reader.lost:
         raise RecordingError(f"{path}: {reader.lost}; 'fringedic recover {path}' writes a complete one")
     names = reader.find(IMAGE, EXPOSURE)

@@ -291,6 +291,10 @@ class _HeldMetadata(WrapperStore[Any]):
             if rest == _METADATA:
                 yield name
 
+    async def set_if_not_exists(self, key: str, value: Any) -> None:
+        """Keep metadata that are new; nothing else is written by this method."""
+        self._held.setdefault(key, value)
+
     async def set(self, key: str, value: Any) -> None:
         if key.endswith(_METADATA):
             self._held[key] = value

@@ -10,7 +10,7 @@ from typing import Any
 from fringedic.campaign.key_figures import key_figures
 from fringedic.campaign.opening import open_group
 from fringedic.campaign.plan import Unit
-from fringedic.campaign.recordings import fingerprint
+from fringedic.campaign.recordings import fingerprint, local_copy
 from fringedic.campaign.software import differences, processor, software_identity, worker_name
 from fringedic.campaign.store import FAILURES, RECEIPTS, CampaignStore, GroupStore
 from fringedic.errors import CampaignError, FringedicError
@@ -94,7 +94,8 @@ def process_unit(unit: Unit) -> Receipt:
     _require_recording(unit)
     started = time.perf_counter()
     group = GroupStore(store, unit.name)
-    process_into(group, unit.path, unit.settings)
+    with local_copy(unit.path) as path:
+        process_into(group, path, unit.settings)
     _require_recording(unit)
     with open_group(store, unit.name) as dataset:
         figures = key_figures(dataset)

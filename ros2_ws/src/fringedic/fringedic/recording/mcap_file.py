@@ -158,21 +158,26 @@ def index_bytes(path: Path) -> bytes | None:
     RecordingError
         The file cannot be read.
     """
-    tail = _FOOTER.size + len(MAGIC)
     try:
         with open(path, "rb") as stream:
             size = stream.seek(0, SEEK_END)
-            if size < tail:
-                return None
-            stream.seek(size - tail)
-            footer = stream.read(tail)
-            _, _, start, _, _ = _FOOTER.unpack_from(footer)
-            if footer[_FOOTER.size :] != MAGIC or not 0 < start < size - tail:
+            stream.seek(max(0, size - _FOOTER.size - len(MAGIC)))
+            start = index_start(stream.read(), size)
+            if start is None:
                 return None
             stream.seek(start)
-            return stream.read(size - tail - start)
+            return stream.read()
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+
+
+def index_start(tail: bytes, size: int) -> int | None:
+    """Return where the index of a file of `size` bytes starts, by its last bytes; None for a file without an index."""
+    end = len(tail) - len(MAGIC)
+    if end < _FOOTER.size or tail[end:] != MAGIC:
+        return None
+    _, _, start, _, _ = _FOOTER.unpack_from(tail, end - _FOOTER.size)
+    return int(start) if 0 < start < size else None
 
 
 def _place(index: ChunkIndex, file: McapFile) -> ChunkPlace:

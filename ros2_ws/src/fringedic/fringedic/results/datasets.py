@@ -27,6 +27,17 @@ from fringedic.steps.pipeline import OfflinePipeline
 from fringedic.steps.recorded_parameters import StepSettings
 from fringedic.steps.recorded_rig import recorded_setup
 
+PROCESSED_TOPICS = (
+    "camera/image_raw",
+    "camera/exposure",
+    "experiment/step",
+    "experiment/reference",
+    "calibration",
+    "node_parameters",
+    "load_frame/state",
+)
+"""Topics that processing reads; a recording needs the first two."""
+
 
 @check_arguments(DatasetError, path=file_path, output=optional(file_path))
 def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
@@ -136,10 +147,7 @@ def process_into(
     """
     reader = BagReader(path)
     reference = settings.reference
-    names = reader.find("camera/image_raw", "camera/exposure")
-    names |= reader.find_optional(
-        "experiment/step", "experiment/reference", "calibration", "node_parameters", "load_frame/state"
-    )
+    names = reader.find(*PROCESSED_TOPICS[:2]) | reader.find_optional(*PROCESSED_TOPICS[2:])
     timeline = Timeline(reader, names, settings.experiment)
     if settings.calibration is not None:
         check_calibration(settings.calibration, recorded_setup(reader))

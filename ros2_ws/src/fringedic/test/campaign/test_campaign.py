@@ -6,6 +6,7 @@ import shutil
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -89,6 +90,21 @@ def test_catalogue_has_labels_and_figures_with_their_uncertainty(done: Campaign)
     assert (row["group"], row["experiment"], row["steps"], row["failed_steps"]) == ("batch 7", "tiny", 3, 0)
     assert 0 < row["sigma_largest_strain"] < 0.1 * row["largest_strain"]
     assert row["software"] == f"fringedic {fringedic.__version__}"
+
+
+def test_the_example_of_the_page_draws_all_specimens(
+    done: Campaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (Path(__file__).parents[5] / "docs" / "campaigns.md").read_text("utf-8")
+    code = page.split("```python\n", 1)[1].split("```", 1)[0]
+    (tmp_path / "batch-7").symlink_to(done.folder)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "agg")
+    names: dict[str, Any] = {}
+    exec(compile(code, "campaigns.md", "exec"), names)
+    assert (tmp_path / "batch-7.png").stat().st_size > 5000
+    assert len(names["pyplot"].gca().get_legend().get_texts()) == 2
+    names["pyplot"].close()
 
 
 def test_a_second_run_writes_nothing(done: Campaign) -> None:
