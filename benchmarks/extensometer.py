@@ -22,8 +22,9 @@ from std_msgs.msg import Bool, Float64
 from system import Probe, figures, machine, usage
 
 from fringedic_bringup.client import RigClient
+from fringedic_bringup.launch.environment import private_domain
 from fringedic_bringup.launch.graph import Graph, NodeEntry
-from fringedic_bringup.launch.processes import RunningGraph, private_domain
+from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_ros.qos import STATE
 
 RATE_HZ = 30.0

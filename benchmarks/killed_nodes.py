@@ -17,8 +17,8 @@ from itertools import pairwise
 from pathlib import Path
 
 from fringedic.configuration.programme import Programme
+from fringedic_bringup.launch.environment import private_domain
 from fringedic_bringup.launch.graph import PROCESSING_NODES
-from fringedic_bringup.launch.processes import private_domain
 from fringedic_bringup.launch.rig_files import configuration
 from fringedic_bringup.procedures.outcome import RunReport
 from fringedic_bringup.procedures.run import load_rig, run_experiment

@@ -23,7 +23,7 @@ from urllib.parse import urlparse
 from websockets.sync.client import connect
 
 from fringedic.recording.reader import BagReader
-from fringedic_bringup.launch.processes import node_environment, private_domain
+from fringedic_bringup.launch.environment import node_environment, private_domain
 from fringedic_bringup.procedures.run import frame_losses
 
 WARM_UP_S, SPAN_S = 5.0, 20.0

@@ -22,8 +22,9 @@ from system import RATE_HZ, SIZE, WANTED_HZ, figures, free_run, machine, noise_i
 
 from camera_node.testing import FakeCamera
 from fringedic_bringup.client import RigClient
+from fringedic_bringup.launch.environment import private_domain
 from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
-from fringedic_bringup.launch.processes import RunningGraph, private_domain
+from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.run import load_rig
 
 LOAD_HZ = 1000.0

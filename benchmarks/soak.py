@@ -24,8 +24,10 @@ from fringedic.configuration.sections import ExtensometerSection
 from fringedic.errors import StepFailedError
 from fringedic.recording import BagReader
 from fringedic_bringup.client import RigClient
+from fringedic_bringup.launch.environment import private_domain
 from fringedic_bringup.launch.graph import rig_graph
-from fringedic_bringup.launch.processes import RunningGraph, configuration, private_domain
+from fringedic_bringup.launch.processes import RunningGraph
+from fringedic_bringup.launch.rig_files import configuration
 from fringedic_bringup.procedures.run import load_rig
 
 WARM_UP = 100  # steps until buffers, histories and compiled kernels have their final size

@@ -25,8 +25,9 @@ from two_hosts import Side, two_hosts, why_not
 
 from fringedic.errors import StepFailedError
 from fringedic_bringup.client import RigClient
+from fringedic_bringup.launch.environment import private_domain
 from fringedic_bringup.launch.graph import rig_graph
-from fringedic_bringup.launch.processes import RECORDER_GRACE_S, RunningGraph, private_domain
+from fringedic_bringup.launch.processes import RECORDER_GRACE_S, RunningGraph
 from fringedic_bringup.launch.rig_files import configuration
 from fringedic_bringup.procedures.run import load_rig
 

@@ -39,8 +39,9 @@ from fringedic.patterns.render import render_pattern
 from fringedic.recording.reader import BagReader
 from fringedic.virtual_rig import VirtualRig
 from fringedic_bringup.client import RigClient
+from fringedic_bringup.launch.environment import private_domain
 from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
-from fringedic_bringup.launch.processes import RunningGraph, private_domain
+from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.run import load_rig
 from fringedic_msgs.msg import Exposure, NodeStatus, RecorderStatus
 from fringedic_ros.images import image_message

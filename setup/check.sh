@@ -39,7 +39,8 @@ if ! setup/hardware.sh; then
 fi
 files=$(git status --porcelain || true)
 # Most tests of nodes wait more than they compute; more processes than these would take time from what is being timed.
-"${pytest[@]}" -n 3 "${chosen[@]}" "${rest[@]}"
+# The files of few but long tests come first, in the order of these folders, so that none of them is left for the end.
+"${pytest[@]}" -n 3 --no-loadscope-reorder "${chosen[@]}" "${rest[@]}"
 if [ "$files" != "$(git status --porcelain || true)" ]; then
     echo "the tests have left files in the checkout:" >&2
     git status --porcelain >&2

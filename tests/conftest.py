@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import Browser, sync_playwright
 from running_system import CONFIG, RecordedExperiment, processes_of, record_experiment, shared_result
 
-from fringedic_bringup.launch.processes import node_environment, private_domain, remove_stale_segments
+from fringedic_bringup.launch.environment import node_environment, private_domain, remove_stale_segments
 from fringedic_bringup.procedures.outcome import RunReport
 
 

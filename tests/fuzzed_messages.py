@@ -24,7 +24,7 @@ from sensor_msgs.msg import Image
 from fringedic.errors import FringedicError, RecordingError
 from fringedic.recording import BagReader, BagWriter
 from fringedic.results.datasets import process_bag
-from fringedic_bringup.launch.processes import node_environment, private_domain
+from fringedic_bringup.launch.environment import node_environment, private_domain
 from fringedic_msgs.msg import Exposure, StepStatus
 from fringedic_ros.qos import EVENTS, IMAGES
 from fringedic_ros.serialized import message_type

@@ -19,7 +19,8 @@ from running_system import CONFIG, ROOT
 from fringedic.errors import ConfigurationError
 from fringedic.recording.reader import BagReader
 from fringedic_bringup.client import RigClient
-from fringedic_bringup.launch.processes import GRACE_S, RECORDER_GRACE_S, node_environment
+from fringedic_bringup.launch.environment import node_environment
+from fringedic_bringup.launch.processes import GRACE_S, RECORDER_GRACE_S
 from fringedic_msgs.msg import StepStatus
 
 LINE = re.compile(r"ros2 launch fringedic_bringup rig\.launch\.py([^\n`]*)")

@@ -18,7 +18,7 @@ def domain(request: pytest.FixtureRequest) -> Iterator[int | None]:
     if request.path.is_relative_to(LIBRARY):
         yield None
         return
-    from fringedic_bringup.launch.processes import node_environment, private_domain
+    from fringedic_bringup.launch.environment import node_environment, private_domain
 
     with private_domain() as number, pytest.MonkeyPatch.context() as patch:
         for name, value in node_environment(number).items():

@@ -10,7 +10,7 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
-from fringedic_bringup.launch.processes import node_environment
+from fringedic_bringup.launch.environment import node_environment
 
 
 class Participant:

@@ -18,14 +18,9 @@ import pytest
 from fringedic.configuration.programme import Programme
 from fringedic.errors import NodeDiedError, ProcessError
 from fringedic_bringup.client import RigClient
+from fringedic_bringup.launch.environment import SHARED_MEMORY, node_environment, private_domain, remove_stale_segments
 from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
-from fringedic_bringup.launch.processes import (
-    SHARED_MEMORY,
-    RunningGraph,
-    node_environment,
-    private_domain,
-    remove_stale_segments,
-)
+from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.driving import drive
 from fringedic_bringup.procedures.run import load_rig
 

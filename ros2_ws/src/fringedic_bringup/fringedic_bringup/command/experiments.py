@@ -76,7 +76,7 @@ def demo(
 ) -> None:
     """Calibrate virtual rigs, measure three specimens with the real nodes and compare with the ground truth."""
     begin(Path(", ".join(specimens or list(Specimen))))
-    from fringedic_bringup.launch.processes import private_domain
+    from fringedic_bringup.launch.environment import private_domain
     from fringedic_bringup.procedures.demo import run_demo
 
     rigs = {specimen.value: rig_path_of(Path(specimen)) for specimen in specimens or list(Specimen)}

@@ -14,8 +14,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fringedic.configuration.rig_file import NAMESPACE, load_rig_file
 from fringedic.errors import ConfigurationError
+from fringedic_bringup.launch.environment import node_environment
 from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
-from fringedic_bringup.launch.processes import GRACE_S, RECORDER_GRACE_S, node_environment
+from fringedic_bringup.launch.processes import GRACE_S, RECORDER_GRACE_S
 from fringedic_bringup.launch.rig_files import rig_path_of
 
 # A new recorder needs a new folder, and a new experiment node the number of the next step: only a client knows them.

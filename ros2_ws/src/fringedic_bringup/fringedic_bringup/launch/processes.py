@@ -3,18 +3,11 @@
 from __future__ import annotations
 
 import ctypes
-import fcntl
-import itertools
-import os
-import re
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -23,24 +16,14 @@ from typing import Any
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 from fringedic.errors import NodeDiedError, ProcessError
-from fringedic_bringup.launch.address import own_address
+from fringedic_bringup.launch.environment import node_environment, remove_stale_segments
 from fringedic_bringup.launch.graph import Graph, NodeEntry
 from fringedic_bringup.launch.lease import RigLease
-from fringedic_bringup.launch.rig_files import configuration
 
 # Wait after each signal, in which a node finishes its current work.
 GRACE_S = {signal.SIGINT: 15.0, signal.SIGTERM: 5.0, signal.SIGKILL: 5.0}
 # The recorder writes its backlog and closes the recording: half a gigabyte takes a slow disk two minutes.
 RECORDER_GRACE_S = GRACE_S | {signal.SIGINT: 120.0}
-SHARED_MEMORY = Path("/dev/shm")
-# Of each node, for the images that it sends. A container may have only 64 MB for all nodes of two runs.
-SEGMENT_BYTES = 16_000_000
-SEGMENTS = 32
-BETWEEN_CHECKS_S = 0.2
-_SEGMENT = re.compile(r"(?:sem\.)?(?P<name>fastrtps_(?:port\d+|[0-9a-f]{16}))(?:(?P<lock>_[es]l)|_mutex)?")
-# The ports of domains above 101 overlap those that Linux assigns to outgoing connections.
-PRIVATE_DOMAINS = range(62, 102)
-_taken = itertools.count(os.getpid())
 
 
 class RunningGraph:
@@ -187,122 +170,6 @@ class RunningGraph:
                 start_new_session=True,  # Ctrl-C reaches the command alone, which ends its nodes in order
                 preexec_fn=_die_with_parent,
             )
-
-
-def node_environment(domain: int | None = None) -> dict[str, str]:
-    """Return the environment of nodes: that of this process, with the settings that reproducible results need.
-
-    Raises
-    ------
-    ProcessError
-        With other computers, and the address of this one cannot be chosen.
-    """
-    environment = dict(os.environ)
-    environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(configuration("fastdds.xml")))
-    environment.setdefault("FRINGEDIC_SEGMENT_BYTES", str(_segment_bytes()))
-    environment.setdefault("FRINGEDIC_ADDRESS", own_address(environment["ROS_AUTOMATIC_DISCOVERY_RANGE"]))
-    environment |= {
-        "OPENBLAS_NUM_THREADS": "1",
-        "MKL_NUM_THREADS": "1",
-        "PYTHONUNBUFFERED": "1",
-        "RCUTILS_COLORIZED_OUTPUT": "0",
-    }
-    # memory that a process keeps between steps need not be cleared again by the kernel
-    for name, value in (("ARENA_MAX", 1), ("MMAP_THRESHOLD_", 1 << 30), ("TRIM_THRESHOLD_", 1 << 32)):
-        environment.setdefault(f"MALLOC_{name}", str(value))
-    if domain is not None:
-        environment["ROS_DOMAIN_ID"] = str(domain)
-    return environment
-
-
-def _segment_bytes() -> int:
-    """Return the size of a node's shared memory, which Fast DDS allocates at once, so that all nodes have enough."""
-    try:
-        whole = shutil.disk_usage(SHARED_MEMORY).total
-    except OSError:  # not Linux
-        return SEGMENT_BYTES
-    return min(SEGMENT_BYTES, whole // SEGMENTS)
-
-
-@contextmanager
-def private_domain() -> Iterator[int]:
-    """Reserve a ROS domain that no other replay on this machine uses, and yield its number.
-
-    Each search starts one domain further, because a killed process stays in the graph of its domain for 20 s.
-
-    Raises
-    ------
-    ProcessError
-        All of these domains are in use.
-    """
-    first = next(_taken)
-    for turn in range(len(PRIVATE_DOMAINS)):
-        domain = PRIVATE_DOMAINS[(first + turn) % len(PRIVATE_DOMAINS)]
-        if str(domain) == os.environ.get("ROS_DOMAIN_ID"):
-            continue
-        path = Path(tempfile.gettempdir()) / f"fringedic-domain-{domain}.{os.getuid()}.lock"
-        with path.open("a") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError:
-                continue
-            yield domain
-            return
-    raise ProcessError(
-        f"all ROS domains from {PRIVATE_DOMAINS[0]} to {PRIVATE_DOMAINS[-1]} are used by other replays; wait until one "
-        "has ended"
-    )
-
-
-def remove_stale_segments() -> set[str]:
-    """Remove this user's Fast DDS shared memory that no process uses, and return the names of the segments.
-
-    Killed processes leave their segments behind, others their ports. A segment is in use when a process has mapped it
-    or locked one of its files (``_el``: exclusively, ``_sl``: shared). It is removed when it is unused twice in
-    succession, because a process maps a new segment only after it was created.
-    """
-    stale = _unused_segments()
-    if stale:
-        time.sleep(BETWEEN_CHECKS_S)
-        stale = {path: name for path, name in _unused_segments().items() if path in stale}
-    for path in stale:
-        path.unlink(missing_ok=True)
-    return set(stale.values())
-
-
-def _unused_segments() -> dict[Path, str]:
-    """Return the files of this user's segments that no process has mapped or locked, with the names of the segments."""
-    files = [(found, path) for path in SHARED_MEMORY.iterdir() if (found := _SEGMENT.fullmatch(path.name))]
-    names = {found["name"] for found, _ in files} - mapped_segments()
-    names -= {found["name"] for found, path in files if found["lock"] and _is_locked(path)}
-    return {path: found["name"] for found, path in files if found["name"] in names and _is_mine(path)}
-
-
-def mapped_segments() -> set[str]:
-    """Return the segments that are mapped by processes whose memory map this user may read."""
-    names: set[str] = set()
-    for maps in Path("/proc").glob("[0-9]*/maps"):
-        with suppress(OSError):
-            names.update(re.findall(r"/dev/shm/(?:sem\.)?(fastrtps_(?:port\d+|[0-9a-f]{16}))", maps.read_text()))
-    return names
-
-
-def _is_locked(path: Path) -> bool:
-    # a shared lock conflicts with an exclusive one, but not with that of another process that runs this check
-    kind = fcntl.LOCK_SH if path.name.endswith("_el") else fcntl.LOCK_EX
-    try:
-        with path.open("ab") as file:
-            fcntl.flock(file, kind | fcntl.LOCK_NB)
-    except OSError:
-        return True
-    return False
-
-
-def _is_mine(path: Path) -> bool:
-    with suppress(OSError):
-        return path.stat().st_uid == os.getuid()
-    return False
 
 
 def _executable(entry: NodeEntry) -> Path:

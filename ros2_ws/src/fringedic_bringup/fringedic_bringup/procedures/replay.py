@@ -11,8 +11,9 @@ from fringedic.recording.reader import BagReader
 from fringedic.rig.compatibility import check_calibration
 from fringedic.rig.model import RigModel
 from fringedic.steps.recorded_rig import recorded_setup, require_calibration
+from fringedic_bringup.launch.environment import private_domain
 from fringedic_bringup.launch.graph import replay_graph
-from fringedic_bringup.launch.processes import RunningGraph, private_domain
+from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.participant import Participant
 from fringedic_bringup.procedures.outcome import Progress
 from fringedic_msgs.msg import StepStatus
