@@ -139,7 +139,7 @@ class Peer(Node):
         for heard in self._heard:
             heard.clear()
 
-    def wait(self, predicate: Callable[[], Any], what: str, timeout_s: float = 60.0) -> None:
+    def wait(self, predicate: Callable[[], Any], what: str, timeout_s: float = 180.0) -> None:
         """Serve callbacks until the predicate is true."""
         deadline = time.monotonic() + timeout_s
         while not predicate():
