@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -16,11 +17,13 @@ from fringedic.models.levelling import Levelling, levelling_of
 from fringedic.models.model import Model
 from fringedic.models.placement import Placement, PointPair, place_model
 from fringedic.models.sampling import Samples, facing, sample
+from fringedic.models.shift import SHIFT, Shift, estimate_shift
 from fringedic.results.motion import in_space
 from fringedic.results.quantities import MAP_DIMENSIONS
 
 _POSITION, _DISPLACEMENT = ("x", "y", "z"), ("u", "v", "w")
 _STRAINS = (("e_11", "e_22", "e_12"), ("e_xx", "e_yy", "e_xy"))
+_THREADS = 2  # each needs the memory of one set of maps
 _KEPT = ("experiment", "software", "commit", "parameters", "calibration", "facts", "pixel_size")
 Pair = tuple[Sequence[float], Sequence[float]]
 """(column, row) [px of the reference image] of a point, and its (x, y, z) [m] in the frame of the model."""
@@ -44,6 +47,7 @@ def _load_of_each_step(value: object) -> dict[int, float]:
     experiment=dataset(over=("step", "row", "column")),
     model=of_type(Model),
     pairs=several(several(several(number()), length=2)),
+    pair_sigma=optional(number(1e-9, 1.0)),
     steps=optional(several(whole(), least=1)),
     load=one_of("force", "position"),
     loads=optional(_load_of_each_step),
@@ -53,6 +57,7 @@ def compare_model(
     model: Model,
     *,
     pairs: Sequence[Pair] = (),
+    pair_sigma: float | None = None,
     steps: Iterable[int] | None = None,
     load: str = "force",
     loads: Mapping[int, float] | None = None,
@@ -74,6 +79,8 @@ def compare_model(
         At least three points ((column, row), (x, y, z)): where they are in the reference image [px], and in the model
         [m]. Without them the model has to be in the rig frame already, and its placement in directions that the shape
         does not determine counts as exact.
+    pair_sigma
+        Standard uncertainty of each coordinate of a pair [m]; by default one point spacing, as for clicked points.
     steps
         Numbers of the steps; by default all with a displacement and a load within those of the model.
     load
@@ -87,7 +94,8 @@ def compare_model(
         Over (step, row, column), float32, for u, v, w [m] and the strain components [1]: the measured map with
         ``sigma_``, ``model_``, ``difference_`` (measured minus model), ``sigma_difference_`` and ``normalized_``, the
         difference over its standard uncertainty. ``x``, ``y``, ``z`` and ``distance`` of the reference surface from the
-        model along z [m]. Over (step, quantity) the values of `fringedic.models.agreement`. ``load`` of each step.
+        model along z [m]. Over (step, quantity) the values of `fringedic.models.agreement`; over step those of
+        `fringedic.models.shift` and the ``load_of_model``.
         The attribute ``placement`` (JSON) contains the rigid transformation with its standard uncertainties.
 
     Raises
@@ -116,7 +124,7 @@ def compare_model(
         _require_maps(step)
         reference = of_step.get(int(step["reference_step"]), 0.0)
         if placement is None:
-            placement = _place(step, model, pairs, reference)
+            placement = _place(step, model, pairs, pair_sigma, reference)
         comparison = _Comparison(step, model, placement, levelling, (reference, of_step[number_of_step]))
         compared.append(comparison.result().assign_coords(step=number_of_step))
     assert placement is not None
@@ -170,11 +178,12 @@ def _require_maps(step: xr.Dataset) -> None:
         )
 
 
-def _place(step: xr.Dataset, model: Model, pairs: Sequence[Pair], load: float) -> Placement:
+def _place(step: xr.Dataset, model: Model, pairs: Sequence[Pair], pair_sigma: float | None, load: float) -> Placement:
     surface = np.stack([step[name].values.astype(float) for name in _POSITION])
     distances = np.hypot(*(np.diff(surface[axis], axis=1) for axis in (0, 1)))
     measured = [PointPair(_measured_at(step, surface, pair[0]), _three(pair[1])) for pair in pairs]
-    return place_model(surface, model, measured, spacing=float(np.nanmedian(distances)), load=load)
+    spacing = float(np.nanmedian(distances))
+    return place_model(surface, model, measured, spacing=spacing, pair_sigma=pair_sigma, load=load)
 
 
 def _three(position: Sequence[float]) -> tuple[float, float, float]:
@@ -217,28 +226,39 @@ class _Comparison:
         measured, sigma = self._measured()
         samples = self._samples(self._placement)
         sampled = self._sample(self._placement, samples)
-        modelled = self._levelled(sampled)
-        unfiltered = self._fields(sampled)
-        variance = sigma.values**2
-        moved = []
-        for deviation in self._placement.deviations():
-            placement = self._placement.moved(deviation)
-            change = self._fields(self._sample(placement, self._samples(placement))).values - unfiltered.values
-            variance = variance + change**2
-            moved.append(change)
-        deviation_of_difference = np.sqrt(variance)
+        modelled = self._fields(self._levelling.displacement(sampled))
+        moved = self._changes(self._fields(sampled))
+        deviation = np.sqrt(sigma.values**2 + sum((change**2 for change in moved), np.zeros(sigma.values.shape)))
         difference = measured.values - modelled.values
         maps: dict[str, np.ndarray] = dict(zip(_POSITION, self._positions, strict=True))
         maps["distance"] = self._positions[2] - self._height(samples)
-        agreements = []
         for place, name in enumerate(measured.names):
             maps[name], maps[f"sigma_{name}"] = measured.values[place], sigma.values[place]
             maps[f"model_{name}"], maps[f"difference_{name}"] = modelled.values[place], difference[place]
-            maps[f"sigma_difference_{name}"] = deviation_of_difference[place]
-            maps[f"normalized_{name}"] = difference[place] / deviation_of_difference[place]
+            maps[f"sigma_difference_{name}"] = deviation[place]
+            maps[f"normalized_{name}"] = difference[place] / deviation[place]
+
+        def agreement(place: int) -> Agreement:
             changes = [each[place] for each in moved]
-            agreements.append(assess(measured.values[place], sigma.values[place], modelled.values[place], changes))
-        return self._dataset(maps, measured.names, agreements)
+            return assess(measured.values[place], sigma.values[place], modelled.values[place], changes)
+
+        with ThreadPoolExecutor(_THREADS) as pool:
+            agreements = list(pool.map(agreement, range(len(measured.names))))
+        spatial = [place for place, name in enumerate(measured.names) if name in _DISPLACEMENT]
+        axes = [_DISPLACEMENT.index(measured.names[place]) for place in spatial]
+        fields = (modelled.values[spatial], difference[spatial], sigma.values[spatial])
+        return self._dataset(maps, measured.names, agreements, estimate_shift(self._positions, axes, *fields))
+
+    def _changes(self, unmoved: _Fields) -> list[np.ndarray]:
+        """Return the change of the fields by each independent error of the placement, one standard deviation each."""
+
+        def change(deviation: np.ndarray) -> np.ndarray:
+            placement = self._placement.moved(deviation)
+            moved = self._fields(self._sample(placement, self._samples(placement)))
+            return np.asarray(moved.values - unmoved.values)
+
+        with ThreadPoolExecutor(_THREADS) as pool:
+            return list(pool.map(change, self._placement.deviations()))
 
     def _measured(self) -> tuple[_Fields, _Fields]:
         names = [*(name for name in _DISPLACEMENT if f"sigma_{name}" in self._step), *self._strain_names()]
@@ -268,11 +288,9 @@ class _Comparison:
     def _sample(self, placement: Placement, samples: Samples) -> np.ndarray:
         """Return the displacement of the model in the rig frame at the measured points, (3, row, column)."""
         maps = np.full((3, *self._known.shape), np.nan)
-        maps[:, self._known] = (samples.interpolate(self._motion) @ placement.rotation.T).T
+        for values, found in zip(maps, samples.interpolate(self._motion @ placement.rotation.T).T, strict=True):
+            values[self._known] = found
         return maps
-
-    def _levelled(self, maps: np.ndarray) -> _Fields:
-        return self._fields(self._levelling.displacement(maps))
 
     def _fields(self, filtered: np.ndarray) -> _Fields:
         """Return the compared quantities of a displacement (3, row, column)."""
@@ -283,7 +301,7 @@ class _Comparison:
         return _Fields((*names, *strains), np.stack(fields))
 
     def _dataset(
-        self, maps: Mapping[str, np.ndarray], names: tuple[str, ...], agreements: Sequence[Agreement]
+        self, maps: Mapping[str, np.ndarray], names: tuple[str, ...], agreements: Sequence[Agreement], shift: Shift
     ) -> xr.Dataset:
         shape = MAP_DIMENSIONS[1:]
         fields: dict[str, object] = {}
@@ -294,6 +312,8 @@ class _Comparison:
         for name, (units, long_name) in AGREEMENT.items():
             values = np.array([getattr(each, name) for each in agreements], float)
             fields[name] = ("quantity", values, {"units": units, "long_name": long_name})
+        for name, long_name in SHIFT.items():
+            fields[name] = ((), getattr(shift, name), {"units": "m", "long_name": long_name})
         fields["load_of_model"] = ((), self._loads[1], {"long_name": "load that the model was interpolated at"})
         for name in ("force", "position", "reference_step", "time"):
             if name in self._step:

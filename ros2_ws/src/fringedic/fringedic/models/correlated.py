@@ -38,7 +38,7 @@ def correlated_points(errors: np.ndarray) -> float:
     shape = [fft.next_fast_len(2 * n, real=True) for n in errors.shape]
     products, pairs = (
         fft.irfft2(np.abs(fft.rfft2(values, shape)) ** 2, shape)
-        for values in (np.where(known, errors, 0.0), known * 1.0)
+        for values in (np.where(known, errors, 0.0).astype(np.float32), known.astype(np.float32))
     )
     many = pairs > 0.5 * np.count_nonzero(known)  # fewer pairs give no coefficient
     coefficient = np.where(many, products / np.maximum(pairs, 1.0), 0.0) * pairs[0, 0] / products[0, 0]

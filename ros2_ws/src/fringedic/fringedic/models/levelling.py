@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,7 +52,9 @@ class Levelling:
         u, v, w = np.where(known, maps, 0.0).astype(np.float32)
         if self.z_filter > 0:
             w = _normalised(known, _gaussian(self.z_filter / self.spacing))(w)
-        return np.where(known, np.stack([self._in_plane(u, known), self._in_plane(v, known), w]), np.nan)
+        with ThreadPoolExecutor(2) as pool:
+            in_plane = list(pool.map(lambda values: self._in_plane(values, known), (u, v)))
+        return np.where(known, np.stack([*in_plane, w]), np.nan)
 
     def _in_plane(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
         if self.method == "zoi":
@@ -116,8 +119,8 @@ def _normalised(known: np.ndarray, taps: np.ndarray) -> Callable[[np.ndarray], n
     def smooth(values: np.ndarray) -> np.ndarray:
         return np.asarray(cv2.sepFilter2D(values, cv2.CV_32F, taps, taps, borderType=cv2.BORDER_CONSTANT))
 
-    share = np.where(known, smooth(known.astype(np.float32)), np.float32(1))
-    return lambda values: known * smooth(values) / share
+    inverse_share = np.divide(1, smooth(known.astype(np.float32)), out=np.zeros(known.shape, np.float32), where=known)
+    return lambda values: np.asarray(smooth(values) * inverse_share)
 
 
 def _gaussian(deviation: float) -> np.ndarray:

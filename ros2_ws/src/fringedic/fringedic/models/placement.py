@@ -113,7 +113,13 @@ class Placement:
 
 
 def place_model(
-    surface: np.ndarray, model: Model, pairs: Sequence[PointPair] = (), *, spacing: float, load: float | None = None
+    surface: np.ndarray,
+    model: Model,
+    pairs: Sequence[PointPair] = (),
+    *,
+    spacing: float,
+    pair_sigma: float | None = None,
+    load: float | None = None,
 ) -> Placement:
     """Align a model with a measured surface by point-to-plane least squares (Chen and Medioni 1992).
 
@@ -131,8 +137,9 @@ def place_model(
         At least three that do not lie on a line, the coarse start; they also determine directions that the shape does
         not. Without them the model has to be in the rig frame already, up to a few points.
     spacing
-        Distance of measured points [m]: standard deviation of each coordinate of a point pair, and of a direction that
-        counts as not determined.
+        Distance of measured points [m]: standard deviation of a direction that counts as not determined.
+    pair_sigma
+        Standard deviation of each coordinate of a point pair [m]; by default `spacing`.
     load
         At which the surface was measured; by default without load.
 
@@ -155,7 +162,7 @@ def place_model(
     nodes = model.nodes if load is None else model.nodes + model.displacement_at(load)
     step = max(1, int(np.ceil(np.sqrt(surface[0].size / _MOST_POINTS))))
     thinned = surface[:, ::step, ::step]
-    alignment = _Alignment(thinned, replace(model, nodes=nodes), list(pairs), spacing)
+    alignment = _Alignment(thinned, replace(model, nodes=nodes), list(pairs), spacing, pair_sigma or spacing)
     placed = alignment.run(alignment.start())
     mirror = alignment.mirrored(placed)
     if mirror < _MIRRORED * placed.residual:
@@ -192,10 +199,12 @@ class _System(NamedTuple):
 class _Alignment:
     """Gauss-Newton iterations of one model on one surface."""
 
-    def __init__(self, surface: np.ndarray, model: Model, pairs: list[PointPair], spacing: float) -> None:
+    def __init__(
+        self, surface: np.ndarray, model: Model, pairs: list[PointPair], spacing: float, pair_sigma: float
+    ) -> None:
         self._shape = surface.shape[1:]
         self._points = surface.reshape(3, -1).T.astype(float)
-        self._model, self._spacing = model, spacing
+        self._model, self._spacing, self._pair_sigma = model, spacing, pair_sigma
         self._pairs = np.array(pairs, float).reshape(-1, 2, 3)
         measured = self._points[np.isfinite(self._points).all(axis=1)]
         if len(measured) < _FEWEST:
@@ -259,7 +268,7 @@ class _Alignment:
         normal = np.linalg.svd(among - centre)[2][2] if len(among) > 2 else placed.rotation[2]
         nodes = self._model.nodes - 2 * np.outer((self._model.nodes - centre) @ normal, normal)
         other = replace(self._model, nodes=nodes, triangles=np.ascontiguousarray(self._model.triangles[:, ::-1]))
-        alignment = _Alignment(self._points.T.reshape(3, *self._shape), other, [], self._spacing)
+        alignment = _Alignment(self._points.T.reshape(3, *self._shape), other, [], self._spacing, self._pair_sigma)
         alignment._pairs = self._pairs
         try:
             return alignment.run(placed).residual
@@ -285,8 +294,8 @@ class _Alignment:
         covariance = (kept / values[~free]) @ kept.T
         if len(self._pairs):
             derivatives, differences = self._pair_equations(placed)
-            information = information + derivatives.T @ derivatives / self._spacing**2
-            gradient = gradient + derivatives.T @ differences / self._spacing**2
+            information = information + derivatives.T @ derivatives / self._pair_sigma**2
+            gradient = gradient + derivatives.T @ differences / self._pair_sigma**2
             scaled = np.linalg.inv(information / np.outer(lengths, lengths))
             covariance = scaled / np.outer(lengths, lengths)
         return _System(fit, gradient, covariance, lengths, _name_free(vectors[:, free]))

@@ -47,12 +47,14 @@ class Samples:
 
     def interpolate(self, values: np.ndarray) -> np.ndarray:
         """Return values of the nodes (node, component) at the points (point, component); NaN beside the model."""
-        return np.asarray(np.einsum("pc,pci->pi", self.weights, values[self.corners]))
+        found = np.empty((len(self.corners), values.shape[1]))
+        _interpolate(self.corners, self.weights, np.ascontiguousarray(values, float), found)
+        return found
 
 
 def sample(nodes: np.ndarray, triangles: np.ndarray, points: np.ndarray) -> Samples:
     """Find the triangle of each point (point, 3) and its weights; all positions in the rig frame [m]."""
-    low, high = nodes[triangles].min(axis=(0, 1))[:2], nodes[triangles].max(axis=(0, 1))[:2]
+    low, high = nodes[:, :2].min(axis=0), nodes[:, :2].max(axis=0)
     extent = np.maximum(high - low, 1e-12)
     size = float(np.sqrt(np.prod(extent) / len(triangles)))
     shape = np.minimum(extent / size, 4000).astype(np.int64) + 1
@@ -150,3 +152,13 @@ def _find(
                 nearest = distance
                 corners[k, 0], corners[k, 1], corners[k, 2] = first, second, third
                 weights[k, 0], weights[k, 1], weights[k, 2] = a, b, c
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def _interpolate(corners: np.ndarray, weights: np.ndarray, values: np.ndarray, found: np.ndarray) -> None:
+    for k in prange(len(corners)):
+        first, second, third = corners[k]  # -1 is the last node: its weight is NaN
+        for i in range(values.shape[1]):
+            found[k, i] = (
+                weights[k, 0] * values[first, i] + weights[k, 1] * values[second, i] + weights[k, 2] * values[third, i]
+            )

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import xarray as xr
 
 from fringedic.errors import DatasetError
@@ -74,7 +75,7 @@ def write_model_comparison(comparison: xr.Dataset, output: Path, *, overwrite: b
 
 
 def agreement_sentences(step: xr.Dataset) -> list[str]:
-    """Return one sentence for each quantity of a step: how many points agree, and the factor on the model."""
+    """Return a sentence for each quantity of a step, how many points agree and the factor, and one of the shift."""
     sentences = []
     for name in step["quantity"].values.tolist():
         found = step.sel(quantity=name)
@@ -83,7 +84,23 @@ def agreement_sentences(step: xr.Dataset) -> list[str]:
             f"{name}: {100 * float(found['within_2_sigma']):.1f} % of {int(found['points'])} points within 2 sigma "
             f"(95 % expected of noise); the model times {factor:.4f} ± {2 * sigma:.4f} (95 %) fits best"
         )
-    return sentences
+    return [*sentences, *_shift_sentences(step)]
+
+
+def _shift_sentences(step: xr.Dataset) -> list[str]:
+    """Return by how much the features of the model have to be moved along the surface, where that is determined."""
+    found = [
+        f"{number_text(1e3 * float(step[f'shift_{axis}']))} ± "
+        f"{number_text(2e3 * float(step[f'sigma_shift_{axis}']))} mm along {axis}"
+        for axis in "xy"
+        if np.isfinite(step[f"shift_{axis}"])
+    ]
+    if not found:
+        return []
+    return [
+        f"The displacement fits best with the model shifted by {' and '.join(found)} (95 %, without the uncertainty of "
+        "the alignment)."
+    ]
 
 
 def placement_sentences(comparison: xr.Dataset) -> list[str]:

@@ -141,6 +141,7 @@ def test_loads_can_be_given_for_each_step_and_start_at_the_reference():
         (lambda data: (data, model_of(), {"pairs": 3 * [((4e3, 0.0), (0.0, 0.0, 0.0))]}), "nothing is measured"),
         (lambda data: (data, model_of(), {"pairs": [((40.0, 0.0), (0.0, 0.0))] * 3}), "has 2 coordinates"),
         (lambda data: (data, model_of(), {"loads": [1.0]}), "loads"),
+        (lambda data: (data, model_of(), {"pair_sigma": 0.0}), "pair_sigma"),
     ],
 )
 def test_input_that_cannot_be_compared_is_refused(change, message):

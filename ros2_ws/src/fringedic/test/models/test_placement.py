@@ -108,6 +108,19 @@ def test_directions_that_the_shape_does_not_determine_are_named(height, shape, t
         assert np.allclose(free.rotations[0], (0, 1, 0), atol=0.01)
 
 
+def test_pairs_place_a_plane_with_their_uncertainty():
+    def plane(x, y):
+        return 0 * x * y
+
+    surface = seen(plane, np.eye(3), np.zeros(3))
+    surface[2] += np.random.default_rng(1).normal(0, NOISE, X.shape)
+    corners = [(-9e-3, -6e-3, 0.0), (9e-3, -5e-3, 0.0), (1e-3, 7e-3, 0.0), (5e-3, 5e-3, 0.0)]
+    pairs = [PointPair(each, each) for each in corners]
+    for sigma, expected in ((None, SPACING / 2), (10e-6, 5e-6)):
+        placed = place_model(surface, sheet(plane), pairs, spacing=SPACING, pair_sigma=sigma)
+        assert np.sqrt(np.diag(placed.covariance)[:2]) == pytest.approx([expected, expected], rel=0.1)
+
+
 def test_a_mirrored_mesh_is_refused():
     model = sheet(lambda x, y: -hill(x, y))
     pairs = [PointPair(pair.measured, (*pair.model[:2], -pair.model[2])) for pair in clicked()[:3]]

@@ -38,6 +38,10 @@ def compare_model(  # noqa: PLR0913 (options of a command)
             help="A point of the reference image in px and of the mesh in its unit; three or more align the mesh.",
         ),
     ] = None,
+    pair_sigma_mm: Annotated[
+        float | None,
+        typer.Option(help="Standard uncertainty of each coordinate of the pairs; by default one point spacing."),
+    ] = None,
     steps: Annotated[list[int] | None, typer.Option("--step", help="Only this step; may be repeated.")] = None,
     output: Annotated[Path, typer.Option(help="Folder for page, dataset and VTK files.")] = Path("compared"),
     overwrite: Overwrite = False,
@@ -57,7 +61,8 @@ def compare_model(  # noqa: PLR0913 (options of a command)
     )
     pairs = _pairs(pair or [], UNITS[unit])
     with open_experiment(source) as experiment:
-        comparison = compare(experiment, mesh, pairs=pairs, steps=steps or None, load=by)
+        sigma = None if pair_sigma_mm is None else _MILLI * pair_sigma_mm
+        comparison = compare(experiment, mesh, pairs=pairs, pair_sigma=sigma, steps=steps or None, load=by)
     output.mkdir(parents=True, exist_ok=True)
     say(f"step {int(comparison.step[-1])}:", *agreement_sentences(comparison.isel(step=-1)))
     say(*placement_sentences(comparison))
