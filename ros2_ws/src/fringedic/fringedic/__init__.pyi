@@ -26,6 +26,7 @@ from .phase import demodulate as demodulate
 from .phase import unwrap_hierarchical as unwrap_hierarchical
 from .phase import unwrap_spatial as unwrap_spatial
 from .report import write_report as write_report
+from .results import compare_experiments as compare_experiments
 from .results import measure_images as measure_images
 from .results import open_experiment as open_experiment
 from .results import process_bag as process_bag

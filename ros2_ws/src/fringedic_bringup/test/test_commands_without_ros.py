@@ -99,6 +99,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
         "verify": ["verify", bag],
         "recover": ["recover", bag, "--output", str(folder / "recovered")],
         "process": ["process", bag, "--output", dataset],
+        "compare": ["compare", dataset, dataset, "--output", str(folder / "compared.html")],
         "campaign": ["campaign", "run", str(folder / "campaign")],
         "export": ["export", dataset, "--to", "netcdf", "--output", str(folder / "exported")],
         "report": ["report", dataset, "--output", str(folder / "report.html")],

@@ -126,6 +126,36 @@ def curve_charts(dataset: xr.Dataset, section: float | None) -> list[go.Figure]:
     return [figure for figure in figures if figure.data]
 
 
+def comparison_charts(found: xr.Dataset, names: tuple[str, str]) -> list[go.Figure]:
+    """Return mean strains of two experiments over the steps, and the force over them where it is known.
+
+    Parameters
+    ----------
+    found
+        From `fringedic.results.compare_experiments`.
+    names
+        Of the two experiments.
+    """
+    strains = [name for name in found["quantity"].values.tolist() if name in _STRAINS]
+    means = {name: (found["mean_one"].sel(quantity=name), found["mean_other"].sel(quantity=name)) for name in strains}
+    figure = go.Figure(layout={**_LAYOUT, "title": "Mean strain over the common points"})
+    for name, both in means.items():
+        for label, values in zip(names, both, strict=True):
+            figure.add_scatter(x=found["step"].values, y=values.values / MICRO, name=f"{name} {label}")
+    figure.update_xaxes(title="step")
+    figure.update_yaxes(title="strain [µstrain]")
+    charts = [figure] if strains else []
+    if strains and {"force_one", "force_other"} <= set(found.data_vars):
+        figure = go.Figure(layout={**_LAYOUT, "title": "Force over mean strain"})
+        for name, both in means.items():
+            for label, values, force in zip(names, both, (found["force_one"], found["force_other"]), strict=True):
+                figure.add_scatter(x=values.values / MICRO, y=force.values, name=f"{name} {label}")
+        figure.update_xaxes(title="strain [µstrain]")
+        figure.update_yaxes(title="force [N]")
+        charts.append(figure)
+    return charts
+
+
 def extensometer_charts(
     dataset: xr.Dataset, gauges: Mapping[str, xr.Dataset], section: float | None
 ) -> list[go.Figure]:

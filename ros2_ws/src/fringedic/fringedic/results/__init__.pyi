@@ -17,3 +17,6 @@ from .rigid_motion import remove_rigid_motion as remove_rigid_motion
 from .truth import compare_with_truth as compare_with_truth
 from .truth import open_truth as open_truth
 from .truth import truth_errors as truth_errors
+from .two_experiments import compare_experiments as compare_experiments
+from .two_experiments import difference_maps as difference_maps
+from .two_experiments import differing_attributes as differing_attributes

@@ -1,4 +1,4 @@
-"""The subcommand that compares a measurement with a model, without ROS."""
+"""The subcommands that compare a measurement with a model or with another one, without ROS."""
 
 from __future__ import annotations
 
@@ -69,6 +69,23 @@ def compare_model(  # noqa: PLR0913 (options of a command)
     say(f"page: {write_model_comparison(comparison, page, overwrite=overwrite)}")
     for done in export_dataset(comparison, output, ["netcdf", "vtk"], overwrite=overwrite):
         say(f"{done.format}: {done.path or '; '.join(done.problems)}")
+
+
+@app.command(epilog="Example: fringedic compare recordings/plate-7/bag recordings/plate-8/bag --output plates.html")
+def compare(
+    one: Source,
+    other: Source,
+    output: Annotated[Path, typer.Option(help="HTML file.")] = Path("comparison.html"),
+    overwrite: Overwrite = False,
+) -> None:
+    """Compare two experiments, or one recording processed with two settings, and write a page."""
+    from fringedic.report.two_experiments import comparison_sentences, write_comparison
+    from fringedic.results import compare_experiments, open_experiment
+
+    page = output_file(output, overwrite)
+    with open_experiment(one) as first, open_experiment(other) as second:
+        say(*comparison_sentences(compare_experiments(first, second)))
+        say(f"page: {write_comparison(first, second, page, overwrite=overwrite)}")
 
 
 def _pairs(texts: list[str], scale: float) -> list[Pair]:

@@ -1,0 +1,98 @@
+"""Two experiments: statistics of known differences, what differs in the settings, and the page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+import fringedic
+from fringedic.errors import DatasetError
+from fringedic.report.two_experiments import comparison_sentences, write_comparison
+from fringedic.results import compare_experiments, difference_maps, differing_attributes
+
+RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
+
+
+@pytest.fixture(scope="module")
+def experiments(tmp_path_factory: pytest.TempPathFactory) -> tuple[xr.Dataset, xr.Dataset]:
+    """One recording with two windows."""
+    folder = tmp_path_factory.mktemp("two")
+    files = [
+        fringedic.process_bag(RECORDED, output=folder / f"{window}.nc", overrides={"dic.window": window})
+        for window in (24, 32)
+    ]
+    first, second = (fringedic.open_experiment(file) for file in files)
+    return first, second
+
+
+def noise(seed: int, *, steps: int = 2, offset: int = 0) -> xr.Dataset:
+    """Independent noise of a known standard deviation, with its correct sigma."""
+    generator = np.random.default_rng(seed)
+    dimensions = ("step", "row", "column")
+    sigma = generator.uniform(1e-6, 3e-6, (steps, 80, 100))
+    values = generator.normal(0, sigma)
+    coordinates = {"step": range(steps), "row": range(80), "column": offset + np.arange(100)}
+    return xr.Dataset({"w": (dimensions, values), "sigma_w": (dimensions, sigma)}, coordinates)
+
+
+def test_independent_noise_is_explained_by_its_uncertainty() -> None:
+    found = compare_experiments(noise(1), noise(2)).sel(quantity="w")
+    assert np.allclose(found.normalized_rms, 1, atol=0.03)
+    assert np.allclose(found.within_2_sigma, 0.954, atol=0.01)
+
+
+def test_a_real_difference_is_found_at_the_common_points() -> None:
+    one, other = noise(1), noise(2, steps=3, offset=60)
+    other["w"] = other.w + 20e-6
+    found = compare_experiments(one, other).sel(quantity="w")
+    assert found.step.values.tolist() == [0, 1]
+    assert found.points.values.tolist() == [80 * 40] * 2
+    assert np.allclose(found.mean_other - found.mean_one, 20e-6, rtol=0.02)
+    assert (found.within_2_sigma < 0.01).all()
+    maps = difference_maps(one, other, 1)
+    assert np.allclose(maps.difference_w, 20e-6 + (noise(2, steps=3).w[1, :, :40].values - one.w[1, :, 60:].values))
+
+
+def test_two_settings_of_one_recording_share_its_noise(experiments: tuple[xr.Dataset, xr.Dataset]) -> None:
+    found = compare_experiments(*experiments)
+    at_last = found.sel(step=2, quantity="displacement_x")
+    assert 0 < float(at_last.normalized_rms) < 1
+    changed = {each.name: (each.one, each.other) for each in differing_attributes(*experiments)}
+    assert changed == {"parameters.dic.window": (24, 32)}
+    assert np.allclose(found.force_one, found.force_other)
+
+
+def test_an_experiment_equals_itself(experiments: tuple[xr.Dataset, xr.Dataset]) -> None:
+    found = compare_experiments(experiments[0], experiments[0])
+    assert np.nanmax(found.rms_difference) == 0
+    assert int(found.points.sel(step=2, quantity="w")) > 5000
+    assert differing_attributes(experiments[0], experiments[0]) == []
+
+
+def test_the_page_shows_settings_curves_and_maps(experiments: tuple[xr.Dataset, xr.Dataset], tmp_path: Path) -> None:
+    page = write_comparison(*experiments, tmp_path / "page.html").read_text()
+    assert "parameters.dic.window" in page
+    assert page.count("<img alt=") == 4
+    assert "Force over mean strain" in page
+    assert comparison_sentences(compare_experiments(*experiments))[0].startswith("displacement_x: ")
+    with pytest.raises(DatasetError, match="exists already"):
+        write_comparison(*experiments, tmp_path / "page.html")
+
+
+def test_experiments_without_anything_in_common_are_refused() -> None:
+    one = noise(1)
+    with pytest.raises(DatasetError, match="no step in common"):
+        compare_experiments(one, one.assign_coords(step=[5, 6]))
+    with pytest.raises(DatasetError, match="no point in common"):
+        compare_experiments(one, one.assign_coords(row=one.row + 1000))
+    with pytest.raises(DatasetError, match="none of the maps"):
+        compare_experiments(one, one.rename(w="height"))
+    with pytest.raises(DatasetError, match="one is 3: it has to be"):
+        compare_experiments(3, one)
+    unmeasured = compare_experiments(one, one.assign(w=one.w * np.nan))
+    assert int(unmeasured.points.sum()) == 0
+    with pytest.raises(DatasetError, match="no point is measured in both"):
+        comparison_sentences(unmeasured)
