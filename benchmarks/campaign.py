@@ -56,10 +56,10 @@ DESK = """
 
     bags, folder = sys.argv[2:], Path(sys.argv[1])
     fringedic.process_bag(bags[0], output=folder / "warm.nc")
-    start = time.perf_counter()
+    start = time.process_time()
     for number, bag in enumerate(bags):
         fringedic.process_bag(bag, output=folder / f"{number}.nc")
-    print(time.perf_counter() - start)
+    print(time.process_time() - start)
 """
 MEMORY = """
     import sys, time
@@ -92,21 +92,31 @@ def empty(campaign: Campaign) -> Plan:
     return update_plan(campaign)
 
 
-def seconds_with(campaign: Campaign, workers: int) -> float:
-    """Time for all recordings with a Dask cluster whose workers are there and have loaded the library."""
+def seconds_with(campaign: Campaign, workers: int) -> tuple[float, float]:
+    """Time and processor time for one recording with a Dask cluster whose workers have loaded the library."""
     plan = empty(campaign)
-    started = 0.0
-    done = 0
+    started = busy = ended = 0.0
+    names = set()
+    done = first = 0
     for outcome in Dask(workers).outcomes(plan.units):
         assert isinstance(outcome, Receipt), outcome
         done += 1
-        if done == workers:  # the first unit of each worker loads the library
-            started = time.perf_counter()
-    return (time.perf_counter() - started) / (done - workers)
+        names.add(outcome.worker)
+        if not started and len(names) == workers:  # the first unit of each worker loads the library
+            started, busy, first = time.perf_counter(), processor_seconds(), done
+        if done == len(plan.units):
+            ended, busy = time.perf_counter(), processor_seconds() - busy
+    return (ended - started) / (done - first), busy / (done - first)
+
+
+def processor_seconds() -> float:
+    """Processor time of this process and the workers."""
+    processes = [psutil.Process(), *psutil.Process().children(recursive=True)]
+    return sum(sum(process.cpu_times()[:2]) for process in processes)
 
 
 def desk_seconds(campaign: Campaign, folder: Path) -> float:
-    """Time of `process_bag` for one recording, in one process with one thread."""
+    """Processor time of `process_bag` for one recording, in one process with one thread."""
     bags = [unit.path for unit in read_plan(CampaignStore(campaign.store)).units]
     with tempfile.TemporaryDirectory(dir=folder) as target:
         return run(DESK, target, *bags)[0] / len(bags)
@@ -125,17 +135,22 @@ def run(code: str, *words: str) -> list[float]:
 
 
 def engine_figures(folder: Path, count: int, repeats: int) -> dict[str, float]:
-    """Efficiency and overhead, medians over runs that follow each other."""
+    """Efficiency and overhead, medians over runs that follow each other.
+
+    Processor time tells the overhead on a computer with other work, too; the efficiency needs one without.
+    """
     campaign = campaign_of(folder / "engines", count)
     empty(campaign)
-    efficiencies, overheads = [], []
+    found = []
     for _ in range(repeats):
         desk, one, two = desk_seconds(campaign, folder), seconds_with(campaign, 1), seconds_with(campaign, 2)
-        efficiencies.append(one / two / 2)
-        overheads.append(100 * (one / desk - 1))
+        found.append((one[0] / two[0] / 2, 100 * (one[1] / desk - 1), one[1] / two[1]))
+    efficiency, overhead, work = (statistics.median(values) for values in zip(*found, strict=True))
     return {
-        "efficiency of 2 workers": statistics.median(efficiencies),
-        "overhead over fringedic process [%]": statistics.median(overheads),
+        "load of the computer": os.getloadavg()[0],
+        "efficiency of 2 workers": efficiency,
+        "processor time with 1 worker over 2": work,
+        "overhead over fringedic process [%]": overhead,
     }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -14,11 +14,14 @@ from fringedic.campaign.software import software_identity
 from fringedic.errors import FringedicError
 from fringedic.results.datasets import ProcessingSettings
 from fringedic.rig.model import RigModel
+from fringedic.steps.parameters import DicParameters
 
 _SHARED = ("processing", "software", "store")  # by all units
 _LIBRARIES = 0.45e9  # [byte] of a worker before it processes anything
 _IMAGES = 3  # stacks of a step's frames in memory at the same time
-_MAPS = 140  # float32 images in memory at the same time, see benchmarks/campaign.py
+_MAPS = 150  # float32 images of a step in memory at the same time: 124 measured by benchmarks/campaign.py
+_MAPS_OF_A_KEPT_STEP = 5  # of a step that can become the reference
+_KEPT_STEPS = DicParameters().kept_steps
 
 
 @dataclass(frozen=True)
@@ -153,15 +156,24 @@ def plan_of(campaign: Campaign, summaries: Iterable[tuple[Found, Summary | str]]
     )
 
 
-def predicted_memory(summary: Summary) -> float:
-    """Return the memory that a worker needs for a recording [byte].
+def predicted_memory(summary: Summary, overrides: Mapping[str, Any] | None = None) -> float:
+    """Return the memory that a worker needs for a recording [byte], at a spacing of one pixel.
 
-    Its largest part are the float32 images of a step, which exist at the same time: maps, their derivatives and the
-    reference. The numbers are measured by benchmarks/campaign.py.
+    Its largest parts are the float32 images of a step (maps, their derivatives and the reference), and those of the
+    kept steps.
+
+    Parameters
+    ----------
+    summary
+        Of the recording.
+    overrides
+        Parameters that replace the recorded ones, of which ``kept_steps`` counts.
     """
+    kept: list[int] = [(overrides or {}).get(f"{node}.kept_steps", _KEPT_STEPS) for node in ("dic", "coupling")]
+    maps = _MAPS + _MAPS_OF_A_KEPT_STEP * min(max(kept), summary.steps)
     pixels = summary.image_shape[0] * summary.image_shape[1]
     itemsize = 2 if summary.image_type == "uint16" else 1
-    return _LIBRARIES + pixels * (4 * _MAPS + _IMAGES * itemsize * summary.frames_per_step)
+    return _LIBRARIES + pixels * (4 * maps + _IMAGES * itemsize * summary.frames_per_step)
 
 
 def _unit(store: str, found: Found, summary: Summary, processing: dict[str, Any], software: dict[str, str]) -> Unit:
@@ -176,7 +188,7 @@ def _unit(store: str, found: Found, summary: Summary, processing: dict[str, Any]
         labels=_labels(found.labels),
         steps=summary.steps,
         size=summary.size,
-        memory=predicted_memory(summary),
+        memory=predicted_memory(summary, processing["overrides"]),
     )
 
 

@@ -26,6 +26,8 @@ from fringedic.campaign import (
     status_of,
     update_plan,
 )
+from fringedic.campaign.plan import predicted_memory
+from fringedic.campaign.recordings import summarise
 from fringedic.errors import CampaignError, ConfigurationError
 from fringedic.recording import BagReader, BagWriter
 
@@ -216,6 +218,34 @@ def test_a_unit_that_needs_more_memory_than_there_is_is_refused(done: Campaign, 
     (failure,) = Serial().outcomes([unit])
     assert isinstance(failure, Failure)
     assert "needs about 1000000.0 GB of memory" in failure.reason
+
+
+def test_a_disk_that_fills_up_keeps_what_is_committed(
+    done: Campaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(done.folder / "recordings", tmp_path / "recordings")
+    campaign = written(tmp_path)
+    plan = update_plan(campaign)
+    assert all(isinstance(outcome, Receipt) for outcome in Serial().outcomes(plan.units[:1]))
+    usage = shutil.disk_usage(tmp_path)
+    with monkeypatch.context() as full:
+        full.setattr(shutil, "disk_usage", lambda _: usage._replace(free=100_000))
+        failure = run(campaign)["plate-2"]
+    assert isinstance(failure, Failure)
+    assert "the disk is full, step 0 needs" in failure.reason
+    status = status_of(CampaignStore(campaign.store), plan)
+    assert (set(status.done), set(status.failed)) == ({"plate-1"}, {"plate-2"})
+    forget_failures(CampaignStore(campaign.store))
+    assert set(run(campaign)) == {"plate-2"}
+
+
+def test_kept_steps_need_memory() -> None:
+    summary = replace(summarise(str(RECORDED)), frames=1200)
+    assert (
+        predicted_memory(summary, {"dic.kept_steps": 100})
+        > predicted_memory(summary)
+        > predicted_memory(replace(summary, image_shape=(60, 80)))
+    )
 
 
 def test_a_store_that_cannot_be_written_is_named(tmp_path: Path) -> None:
