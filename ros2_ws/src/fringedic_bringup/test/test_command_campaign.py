@@ -53,3 +53,4 @@ def test_a_campaign_from_its_file_to_its_catalogue(tmp_path: Path) -> None:
     assert page.count("data:image/png") == 2
     assert "2 of 2 recordings complete" in page
     assert "w of step 2" in page
+    assert '<td>batch 7</td><td class="number">2</td>' in page

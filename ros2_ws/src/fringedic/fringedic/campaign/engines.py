@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
+import signal
+import threading
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -181,16 +184,15 @@ class Dask:
         import dask
 
         started = {f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in ONE_THREAD.items()}
-        with (
-            dask.config.set(started),
-            self._distributed.LocalCluster(
+        with dask.config.set(started), _interrupts_ignored():
+            cluster = self._distributed.LocalCluster(
                 n_workers=self._workers,
                 threads_per_worker=1,
                 host="127.0.0.1",
                 dashboard_address="127.0.0.1:0",
-            ) as cluster,
-            self._distributed.Client(cluster) as client,
-        ):
+                silence_logs=logging.CRITICAL,  # what concerns a unit is in its outcome
+            )
+        with cluster, self._distributed.Client(cluster) as client:
             yield client
 
 
@@ -216,6 +218,19 @@ def _lost(place: str, error: BaseException | None) -> CampaignError:
         f"the connection to the Dask scheduler of {place} is lost{reason}: repeat the command, which continues "
         "with what is not committed"
     )
+
+
+@contextmanager
+def _interrupts_ignored() -> Iterator[None]:
+    """Let the processes that are started meanwhile ignore Ctrl-C: this process ends them in order."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager

@@ -154,6 +154,7 @@ class GroupStore:
         self._folder = f"{RECORDINGS}/{recording}"
         self._target = _HeldMetadata(store.zarr_store(recording))
         self._group = zarr.create_group(self._target)
+        self._arrays: dict[str, Any] = {}
         self._growing: list[str] = []
         self._values: dict[str, list[Any]] = {}
         self._steps = 0
@@ -196,7 +197,7 @@ class GroupStore:
             chunks = shape
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # texts of variable length are not in the specification yet
-            self._group.create_array(
+            self._arrays[name] = self._group.create_array(
                 name,
                 shape=shape,
                 dtype=str if dtype == TEXT else dtype,
@@ -222,7 +223,7 @@ class GroupStore:
         if name in self._values:
             self._values[name].append(value)
             return
-        self._array(name)[index] = value
+        self._arrays[name][index] = value
 
     def flush(self) -> None:
         """Every chunk is written already."""
@@ -231,7 +232,7 @@ class GroupStore:
         """Write the values of the steps, and the metadata."""
         for name, values in self._values.items():
             self._resize(name)
-            self._array(name)[:] = np.array(values, dtype=object if isinstance(values[0], str) else None)
+            self._arrays[name][:] = np.array(values, dtype=object if isinstance(values[0], str) else None)
         self._group.attrs.update(dict(attributes))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # consolidated metadata are not in the specification yet
@@ -241,13 +242,8 @@ class GroupStore:
     def discard(self) -> None:
         """Leave what was written: without a receipt it counts as nothing."""
 
-    def _array(self, name: str) -> Any:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return self._group[name]
-
     def _resize(self, name: str) -> None:
-        array = self._array(name)
+        array = self._arrays[name]
         array.resize((self._steps, *array.shape[1:]))
 
 

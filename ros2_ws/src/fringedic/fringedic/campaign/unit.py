@@ -103,7 +103,7 @@ def process_unit(unit: Unit) -> Receipt:
         name=unit.name,
         key=unit.key,
         software=unit.software,
-        fingerprint=dict(unit.fingerprint),
+        fingerprint={name: list(parts) for name, parts in unit.fingerprint.items()},
         labels=unit.labels,
         digest=group.digest,
         objects=group.objects,

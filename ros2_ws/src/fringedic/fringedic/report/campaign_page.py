@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,17 @@ COLUMNS = (
 )
 
 
+GROUP_COLUMNS = (
+    "group",
+    "recordings",
+    "largest force [N]",
+    "spread of specimens",
+    "largest strain [µstrain]",
+    "spread of specimens",
+    "uncertainty of one",
+)
+
+
 def write_campaign_page(store: CampaignStore, status: Status, output: Path) -> Path:
     """Write the page of a campaign; an earlier one is replaced.
 
@@ -58,6 +70,8 @@ def write_campaign_page(store: CampaignStore, status: Status, output: Path) -> P
         store=store.address,
         software=f"{software()}, commit {git_commit()}",
         sentences=status_sentences(status),
+        group_columns=GROUP_COLUMNS,
+        groups=group_rows(status.done.values()),
         columns=COLUMNS,
         rows=[(_row(receipt), _picture(store, receipt.name)) for receipt in status.done.values()],
     )
@@ -66,6 +80,36 @@ def write_campaign_page(store: CampaignStore, status: Status, output: Path) -> P
     except OSError as error:
         raise CampaignError(f"{output}: cannot be written: {error.strerror}; choose another --output") from error
     return output
+
+
+def group_rows(receipts: Iterable[Receipt]) -> list[list[str]]:
+    """Return `GROUP_COLUMNS` of each group with several recordings: the spread of its specimens beside the uncertainty.
+
+    Parameters
+    ----------
+    receipts
+        Of complete recordings.
+    """
+    groups: dict[str, list[Receipt]] = {}
+    for receipt in receipts:
+        groups.setdefault(receipt.labels["group"], []).append(receipt)
+    rows = []
+    for group, members in groups.items():
+        known = [each.figures for each in members if each.figures["largest_strain"] is not None]
+        if len(known) < 2:
+            continue
+        forces = np.array([each["largest_force"] for each in known], float)
+        strains = 1e6 * np.array([each["largest_strain"] for each in known], float)
+        sigmas = 1e6 * np.array([each["sigma_largest_strain"] for each in known], float)
+        rows.append(
+            [
+                group or "-",
+                str(len(known)),
+                *map(number_text, (forces.mean(), forces.std(ddof=1))),
+                *map(number_text, (strains.mean(), strains.std(ddof=1), np.sqrt(np.mean(sigmas**2)))),
+            ]
+        )
+    return rows
 
 
 def _row(receipt: Receipt) -> list[str]:

@@ -1,0 +1,39 @@
+"""Sentences and tables about campaigns."""
+
+from __future__ import annotations
+
+from fringedic.campaign import Failure, Receipt
+from fringedic.report.campaign import CampaignProgress
+from fringedic.report.campaign_page import group_rows
+
+
+def receipt(name: str, group: str, strain: float | None) -> Receipt:
+    figures = {"steps": 6, "failed_steps": 1, "largest_force": 100.0, "largest_strain": strain}
+    return Receipt(
+        name=name,
+        key="",
+        software={},
+        fingerprint={},
+        labels={"group": group},
+        digest="",
+        objects=1,
+        size=1,
+        figures={**figures, "sigma_largest_strain": 3e-5},
+        seconds=4.0,
+        worker="computer:1",
+        processor="any",
+        input_size=2_000_000,
+    )
+
+
+def test_groups_show_the_spread_of_their_specimens_beside_the_uncertainty() -> None:
+    receipts = [receipt("a", "one", 1e-3), receipt("b", "one", 3e-3), receipt("c", "two", 1e-3)]
+    rows = group_rows([*receipts, receipt("d", "one", None)])
+    assert rows == [["one", "2", "100", "0", "2000", "1414", "30"]]
+
+
+def test_progress_states_rates_failures_and_the_remaining_time() -> None:
+    progress = CampaignProgress([])
+    said = progress.sentence(receipt("a", "", 1e-3), 4.0)
+    assert said == "1 of 0: a: 6 steps, 1 failed, 4.0 s; 1.5 steps/s, 0.5 MB/s, 0 s left"
+    assert progress.sentence(Failure("b", "", "b: is damaged"), 5.0) == "2 of 0: b failed: b: is damaged"
