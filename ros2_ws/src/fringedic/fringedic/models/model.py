@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "inch": 25.4e-3}
 _LARGEST_FILE = 2**30  # byte; its surface is far smaller
 _VTK_SUFFIXES = {".vtk", ".vtu", ".vtp", ".stl", ".ply", ".obj"}
+_EXODUS_SUFFIXES = {".e", ".ex2", ".exo", ".exii"}
+_SERIES_SUFFIXES = {".pvd"} | _EXODUS_SUFFIXES
 _MESHIO_SUFFIXES = {".inp", ".msh", ".bdf", ".nas", ".med", ".xdmf"}
 _LONGEST_CAUSE = 150  # characters
 _PREFIX = "displacement at load "
@@ -100,8 +102,8 @@ def read_model(
     Parameters
     ----------
     file
-        Mesh: VTK, VTU, VTP, STL, PLY or OBJ; Abaqus ``.inp``, gmsh ``.msh``, Nastran, MED or XDMF; or a ``.pvd``, whose
-        files are the load steps.
+        Mesh: VTK, VTU, VTP, STL, PLY or OBJ; Abaqus ``.inp``, gmsh ``.msh``, Nastran, MED or XDMF; a ``.pvd``, whose
+        files are the load steps; or Exodus (``.e``, ``.ex2``, ``.exo``), whose times are the load steps.
     unit
         Of lengths and displacements in the file: ``"m"``, ``"mm"``, ``"um"`` or ``"inch"``. A mesh does not contain it.
     displacement
@@ -131,12 +133,15 @@ def read_model(
     """
     source = Path(file)
     _require_readable(source)
-    meshes = _load_steps(source) if source.suffix.lower() == ".pvd" else {0.0: _read_mesh(source)}
+    meshes = _load_steps(source) if source.suffix.lower() in _SERIES_SUFFIXES else {0.0: _read_mesh(source)}
     found = [_displacement(mesh, displacement, source.name) for mesh in meshes.values()]
     fields = [each for each in found if each is not None]
     given = (list(meshes) if loads is None else loads) if fields else []
     if fields and loads is None and source.suffix.lower() != ".pvd":
-        raise ModelError(f"{source.name}: the load of its displacement is unknown: give loads=[...] in N, or in m")
+        raise ModelError(
+            f"{source.name}: the load of its displacement is unknown, it has {len(fields)} load steps: give "
+            "loads=[...] in N or in m, one for each"
+        )
     if len(given) != len(fields) or len(set(given)) != len(given):
         raise ModelError(
             f"{source.name}: has {len(fields)} load steps with a displacement, and {len(set(given))} different loads "
@@ -176,7 +181,7 @@ def _read_mesh(source: Path) -> pyvista.DataSet:
         import pyvista
     suffix = source.suffix.lower()
     if suffix not in _VTK_SUFFIXES | _MESHIO_SUFFIXES:
-        known = ", ".join(sorted(_VTK_SUFFIXES | _MESHIO_SUFFIXES))
+        known = ", ".join(sorted(_VTK_SUFFIXES | _MESHIO_SUFFIXES | _SERIES_SUFFIXES))
         raise ModelError(
             f"{source.name}: {suffix or 'a file without suffix'} is not read; convert it to one of {known}"
         )
@@ -185,20 +190,33 @@ def _read_mesh(source: Path) -> pyvista.DataSet:
     return mesh
 
 
-def _load_steps(source: Path) -> dict[float, pyvista.DataSet]:
+def _load_steps(source: Path) -> dict[float, pyvista.UnstructuredGrid]:
     """Return the meshes of a series by their times."""
     with optional_import("models"):
         import pyvista
     with _damage_named(source):
-        reader = pyvista.PVDReader(source)
-        times = list(reader.time_values)
-        meshes = {}
-        for time in times:
-            reader.set_active_time_value(time)
-            meshes[float(time)] = reader.read().combine()
+        exodus = source.suffix.lower() in _EXODUS_SUFFIXES
+        reader = (pyvista.ExodusIIReader if exodus else pyvista.PVDReader)(source)
+        meshes = {time: _at_time(reader, time, exodus) for time in map(float, reader.time_values)}
+    if not meshes:
+        raise ModelError(f"{source.name}: contains no load step or is damaged; write it again, or as .vtu")
     if len({mesh.n_points for mesh in meshes.values()}) != 1:
         raise ModelError(f"{source.name}: its files have different numbers of nodes; write one mesh for all load steps")
     return meshes
+
+
+def _at_time(reader: Any, time: float, exodus: bool) -> pyvista.UnstructuredGrid:
+    """Return the elements at a time of a series; of an Exodus file where they are without displacement."""
+    import pyvista
+
+    if exodus:
+        reader.reader.SetApplyDisplacements(False)
+    reader.set_active_time_value(time)
+    blocks: pyvista.MultiBlock = reader.read()
+    elements = blocks["Element Blocks"] if exodus else blocks  # not the sets of sides and nodes
+    assert isinstance(elements, pyvista.MultiBlock)
+    grid: pyvista.UnstructuredGrid = elements.combine()
+    return grid
 
 
 def _displacement(mesh: pyvista.DataSet, name: str | None, source: str) -> np.ndarray | None:

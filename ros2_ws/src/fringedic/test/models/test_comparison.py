@@ -187,6 +187,26 @@ def test_surface_and_displacement_of_a_block_are_read(tmp_path: Path, quadratic:
     assert volume == pytest.approx(8e-9)
 
 
+@pytest.mark.parametrize("quadratic", [False, True])
+def test_elements_and_load_steps_of_an_exodus_file_are_read_without_their_displacement(tmp_path: Path, quadratic: bool):
+    from vtkmodules.vtkIOExodus import vtkExodusIIWriter
+
+    writer = vtkExodusIIWriter()
+    writer.SetInputData(block(quadratic))
+    writer.SetFileName(str(tmp_path / "block.e"))
+    writer.WriteAllTimeStepsOn()
+    writer.Write()
+    model = read_model(tmp_path / "block.e", unit="mm", loads=[200.0])
+    assert model.closed
+    assert np.allclose(np.ptp(model.nodes, axis=0), [4e-3, 2e-3, 1e-3])
+    assert np.allclose(model.displacement_at(200.0)[:, 0], model.nodes[:, 0] / 1000)
+    with pytest.raises(ModelError, match="it has 1 load steps"):
+        read_model(tmp_path / "block.e", unit="mm")
+    (tmp_path / "text.exo").write_text("no mesh")
+    with pytest.raises(ModelError, match="no load step or is damaged"):
+        read_model(tmp_path / "text.exo", unit="mm")
+
+
 def test_load_steps_of_a_series_and_an_stl(tmp_path: Path):
     lines = []
     for load in (100, 300):
