@@ -192,6 +192,8 @@ CALLS = {
     fringedic.results.compare_with_truth: {"dataset": EXPERIMENT, "truth_path": NOWHERE},
     fringedic.compare_model: {"experiment": MEASURED, "model": MODEL, "steps": [1], "load": "force", "loads": {1: 2.0}},
     fringedic.read_model: {"file": NOWHERE, "unit": "mm", "displacement": "u", "loads": [1.0]},
+    fringedic.compare_experiments: {"one": MEASURED, "other": MEASURED},
+    fringedic.open_campaign: {"place": NOWHERE},
     fringedic.open_experiment: {"path": NOWHERE},
     fringedic.measure_images: {
         "images": [NOWHERE, NOWHERE],
@@ -208,6 +210,7 @@ CALLS = {
 }
 FILES = {  # their call does not work, because there is no such file
     fringedic.results.compare_with_truth,
+    fringedic.open_campaign,
     fringedic.open_experiment,
     fringedic.read_model,
     fringedic.measure_images,
@@ -377,7 +380,13 @@ MADE_UP = {
     function: [name for name, value in arguments.items() if isinstance(value, KINDS)]
     for function, arguments in CALLS.items()
     if function
-    not in FILES | {fringedic.calibrate_rig, fringedic.figures.save_pictures, fringedic.results.remove_rigid_motion}
+    not in FILES
+    | {
+        fringedic.calibrate_rig,
+        fringedic.compare_experiments,
+        fringedic.figures.save_pictures,
+        fringedic.results.remove_rigid_motion,
+    }
 }
 
 

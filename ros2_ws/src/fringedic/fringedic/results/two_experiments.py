@@ -12,7 +12,7 @@ import xarray as xr
 from fringedic.errors import DatasetError
 from fringedic.inputs.arguments import check_arguments, whole
 from fringedic.inputs.arguments import dataset as dataset_of
-from fringedic.results.quantities import sigma_of
+from fringedic.results.quantities import MAP_DIMENSIONS, sigma_of
 
 COMPARED = ("displacement_x", "displacement_y", "u", "v", "w", "e_11", "e_22", "e_12")
 """Maps that are compared where both experiments have them."""
@@ -26,7 +26,7 @@ STATISTICS = {
     "within_2_sigma": "share of points whose difference is within two standard uncertainties",
 }
 _ATTRIBUTES = ("experiment", "source", "software", "commit", "parameters", "calibration", "rig", "facts")
-_EXPERIMENT = dataset_of(over=("step", "row", "column"))
+_EXPERIMENT = dataset_of(over=MAP_DIMENSIONS)
 
 
 class Difference(NamedTuple):
@@ -131,7 +131,9 @@ def differing_attributes(one: xr.Dataset, other: xr.Dataset) -> list[Difference]
 
 def _common_names(one: xr.Dataset, other: xr.Dataset) -> list[str]:
     names = [
-        name for name in COMPARED if all(name in dataset and sigma_of(name) in dataset for dataset in (one, other))
+        name
+        for name in COMPARED
+        if all(_is_map(dataset, each) for dataset in (one, other) for each in (name, str(sigma_of(name))))
     ]
     if not names:
         raise DatasetError(f"the two experiments have none of the maps {', '.join(COMPARED)} in common")
@@ -140,11 +142,17 @@ def _common_names(one: xr.Dataset, other: xr.Dataset) -> list[str]:
     return names
 
 
+def _is_map(dataset: xr.Dataset, name: str) -> bool:
+    return name in dataset and set(dataset[name].dims) == set(MAP_DIMENSIONS) and dataset[name].dtype.kind == "f"
+
+
 def _each_step(one: xr.Dataset, other: xr.Dataset, steps: list[int], names: list[str]) -> Iterator[xr.Dataset]:
     """Yield the maps of `difference_maps` step by step."""
     wanted = [*names, *(str(sigma_of(name)) for name in names)]
     for step in steps:
-        first, second = xr.align(*(each[wanted].sel(step=step).load() for each in (one, other)), join="inner")
+        first, second = xr.align(
+            *(each[wanted].sel(step=step).transpose(*MAP_DIMENSIONS[1:]).load() for each in (one, other)), join="inner"
+        )
         maps = first[names].copy()
         for name in names:
             sigma = (first[sigma_of(name)] ** 2 + second[sigma_of(name)] ** 2) ** 0.5
