@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from fringedic import warm_up
+
 # A package folder that cannot be written, for every user of the computer, also the one who may write everything.
 PROGRAM = """
 import os
@@ -54,3 +56,32 @@ def test_folders_that_can_be_written_are_used_as_usual(variable, tmp_path):
 
 def test_a_chosen_folder_stays(tmp_path):
     assert cache_folder(HOME="/proc/nowhere", NUMBA_CACHE_DIR=str(tmp_path)) == str(tmp_path)
+
+
+COMPILE = "from fringedic.warm_up import require_kernels; require_kernels(print)"
+
+
+def test_kernels_are_compiled_once_and_again_for_a_changed_file(tmp_path):
+    """The kernels of a package with one of them; the real ones take a minute."""
+    package = tmp_path / "fringedic"
+    (package / "warm_up").mkdir(parents=True)
+    source = Path(warm_up.__file__).parent
+    (package / "__init__.py").touch()
+    for name in ("__init__.py", "__main__.py"):
+        (package / "warm_up" / name).write_text((source / name).read_text())
+    (package / "warm_up" / "pipeline.py").write_text("from fringedic.kernels import twice\ndef warm_up(): twice(1.0)\n")
+    kernels = package / "kernels.py"
+    kernels.write_text("from numba import njit\n@njit(cache=True)\ndef twice(x):\n    return 2 * x\n")
+
+    def said() -> str:
+        done = imported(COMPILE, PYTHONPATH=str(tmp_path))
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    assert "are being compiled" in said()
+    assert list(package.rglob("*.nbi"))
+    assert said() == ""
+    os.utime(kernels, (1, 1))
+    assert "are being compiled" in said()
+    kernels.write_text("from numba import njit\nraise SystemExit('no compiler')\n")
+    assert "could not be compiled (no compiler)" in said()

@@ -9,7 +9,10 @@ from dataclasses import dataclass
 from math import nan
 from typing import Any, Generic, NamedTuple
 
+from rclpy.logging import get_logger
+
 from fringedic.errors import ErrorCode, FringedicError, ImageError
+from fringedic.warm_up import require_kernels
 from fringedic_msgs.msg import NodeStatus, StepStatus
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.matching import offer_reader_counts
@@ -154,6 +157,7 @@ class ProcessingNode(RigNode, Generic[ModelT]):
     """
 
     def __init__(self, name: str, model: type[ModelT]) -> None:
+        require_kernels(get_logger(name).warning)
         super().__init__(name)
         self.parameters = declare(self, model)
         self.diagnostics = NodeDiagnostics(self)

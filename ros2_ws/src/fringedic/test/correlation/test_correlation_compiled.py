@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fringedic.correlation import cell_kernels, image_kernels, measure_displacement, node_kernels, resampling_kernels
-from fringedic.warm_up import warm_up
+from fringedic.warm_up.pipeline import warm_up
 
 MEASURE = """
 import hashlib, numba, numpy as np

@@ -1,7 +1,4 @@
-"""Compile every Numba kernel of the library for the types of measurements, and cache the machine code.
-
-Run `python -m fringedic.warm_up` once after installation: the first step of an experiment then starts at once.
-"""
+"""Small frames through the whole pipeline: compiles every Numba kernel for the types of measurements."""
 
 from __future__ import annotations
 
@@ -130,7 +127,3 @@ class _Part:
 def _write(text: str) -> None:
     sys.stdout.write(text)
     sys.stdout.flush()
-
-
-if __name__ == "__main__":
-    warm_up()
