@@ -54,6 +54,7 @@ class Samples:
 
 def sample(nodes: np.ndarray, triangles: np.ndarray, points: np.ndarray) -> Samples:
     """Find the triangle of each point (point, 3) and its weights; all positions in the rig frame [m]."""
+    nodes, triangles, points = (np.ascontiguousarray(each) for each in (nodes, triangles, points))
     low, high = nodes[:, :2].min(axis=0), nodes[:, :2].max(axis=0)
     extent = np.maximum(high - low, 1e-12)
     size = float(np.sqrt(np.prod(extent) / len(triangles)))
@@ -61,7 +62,7 @@ def sample(nodes: np.ndarray, triangles: np.ndarray, points: np.ndarray) -> Samp
     bins = _Bins(low, extent, shape, *_fill_bins(nodes, triangles, low, extent, shape))
     corners = np.full((len(points), 3), -1, np.int64)
     weights = np.full((len(points), 3), np.nan)
-    _find(np.ascontiguousarray(nodes), triangles, np.ascontiguousarray(points), bins, corners, weights)
+    _find(nodes, triangles, points, bins, corners, weights)
     return Samples(corners, weights)
 
 

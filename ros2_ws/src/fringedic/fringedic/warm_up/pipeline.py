@@ -12,6 +12,7 @@ import xarray as xr
 from fringedic.correlation import measure_displacement
 from fringedic.frames.collector import Stack
 from fringedic.frames.records import FrameRecord
+from fringedic.models.sampling import sample
 from fringedic.patterns.sequences import fringe_sequence
 from fringedic.rig.model import RigModel
 from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
@@ -87,6 +88,9 @@ def warm_up() -> None:
             measure_displacement(white_texture(white), white_texture(white), spacing=2, initial=_still(2))
     with _Part("strain beside a discontinuity"):
         _discontinuous_surface()
+    with _Part("comparison with a model"):
+        triangle = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+        sample(triangle, np.array([[0, 1, 2]]), triangle).interpolate(triangle)
 
 
 def _set_writable(dataset: xr.Dataset, writable: bool) -> None:

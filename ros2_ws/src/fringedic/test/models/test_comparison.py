@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -98,6 +100,25 @@ def test_a_right_model_differs_by_noise_alone(right: xr.Dataset):
         assert 0.93 < float(agreement.within_2_sigma[-1]) < 0.97, name
     factor = right.sel(quantity="e_11", step=2)
     assert abs(float(factor.factor) - 1) < 3 * float(factor.sigma_factor) < 0.01
+
+
+@pytest.mark.slow
+def test_warm_up_leaves_nothing_to_compile():
+    """In a fresh process: kernels of this one are compiled already."""
+    code = """
+from fringedic.models import sampling
+from fringedic.warm_up import warm_up
+kernels = [each for each in vars(sampling).values() if hasattr(each, "signatures")]
+warm_up()
+compiled = [len(each.signatures) for each in kernels]
+from models.test_comparison import compare_model, experiment, model_of, pairs
+compare_model(experiment(), model_of(), pairs=pairs(), steps=[2])
+assert len(kernels) >= 4
+assert [len(each.signatures) for each in kernels] == compiled
+"""
+    tests = Path(__file__).parents[1]
+    done = subprocess.run([sys.executable, "-c", code], cwd=tests, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_maps_belong_together(right: xr.Dataset):
