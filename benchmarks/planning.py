@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -23,20 +24,22 @@ from fringedic.correlation import measure_displacement
 from fringedic.patterns.sequences import fringe_sequence
 from fringedic.phase.demodulation import absolute_phase
 from fringedic.rig_setup.plan import field_uncertainty
+from fringedic.rig_setup.plan_warnings import find_warnings
 from fringedic.rig_setup.planned_patch import QUANTITIES, PlannedRig
 from fringedic.surface import couple, surface_strain
 from fringedic.virtual_rig import VirtualRig
 
 RIGS, REPEATS = 50, 4
-WINDOWS, NARROW_WINDOWS = (5.0, 9.0), (3.0, 5.0)  # width of the displacement window in speckles
+WINDOWS = (4.0, 9.0)  # width of the displacement window in speckles
+Ratios = dict[str, float]
 MARGIN = 64  # [px] at the edges, where windows are cut
 CAMERA, PROJECTOR = (640, 480), (800, 600)
 FIGURES = "<!-- figures -->\n"
 SIDES = {"right": (1, 0), "left": (-1, 0), "above": (0, 1), "below": (0, -1)}
 
 
-def random_rig(seed: int, speckles: tuple[float, float] = WINDOWS) -> RigFile:
-    """Return the rig file of a seed, its window as wide as so many speckles."""
+def random_rig(seed: int) -> RigFile:
+    """Return the rig file of a seed."""
     random = np.random.default_rng(seed)
     distance = random.uniform(200.0, 900.0)
     pixel = 1e3 * distance * random.uniform(0.15, 0.45) / CAMERA[0]
@@ -59,7 +62,7 @@ def random_rig(seed: int, speckles: tuple[float, float] = WINDOWS) -> RigFile:
             "orientation": "vertical" if upright else "horizontal",
         },
         "nodes": {
-            "dic": {"window": round(feature * random.uniform(*speckles)), "spacing": int(random.integers(2, 6))},
+            "dic": {"window": math.ceil(feature * random.uniform(*WINDOWS)), "spacing": int(random.integers(2, 6))},
             "coupling": {
                 "z_filter_px": float(random.choice([0.0, random.uniform(0.8, 3.0)])),
                 "strain_window_px": int(random.integers(45, 96)),
@@ -167,19 +170,20 @@ def errors(found: tuple[xr.Dataset, ...], truth: xr.Dataset) -> dict[str, np.nda
     return result
 
 
-def compare(seed: int, repeats: int = REPEATS, speckles: tuple[float, float] = WINDOWS) -> dict[str, float]:
+def compare(seed: int, repeats: int = REPEATS) -> Ratios:
     """Return predicted over measured uncertainties of a rig."""
-    rig = random_rig(seed, speckles)
+    rig = random_rig(seed)
     planned = PlannedRig.of(rig)
     whole, inner = field_uncertainty(planned).sigma, field_uncertainty(planned, margin=MARGIN).sigma
     measured = measured_uncertainty(rig, repeats)
     return {name: (whole if name in "xyz" else inner)[name] / measured[name] for name in QUANTITIES}
 
 
-def table(ratios: dict[str, list[float]]) -> list[str]:
+def table(rigs: list[Ratios]) -> list[str]:
     """Return the rows of a table of ratios."""
     rows = ["| quantity | median | 5 % to 95 % | range | within 0.9 to 1.1 |", "|---|---|---|---|---|"]
-    for name, each in ratios.items():
+    for name in QUANTITIES:
+        each = [rig[name] for rig in rigs]
         low, high = np.percentile(each, (5, 95))
         within = 100 * np.mean([0.9 <= ratio <= 1.1 for ratio in each])
         extremes = f"{min(each):.3f} to {max(each):.3f}"
@@ -187,13 +191,14 @@ def table(ratios: dict[str, list[float]]) -> list[str]:
     return rows
 
 
-def draw(ratios: dict[str, list[float]], path: Path) -> None:
+def draw(rigs: list[Ratios], path: Path) -> None:
     """Draw the ratios of all rigs."""
     figure, axes = plt.subplots(figsize=(8.0, 3.6), layout="constrained")
     axes.axhspan(0.9, 1.1, color="#1f5fa8", alpha=0.12, lw=0, label="target")
-    for place, each in enumerate(ratios.values()):
-        axes.plot(place + np.linspace(-0.3, 0.3, len(each)), sorted(each), ".", color="#c25e00", ms=4)
-    axes.set_xticks(range(len(ratios)), list(ratios))
+    for place, name in enumerate(QUANTITIES):
+        values = sorted(rig[name] for rig in rigs)
+        axes.plot(place + np.linspace(-0.3, 0.3, len(values)), values, ".", color="#c25e00", ms=4)
+    axes.set_xticks(range(len(QUANTITIES)), QUANTITIES)
     axes.set(ylabel="predicted / measured", ylim=(0.6, 1.4))
     axes.grid(axis="y", alpha=0.3)
     axes.legend(fontsize=8)
@@ -201,12 +206,19 @@ def draw(ratios: dict[str, list[float]], path: Path) -> None:
     plt.close(figure)
 
 
-def measure_rigs(number: int, speckles: tuple[float, float]) -> dict[str, list[float]]:
-    found = []
-    for seed in range(number):
-        found.append(compare(seed, speckles=speckles))
-        print(seed, *(f"{name} {ratio:.3f}" for name, ratio in found[-1].items()), flush=True)
-    return {name: [each[name] for each in found] for name in QUANTITIES}
+def measure_rigs(number: int) -> tuple[list[Ratios], list[Ratios]]:
+    """Return the ratios of so many rigs without a warning, and of the rigs with a warning among them."""
+    good: list[Ratios] = []
+    warned: list[Ratios] = []
+    for seed in count():
+        rig = PlannedRig.of(random_rig(seed))
+        problems = [each.problem.name for each in find_warnings(rig, field_uncertainty(rig))]
+        found = compare(seed)
+        (warned if problems else good).append(found)
+        print(seed, *problems, *(f"{name} {ratio:.3f}" for name, ratio in found.items()), flush=True)
+        if len(good) == number:
+            break
+    return good, warned
 
 
 def main() -> None:
@@ -214,21 +226,20 @@ def main() -> None:
     parser.add_argument("--rigs", type=int, default=RIGS)
     parser.add_argument("--page", type=Path, help="page whose figures are replaced")
     arguments = parser.parse_args()
-    usual = measure_rigs(arguments.rigs, WINDOWS)
-    narrow = measure_rigs(max(arguments.rigs // 4, 1), NARROW_WINDOWS)
+    good, warned = measure_rigs(arguments.rigs)
     lines = [
-        f"Predicted over measured standard uncertainty of {arguments.rigs} random rigs, displacement windows of "
-        f"{WINDOWS[0]:g} to {WINDOWS[1]:g} speckles.\n",
-        *table(usual),
-        f"\nThe same for {len(narrow['x'])} rigs with windows of {NARROW_WINDOWS[0]:g} to {NARROW_WINDOWS[1]:g} "
-        "speckles, about which `fringedic plan` warns.\n",
-        *table(narrow),
+        f"Predicted over measured standard uncertainty of {len(good)} random rigs about which `fringedic plan` does "
+        "not warn.\n",
+        *table(good),
+        f"\nThe same for the {len(warned)} rigs among the first {len(good) + len(warned)} about which it warns: few "
+        "speckles in the displacement window, uncertain fringe orders, or pixels of the projector in the phase.\n",
+        *(table(warned) if warned else []),
     ]
     print("\n".join(lines))
     if arguments.page is not None:
         text = arguments.page.read_text(encoding="utf-8")
         arguments.page.write_text(text.split(FIGURES)[0] + FIGURES + "\n" + "\n".join(lines) + "\n", encoding="utf-8")
-        draw(usual, arguments.page.with_suffix(".png"))
+        draw(good, arguments.page.with_suffix(".png"))
 
 
 if __name__ == "__main__":

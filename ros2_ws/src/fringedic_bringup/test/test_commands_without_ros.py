@@ -92,6 +92,7 @@ def commands(folder: Path) -> dict[str, list[str]]:
         ],
         "advise": ["advise", *images],
         "plan": ["plan", str(PLANNED), "--set", "plan.angle_degree=30", "--output", str(folder / "plan.html")],
+        "check": ["check", str(folder / "acceptance.yaml"), "--vdi", "--output", str(folder / "check")],
         "noise": ["noise", *(word for image in images for word in ("--images", image)), "--output", str(folder / "n")],
         "region": ["region", images[0], "--output", str(folder / "region.png")],
         "target": ["target", "--pitch-mm", "0.5", "--output", str(folder / "grid.pdf")],
@@ -139,6 +140,11 @@ def outcomes(folder: Path) -> dict[str, Outcome]:
     for number in range(3):
         noisy = grey + rng.normal(0, 2, grey.shape)
         cv2.imwrite(str(folder / f"static-{number}.png"), np.clip(noisy, 0, 255).astype(np.uint8))
+    (folder / "acceptance.yaml").write_text(
+        "{camera: {source: virtual}, projector: {source: virtual}, calibration: virtual_rig, "
+        "virtual_rig: {preset: plate, size: tiny}, acceptance: {ball_diameter_mm: 14, "
+        "bar_spacing_mm: 30, volume_mm: [55, 40, 20]}}"
+    )
     (folder / "fringes").mkdir()
     for shift in range(4):
         fringes = 120 + 60 * np.cos(2 * np.pi * (np.arange(200) / 20 - shift / 4)) + rng.normal(0, 2, (160, 200))
@@ -204,6 +210,7 @@ def test_results_are_written(folder: Path, outcomes: dict[str, Outcome]) -> None
         "recovered",
         "bench.yaml",
         "plan.html",
+        "check/acceptance.html",
     )
     for name in (*names, "without_ros.nc", "report.html"):
         assert (folder / name).exists(), name

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from fringedic.configuration.acceptance_section import AcceptanceSection
 from fringedic.configuration.calibration_section import CalibrationSection, calibration_metadata
 from fringedic.configuration.plan_section import PlanSection
 from fringedic.configuration.programme import Programme
@@ -82,6 +83,9 @@ class RigFile(Section):
     )
     virtual_rig: dict[str, Any] | None = Field(
         None, description="The virtual rig, as of `fringedic.virtual_rig.VirtualRigConfiguration`."
+    )
+    acceptance: AcceptanceSection | None = Field(
+        None, description="Artefacts and maximum permissible errors, for `fringedic check --vdi`."
     )
     plan: PlanSection | None = Field(None, description="Components of a rig to be built, for `fringedic plan`.")
     frame_prefix: str | None = Field(

@@ -181,6 +181,10 @@ _SENTENCES: dict[PlanProblem, Callable[[float, float], str]] = {
         f"a displacement window of {value:.0f} px holds few speckles: errors of u, v and strain are up to a third "
         f"larger than predicted; use {math.ceil(limit)} px, or smaller speckles"
     ),
+    PlanProblem.PIXEL_RIPPLE: lambda value, limit: (
+        f"the pixels of a projector as sharp as this change the phase by {value:.2g} rad along with the fringes, and "
+        f"more than {limit:.2g} rad shows in w: focus it slightly beside the surface, or use a coarser pitch"
+    ),
     PlanProblem.SHADOW: lambda value, limit: (
         f"angle and steepest slope add to {math.degrees(value):.0f} degree; above {math.degrees(limit):.0f} degree "
         "slopes that face away lie in shadow: reduce the angle"
@@ -189,7 +193,7 @@ _SENTENCES: dict[PlanProblem, Callable[[float, float], str]] = {
         f"the projector lights {100 * value:.0f} % of the camera's field: move it back, turn it, or use a shorter throw"
     ),
     PlanProblem.ORDERS: lambda value, _: (
-        f"fringe order and modulation are certain on {100 * value:.0f} % of the surface: use more shifts, more light "
+        f"fringe order and modulation are certain on {100 * value:.1f} % of the surface: use more shifts, more light "
         "or smaller ratios of the pitches"
     ),
 }

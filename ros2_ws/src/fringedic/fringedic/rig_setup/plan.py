@@ -154,7 +154,7 @@ def make_plan(planned: PlannedRig) -> Plan:
         angle=planned.angle,
         recommended_angle=recommend_angle(planned),
         resolution=shortest_period(planned.dic.window, planned.dic.method),
-        warnings=tuple(find_warnings(planned, field.measured)),
+        warnings=tuple(find_warnings(planned, field)),
     )
 
 

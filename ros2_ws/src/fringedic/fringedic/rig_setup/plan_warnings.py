@@ -11,13 +11,15 @@ import numpy as np
 
 from fringedic.configuration.sections import FINEST_DEFAULT_PITCH_PX
 from fringedic.patterns.pattern import Orientation
-from fringedic.rig_setup.planned_rig import PlannedRig
+from fringedic.rig_setup.planned_patch import PatchUncertainty
+from fringedic.rig_setup.planned_rig import PlannedRig, pixel_ripple
 from fringedic.rig_setup.settings_warnings import LARGEST_FEATURE, SMALLEST_FEATURE
 from fringedic.rig_setup.window_choice import USUAL_FEATURES
 
 LEAST_FRINGE = 6.0  # [camera px] three times the Nyquist limit: a pixel still passes 95 % of the modulation
 LEAST_MODULATION = 0.8  # at the edges of the field over that in focus
-LEAST_MEASURED = 0.98  # part of the surface with certain fringe orders
+LEAST_MEASURED = 0.999  # part of the surface with certain fringe orders
+MOST_RIPPLE = 0.1  # error by the projector's pixels over the noise of the phase; filters of z leave it as it is
 GRAZING = math.radians(10.0)  # least angle between the light and the steepest slope
 _SIDES = 21  # points along each side of the field
 
@@ -41,6 +43,8 @@ class PlanProblem(Enum):
     """Value: size of a projector pixel on the surface; limit: size of a speckle [camera px]."""
     FEW_SPECKLES = auto()
     """Value: width of the displacement window; limit: the smallest good one [px]."""
+    PIXEL_RIPPLE = auto()
+    """Value: phase error by the pixels of a sharp projector; limit: the largest good one [rad]."""
     SHADOW = auto()
     """Value: angle plus steepest slope; limit: the largest good one [rad]."""
     FIELD = auto()
@@ -65,8 +69,8 @@ class PlanWarning(NamedTuple):
     limit: float
 
 
-def find_warnings(planned: PlannedRig, measured: float) -> Iterator[PlanWarning]:
-    """Yield what is wrong or doubtful in a planned rig; `measured` is the part of the surface with a valid phase."""
+def find_warnings(planned: PlannedRig, predicted: PatchUncertainty) -> Iterator[PlanWarning]:
+    """Yield what is wrong or doubtful in a planned rig with these uncertainties."""
     yield from _depths(planned)
     yield from _sampling(planned)
     slope = planned.steepest_slope
@@ -75,8 +79,11 @@ def find_warnings(planned: PlannedRig, measured: float) -> Iterator[PlanWarning]
     lit = _lit_part(planned)
     if lit < 1.0:
         yield PlanWarning(PlanProblem.FIELD, lit, 1.0)
-    if measured < LEAST_MEASURED:
-        yield PlanWarning(PlanProblem.ORDERS, measured, LEAST_MEASURED)
+    if predicted.measured < LEAST_MEASURED:
+        yield PlanWarning(PlanProblem.ORDERS, predicted.measured, LEAST_MEASURED)
+    ripple = pixel_ripple(planned.layout.pitches[-1], planned.configuration.projector.defocus_px)
+    if ripple > MOST_RIPPLE * predicted.phase:
+        yield PlanWarning(PlanProblem.PIXEL_RIPPLE, ripple, MOST_RIPPLE * predicted.phase)
 
 
 def steepest_light(planned: PlannedRig) -> float:

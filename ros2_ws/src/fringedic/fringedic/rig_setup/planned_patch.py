@@ -87,6 +87,8 @@ class Patch:
         Modulation of every pitch [grey level], coarse to fine, (pitch, n, n).
     in_plane
         Displacement of two simulated textures of the patch, with its stated uncertainty.
+    seed
+        Of texture and noise.
     """
 
     planned: PlannedRig
@@ -95,6 +97,7 @@ class Patch:
     level: np.ndarray
     modulations: np.ndarray
     in_plane: xr.Dataset
+    seed: int
 
     @classmethod
     def at(cls, planned: PlannedRig, column: float, row: float) -> Patch:
@@ -104,7 +107,7 @@ class Patch:
         seed = int((columns[0] + 10_000 * rows[0]) % 2**32)  # every patch has a texture of its own
         level, modulations = _light(planned, columns, rows, 0.0, seed)
         moved, _ = _light(planned, columns, rows, _SHIFT, seed)
-        return cls(planned, columns, rows, level, modulations, _correlate(planned, (level, moved), seed))
+        return cls(planned, columns, rows, level, modulations, _correlate(planned, (level, moved), seed), seed)
 
     def uncertainty(self, factors: NoiseFactors = NoiseFactors()) -> PatchUncertainty:
         """Return the uncertainties with these factors of the noise."""
@@ -115,9 +118,12 @@ class Patch:
             phase_deviation(np.sqrt(phase_noise.variance(self.level)), modulation, frames)
             for modulation, frames in zip(self.modulations, layout.counts, strict=True)
         ]
-        valid = _valid(sigmas, layout)
+        random = np.random.default_rng(self.seed)
+        # a measured modulation scatters as much as the phase does
+        scattered = [np.abs(sigma / (1 + sigma * random.standard_normal(sigma.shape))) for sigma in sigmas]
+        valid = _valid(scattered, layout)
         sigma = np.where(valid, sigmas[-1], np.nan)
-        shape = self._shape(sigma)
+        shape = self._shape(sigma, random.standard_normal(sigma.shape))
         displacement = self._scaled_displacement(factors)
         prepared = PreparedShape(shape, z_filter=planned.coupling.z_filter_px)
         cloud = couple(prepared, prepared, displacement, z_filter=planned.coupling.z_filter_px)
@@ -134,14 +140,17 @@ class Patch:
             measured=float(valid.mean()),
         )
 
-    def _shape(self, sigma: np.ndarray) -> xr.Dataset:
-        """Return the reconstructed reference plane with the sigma of its phase."""
+    def _shape(self, sigma: np.ndarray, noise: np.ndarray) -> xr.Dataset:
+        """Return the reference plane, reconstructed from a phase with this noise in units of its sigma.
+
+        Noise and holes matter to the filter of z, which ends at what it takes for a discontinuity.
+        """
         planned, pitch = self.planned, self.planned.layout.pitches[-1]
         column, row = np.meshgrid(self.column, self.row)
         x, y, z = planned.points(column, row)
         phase = planned.model.phase(x, y, z, pitch, planned.orientation)
         image = xr.DataArray(
-            np.where(np.isfinite(sigma), phase, np.nan).astype(np.float32),  # as `absolute_phase`
+            (phase + sigma * noise).astype(np.float32),  # as `absolute_phase`
             dims=("row", "column"),
             coords={"row": self.row, "column": self.column},
         )

@@ -149,3 +149,27 @@ def _without_lens(configuration: VirtualRigConfiguration) -> VirtualRigConfigura
     """Return a configuration without distortion, which moves pixels and hardly changes their noise."""
     camera = configuration.camera
     return configuration.model_copy(update={"camera": camera.model_copy(update={"lens": type(camera.lens)()})})
+
+
+def pixel_ripple(pitch: float, blur: float) -> float:
+    """Return the RMS phase error that the pixels of a sharp projector cause [rad].
+
+    Fringes of the frequency 1/p, shown by pixels, have images of the frequencies 1 - 1/p and 1 + 1/p [1/px], whose
+    phases move with the shifts as those of the fringes do. All pass through the square of a pixel and the Gaussian
+    blur. Both images have the same phase relative to the fringes, so that their effects add.
+
+    Parameters
+    ----------
+    pitch
+        Of the fringes [projector px].
+    blur
+        Standard deviation of the blur [projector px].
+
+    Examples
+    --------
+    >>> round(pixel_ripple(10.0, 0.3), 4), round(pixel_ripple(10.0, 0.6), 4)
+    (0.0266, 0.0003)
+    """
+    waves = np.array([1 / pitch, 1 - 1 / pitch, 1 + 1 / pitch])
+    fringe, below, above = np.sinc(waves) * np.exp(-2 * (math.pi * blur * waves) ** 2)
+    return float(abs(below) + abs(above)) / float(fringe) / math.sqrt(2)

@@ -144,10 +144,10 @@ class TextureConfiguration(_Section):
 
 
 class RigidSpecimen(_Section):
-    """A rigid shape that translates and rotates with the crosshead: plane, sphere (cap) or stepped block."""
+    """A rigid shape that translates and rotates with the crosshead: plane, sphere (cap), stepped block or balls."""
 
     kind: Literal["rigid"] = "rigid"
-    shape: Literal["plane", "sphere", "stepped"] = "plane"
+    shape: Literal["plane", "sphere", "stepped", "balls"] = "plane"
     half_width_mm: float = Field(default=60.0, gt=0, description="The specimen reaches from -this to +this along X.")
     half_height_mm: float = Field(default=50.0, gt=0, description="The specimen reaches from -this to +this along Y.")
     height_mm: float = Field(
@@ -157,7 +157,13 @@ class RigidSpecimen(_Section):
     angle_y_degree: float = Field(
         default=0.0, gt=-80, lt=80, description="Plane: raises the +y side towards the camera."
     )
-    radius_mm: float = Field(default=120.0, gt=0, description="Sphere: radius.")
+    radius_mm: float = Field(default=120.0, gt=0, description="Sphere and balls: radius.")
+    spacing_mm: float = Field(
+        default=0.0, ge=0, description="Balls: distance of the two centres along X; 0 for a single ball."
+    )
+    cap_degree: float = Field(
+        default=60.0, gt=0, lt=85, description="Balls: steepest slope of the caps where they meet their base."
+    )
     step_mm: float = Field(
         default=4.0, description="Stepped: height of the block; its upper part is half as high again."
     )

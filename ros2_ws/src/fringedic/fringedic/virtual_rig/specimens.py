@@ -24,7 +24,7 @@ from fringedic.virtual_rig.optics import rotation_x, rotation_y, rotation_z
 from fringedic.virtual_rig.texture import furrow_strokes, stroke_field
 
 _MM = 1e-3
-_SHAPES = {"plane": tracing.PLANE, "sphere": tracing.SPHERE, "stepped": tracing.STEPPED}
+_SHAPES = {"plane": tracing.PLANE, "sphere": tracing.SPHERE, "stepped": tracing.STEPPED, "balls": tracing.BALLS}
 
 
 @dataclass(frozen=True)
@@ -80,6 +80,10 @@ def _rigid(s: RigidSpecimen) -> list[float]:
             shape = [height, slope(s.angle_degree), slope(s.angle_y_degree), 0.0, 0.0]
         case "sphere":
             shape = [height, s.radius_mm * _MM, 0.0, 0.0, 0.0]
+        case "balls":
+            radius = s.radius_mm * _MM
+            # the base plane cuts the balls where their slope is the steepest one
+            shape = [height, radius, 0.5 * s.spacing_mm * _MM, radius * math.cos(math.radians(s.cap_degree)), 0.0]
         case "stepped":
             lengths = (s.step_mm, s.transition_mm, s.block_half_width_mm, s.step_y_mm)
             shape = [height, *(length * _MM for length in lengths)]

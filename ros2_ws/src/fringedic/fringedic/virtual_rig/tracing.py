@@ -22,7 +22,7 @@ compiled = njit(cache=True, nogil=True, error_model="numpy")
 in_parallel = njit(cache=True, nogil=True, error_model="numpy", parallel=True)
 
 RIGID, PLATE, SKIN, LEATHER, REFERENCE_PLANE = 0, 1, 2, 3, 4
-PLANE, SPHERE, STEPPED = 0, 1, 2
+PLANE, SPHERE, STEPPED, BALLS = 0, 1, 2, 3
 
 # A stroke ends where its Gaussian has fallen to exp(-STROKE_REACH / 2) = 5e-5 of its height. This foot is subtracted
 # from the whole stroke, so that surface and texture are continuous there.
@@ -183,6 +183,9 @@ def _rigid_point(c, position, X, Y):
         z = c[1] + c[2] * X + c[3] * Y
     elif c[0] == SPHERE:  # height of the apex, radius
         z = c[1] - c[2] + math.sqrt(max(c[2] * c[2] - X * X - Y * Y, 0.0))
+    elif c[0] == BALLS:  # height of the base, radius, half the distance of the balls, depth of their centres below it
+        beside = abs(X) - c[3]
+        z = c[1] + max(math.sqrt(max(c[2] * c[2] - beside * beside - Y * Y, 0.0)) - c[4], 0.0)
     else:  # base height, block height, transition length, half width of the block, Y of the second step
         block = _rise((X + c[4]) / c[3]) - _rise((X - c[4]) / c[3])
         z = c[1] + c[2] * (block + 0.5 * _rise((Y - c[5]) / c[3]))

@@ -18,6 +18,7 @@ from fringedic.rig_setup import PlannedRig, make_plan
 from fringedic.rig_setup.plan import PlanChange, field_uncertainty, plane_noise, recommend_angle
 from fringedic.rig_setup.plan_warnings import PlanProblem, PlanWarning, depth_of_field, find_warnings, fringe_period
 from fringedic.rig_setup.planned_patch import Patch
+from fringedic.rig_setup.planned_rig import pixel_ripple
 from fringedic.surface import couple
 from fringedic.virtual_rig import VirtualRig
 
@@ -55,8 +56,8 @@ def plan(planned):
 
 def problems(rig: RigFile) -> set[PlanProblem]:
     planned = PlannedRig.of(rig)
-    measured = Patch.at(planned, 240, 180).uncertainty().measured
-    return {each.problem for each in find_warnings(planned, measured)}
+    predicted = Patch.at(planned, 240, 180).uncertainty()
+    return {each.problem for each in find_warnings(planned, predicted)}
 
 
 def test_prediction_is_what_the_virtual_rig_measures(planned):
@@ -88,6 +89,19 @@ def test_phase_follows_the_number_of_frames_and_the_modulation(planned):
     blurred = PlannedRig.of(rig_file(projector_blur_px=1.6))
     loss = math.exp(-2 * (math.pi / PITCHES[-1]) ** 2 * (1.6**2 - 0.6**2))
     assert plane_noise(planned) / plane_noise(blurred) == pytest.approx(loss, rel=1e-6)
+
+
+def test_ripple_of_a_sharp_projector_is_that_of_its_pixels():
+    pitch, blur, fine = 10.0, 0.3, 64
+    pixels = fringe_sequence(400, 16, [400.0, pitch], [4, 4])
+    kernel = np.exp(-0.5 * (np.arange(-4 * fine, 4 * fine + 1) / (blur * fine)) ** 2)
+    frames = [np.convolve(np.repeat(image[0].astype(float), fine), kernel / kernel.sum(), "same") for image in pixels]
+    levels = np.array(frames[4:])[:, 100 * fine : 300 * fine]
+    place = (np.arange(100 * fine, 300 * fine) + 0.5) / fine - 0.5
+    shifts = 2 * np.pi * np.arange(1, 5) / 4
+    wrapped = np.angle(np.tensordot(np.exp(1j * shifts), levels, axes=1))
+    error = np.angle(np.exp(1j * (wrapped - 2 * np.pi * (place - 199.5) / pitch)))
+    assert float(np.sqrt(np.mean(error**2))) == pytest.approx(pixel_ripple(pitch, blur), rel=0.15)
 
 
 def test_sources_and_changes(plan):
@@ -134,6 +148,7 @@ def test_a_wide_opening_limits_the_angle():
         ({"speckle_um": 900.0}, PlanProblem.LARGE_SPECKLES),
         ({"speckle_um": 500.0}, PlanProblem.FEW_SPECKLES),
         ({"throw_ratio": 2.0}, PlanProblem.PROJECTOR_PIXELS),
+        ({"projector_blur_px": 0.3}, PlanProblem.PIXEL_RIPPLE),
         ({"slope_degree": 70.0}, PlanProblem.SHADOW),
         ({"throw_ratio": 15.0}, PlanProblem.FIELD),
         ({"full_well_electrons": 40.0, "speckle_floor": 0.02}, PlanProblem.ORDERS),

@@ -77,9 +77,16 @@ def check(
     distance_mm: Annotated[
         float, typer.Option(help="Distance in mm by which a gauge block or a stage lifts the plane towards the camera.")
     ] = 5.0,
-    output: Annotated[Path, typer.Option(help="Folder for the recording.")] = Path("check"),
+    vdi: Annotated[
+        bool,
+        typer.Option("--vdi", help="Acceptance test with balls, a ball bar and a plane (section acceptance) instead."),
+    ] = False,
+    output: Annotated[Path, typer.Option(help="Folder for page and recording.")] = Path("check"),
 ) -> None:
     """Measure the reference plane and a known distance; exit code 1 if the calibration is no longer valid."""
+    if vdi:
+        _accept(rig_path_of(rig), output)
+        return
     from fringedic.configuration.rig_file import load_rig_file
     from fringedic.report.calibration_sentences import check_sentence, check_warning_sentences
     from fringedic.report.check import CHECK_PAGE
@@ -91,6 +98,20 @@ def check(
         result = check_rig(load_rig_file(path), path, folder, progress, distance=1e-3 * distance_mm, ask=progress.ask)
     say(check_sentence(result), *check_warning_sentences(result), f"page: {folder / CHECK_PAGE}")
     if not result.holds:
+        raise typer.Exit(1)
+
+
+def _accept(path: Path, output: Path) -> None:
+    """Run the acceptance test; exit code 1 if an error exceeds its limit."""
+    from fringedic.configuration.rig_file import load_rig_file
+    from fringedic.report.acceptance import ACCEPTANCE_PAGE, acceptance_text
+    from fringedic_bringup.procedures.accept import accept
+
+    folder = unused_folder(output)
+    with LiveProgress(console) as progress:
+        result = accept(load_rig_file(path), path, folder, progress, ask=progress.ask)
+    say(acceptance_text(result), f"page: {folder / ACCEPTANCE_PAGE}")
+    if not result.passed:
         raise typer.Exit(1)
 
 

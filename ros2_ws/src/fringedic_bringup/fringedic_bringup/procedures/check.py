@@ -11,15 +11,16 @@ import xarray as xr
 
 from fringedic.calibration import RigCalibration, RigCheck, check_rig
 from fringedic.calibration.history import record_check
-from fringedic.configuration.rig_file import RigFile, load_fitting_calibration
+from fringedic.configuration.rig_file import RigFile
 from fringedic.configuration.sections import VIRTUAL_RIG
-from fringedic.errors import CalibrationError, ConfigurationError
+from fringedic.errors import CalibrationError
 from fringedic.frames.messages import image_array
 from fringedic.frames.records import stamp_of
 from fringedic.recording.reader import BagReader
 from fringedic.report.calibration_sentences import check_in_words
 from fringedic.report.check import CHECK_PAGE, write_check_page
 from fringedic_bringup.procedures.calibrate import calibration_client
+from fringedic_bringup.procedures.calibration_in_use import calibration_to_check
 from fringedic_bringup.procedures.outcome import Progress
 from fringedic_msgs.srv import PlaceReferencePlane
 from fringedic_ros.stamps import to_nanoseconds
@@ -64,11 +65,7 @@ def check(
     NodeDiedError, WaitTimeoutError, StepFailedError
         The nodes did not start, one of them ended, or a plane could not be placed or measured.
     """
-    model = load_fitting_calibration(rig, rig_path)
-    if model is None or rig.projector is None:
-        raise ConfigurationError(
-            f"{rig_path}: has no {'calibration' if rig.projector else 'projector'}, so there is nothing to check"
-        )
+    model = calibration_to_check(rig, rig_path)
     rig = rig.model_copy(update={"recording": rig.recording.model_copy(update={"derived": True})})
     heights = [0.0, distance, 0.0]
     stamps = []
@@ -79,7 +76,7 @@ def check(
             stamps.append(to_nanoseconds(client.measure().stamp))
         client.place(PlaceReferencePlane.Request.SPECIMEN)
         client.wait_until_recorded()
-    first, lifted, last = _phase_maps(folder / "bag", stamps)
+    first, lifted, last = phase_maps(folder / "bag", stamps)
     finest = rig.patterns()[-1]
     result = check_rig(
         model,
@@ -118,7 +115,7 @@ def _age(rig: RigFile, rig_path: Path) -> float:
         return math.nan
 
 
-def _phase_maps(bag: Path, stamps: list[int]) -> list[xr.Dataset]:
+def phase_maps(bag: Path, stamps: list[int]) -> list[xr.Dataset]:
     """Return the phase map of each stamp with its own sigma."""
     reader = BagReader(bag)
     names = {full: name for name, full in reader.find("phase/map", "phase/sigma").items()}

@@ -1,0 +1,112 @@
+"""Acceptance test of a rig: artefacts at the places of the guideline, by an operator or before the virtual rig."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+import xarray as xr
+
+from fringedic.calibration.acceptance import Acceptance, Artefacts, Place, measure_place
+from fringedic.configuration.rig_file import RigFile
+from fringedic.errors import CalibrationError, ConfigurationError, StepFailedError
+from fringedic.report.acceptance import ACCEPTANCE_PAGE, place_in_words, write_acceptance_page
+from fringedic.rig.model import RigModel
+from fringedic_bringup.procedures.calibration_in_use import calibration_to_check
+from fringedic_bringup.procedures.outcome import Progress
+
+
+def accept(
+    rig: RigFile,
+    rig_path: Path,
+    folder: Path,
+    progress: Progress,
+    *,
+    ask: Callable[[str], bool],
+) -> Acceptance:
+    """Measure balls, ball bar and plane at all places and write the page of the test.
+
+    Parameters
+    ----------
+    rig, rig_path
+        The rig file, with the section ``acceptance``, and its path.
+    folder
+        Where the page, and of a real rig the recording, are written.
+    progress
+        Receives the progress.
+    ask
+        Asks an operator to place an artefact; returns False when the operator stops. Not used for a virtual rig.
+
+    Raises
+    ------
+    ConfigurationError
+        The rig file has no section ``acceptance``, no projector, or no calibration that fits it.
+    CalibrationError
+        An artefact was not found at its place.
+    StepFailedError
+        The operator stopped.
+    """
+    model = calibration_to_check(rig, rig_path)
+    if rig.acceptance is None:
+        raise ConfigurationError(
+            f"{rig_path}: has no section acceptance; it states ball_diameter_mm, bar_spacing_mm, volume_mm and the "
+            "maximum permissible errors"
+        )
+    artefacts = rig.acceptance.artefacts
+    places = artefacts.places()
+    if rig.virtual_rig is not None:
+        shapes = _virtual_shapes(rig, model, places, artefacts, progress)
+    else:
+        shapes = shapes_by_nodes(rig, rig_path, folder, progress, model=model, places=places, ask=ask)
+    results = []
+    for number, (place, shape) in enumerate(zip(places, shapes, strict=True), start=1):
+        try:
+            results.append(measure_place(place, shape, artefacts))
+        except CalibrationError as error:
+            raise CalibrationError(f"place {number}, {place_in_words(place)}: {error}") from error
+    result = Acceptance(artefacts, rig.acceptance.limits, tuple(results))
+    folder.mkdir(parents=True, exist_ok=True)
+    write_acceptance_page(result, folder / ACCEPTANCE_PAGE, rig=model.identifier, created=datetime.now(UTC))
+    return result
+
+
+def _virtual_shapes(
+    rig: RigFile, model: RigModel, places: list[Place], artefacts: Artefacts, progress: Progress
+) -> Iterator[xr.Dataset]:
+    """Yield the surfaces of the artefacts before a virtual rig, rendered without nodes."""
+    from fringedic.rig_setup.virtual_artefacts import measure_virtual_artefact
+
+    for number, place in enumerate(places, start=1):
+        progress.part(number, len(places), place_in_words(place))
+        yield measure_virtual_artefact(rig, model, place, artefacts)
+
+
+def shapes_by_nodes(
+    rig: RigFile,
+    rig_path: Path,
+    folder: Path,
+    progress: Progress,
+    *,
+    model: RigModel,
+    places: list[Place],
+    ask: Callable[[str], bool],
+) -> Iterator[xr.Dataset]:
+    """Yield the surfaces that the nodes of a rig measure of artefacts that an operator places; see `accept`."""
+    from fringedic_bringup.procedures.calibrate import calibration_client
+    from fringedic_bringup.procedures.check import phase_maps
+    from fringedic_ros.stamps import to_nanoseconds
+
+    rig = rig.model_copy(update={"recording": rig.recording.model_copy(update={"derived": True})})
+    stamps = []
+    with calibration_client(rig, rig_path, folder, progress, ask=ask, domain=None) as client:
+        for number, place in enumerate(places, start=1):
+            words = place_in_words(place)
+            progress.part(number, len(places), words)
+            if not ask(f"Place {number} of {len(places)}: {words}"):
+                raise StepFailedError(f"the operator stopped at place {number} of {len(places)}; nothing was judged")
+            stamps.append(to_nanoseconds(client.measure().stamp))
+        client.wait_until_recorded()
+    finest = rig.patterns()[-1]
+    for phase in phase_maps(folder / "bag", stamps):
+        yield model.reconstruct(phase.phase, finest.pitch, phase.sigma, finest.orientation)
