@@ -20,7 +20,8 @@ virtual_rig:
   preset: plate
   size: tiny
   texture: {floor: 0.95, coverage: 0.01}
-  specimen: {kind: rigid, shape: balls, radius_mm: 7, height_mm: 2.4, cap_degree: 70, half_width_mm: 8, half_height_mm: 8}
+  specimen:
+    {kind: rigid, shape: balls, radius_mm: 7, height_mm: 2.4, cap_degree: 70, half_width_mm: 8, half_height_mm: 8}
 """
 
 
