@@ -222,14 +222,19 @@ def killed(folder: Path, count: int, kills: int, seed: int) -> dict[str, float]:
     expected = next(iter(Dask(1).outcomes(plan.units[:1])))
     assert isinstance(expected, Receipt), expected
     generator, done = random.Random(seed), {expected.name: expected}
+    performed = 0
     for kill in range(kills):
+        if len(done) == count:
+            break
         with subprocess.Popen(
             ["fringedic", "campaign", "run", str(campaign.folder), "--workers", "2"], stdout=subprocess.DEVNULL
         ) as command:
             while len(status_of(store, plan).done) <= len(done) and command.poll() is None:
                 time.sleep(0.02)
             time.sleep(generator.uniform(0, 1.5))
-            kill_one(command, client=bool(kill % 2))
+            if command.poll() is None:
+                kill_one(command, client=bool(kill % 2))
+                performed += 1
         now = status_of(store, plan).done
         assert all(now[name] == receipt for name, receipt in done.items()), "a complete unit was computed again"
         done = now
@@ -237,7 +242,7 @@ def killed(folder: Path, count: int, kills: int, seed: int) -> dict[str, float]:
     done = status_of(store, plan).done
     assert len(done) == count
     assert len({(receipt.objects, receipt.size) for receipt in done.values()}) == 1, "something is missing"
-    return {"kills": kills, "units": count, "complete": len(done)}
+    return {"kills": performed, "units": count, "complete": len(done)}
 
 
 def kill_one(command: subprocess.Popen[bytes], *, client: bool) -> None:
@@ -277,7 +282,7 @@ def main() -> None:
         report(resume_figures(folder, options.units))
         report(planner_figures(folder, options.units))
         report(engine_figures(folder, options.recording, options.recordings, options.repeats))
-        report(killed(folder, 2 * options.kills + 10, options.kills, seed=1))
+        report(killed(folder, 6 * options.kills, options.kills, seed=1))
 
 
 def report(figures: dict[str, float]) -> None:
