@@ -121,8 +121,8 @@ class PlannedRig:
     def projector_blur(self, points: np.ndarray) -> np.ndarray:
         """Return the standard deviation of the projector's blur on points (3, ...) [projector px].
 
-        The lens is focused at the origin. An opening of diameter D gives a disc of D |s - s0| F / (s s0) at the depth
-        s; the standard deviation of a disc along an axis is a quarter of its diameter.
+        The lens is focused at the origin. At the depth s an opening of diameter D gives a disc of
+        D abs(s - s0) F / (s s0); the standard deviation of a disc along an axis is a quarter of its diameter.
         """
         blur = self.configuration.projector.defocus_px
         aperture = 0.0 if self.components is None else 1e-3 * self.components.projector_aperture_mm
