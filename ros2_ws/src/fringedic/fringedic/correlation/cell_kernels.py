@@ -241,6 +241,28 @@ def _add_products(
         sum_ac[k] += wa * c[k]
 
 
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _weigh(residual: np.ndarray, inverse: np.float32, out: np.ndarray) -> None:
+    """Set Tukey's weights of residuals, 1 up to the inverse of `inverse` and 0 from twice this on."""
+    for c in range(out.size):
+        over = min(max(abs(residual[c]) * inverse - f4(1), f4(0)), f4(1))
+        share = f4(1) - over * over
+        out[c] = share * share
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _weigh_within(
+    residual: np.ndarray, limit: np.float32, reach: np.ndarray, gradient: tuple[np.ndarray, np.ndarray], out: np.ndarray
+) -> None:
+    """Do as `_weigh` with the limit plus what a displacement `reach` [px] causes at the gradient of each pixel."""
+    gx, gy = gradient
+    for c in range(out.size):
+        bound = limit + reach[c] * np.sqrt(gx[c] * gx[c] + gy[c] * gy[c])
+        over = min(max(abs(residual[c]) / bound - f4(1), f4(0)), f4(1))
+        share = f4(1) - over * over
+        out[c] = share * share
+
+
 @njit(nogil=True, error_model="numpy")
 def _repeat_cells(values: np.ndarray, cell: int, out: np.ndarray) -> None:
     """Set each pixel of a line to the value of its cell."""
@@ -268,7 +290,7 @@ def accumulate_cells(
     """
     values, along_x, along_y, _, _ = images
     rows, columns = values.shape
-    least = f4(limit)
+    least, inverse = f4(limit), f4(1.0 / limit)
     low, high = f4(saturation[0]), f4(saturation[1])
     block = BLOCK // cell * cell
     for node in prange(out.shape[1]):
@@ -287,6 +309,7 @@ def accumulate_cells(
             sums[:] = f4(0)
             reach = allowed[:size]
             _repeat_cells(unresolved[node, begin // cell :], cell, reach)
+            resolved = np.max(reach) == f4(0)
             e, weight, grey, rest = residual[:size], kept[:size], clean_f[:size], clean_e[:size]
             w, wf, we, seen = sums[W, :size], sums[WF, :size], sums[WE, :size], sums[SEEN, :size]
             for r in range(node * cell, min(node * cell + cell, rows)):
@@ -297,11 +320,10 @@ def accumulate_cells(
                     good = e[c] == e[c]
                     rest[c] = e[c] if good else f4(0)
                     grey[c] = f[c] if good else f4(0)
-                for c in range(size):
-                    bound = least + reach[c] * np.sqrt(gx[c] * gx[c] + gy[c] * gy[c])
-                    over = min(max(abs(rest[c]) / bound - f4(1), f4(0)), f4(1))
-                    share = f4(1) - over * over
-                    weight[c] = share * share if e[c] == e[c] else f4(0)
+                if resolved:
+                    _weigh(rest, inverse, weight)
+                else:
+                    _weigh_within(rest, least, reach, (gx, gy), weight)
                 for c in range(size):
                     inside = gain[c] * low < f[c] - offset[c] and f[c] - offset[c] < gain[c] * high and e[c] == e[c]
                     weight[c] = weight[c] if inside else f4(0)

@@ -336,17 +336,17 @@ def iterate_fixed_point(
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _add_left(cells: np.ndarray, moved: np.ndarray, r: int, c: int, out: np.ndarray) -> None:
-    """Add to `out` the sums of a cell that a change of the displacement leaves: H (3), grad f e (2) and e^2."""
-    u, v = moved[0, r, c], moved[1, r, c]
-    xx, xy, yy = cells[GXX, r, c], cells[GXY, r, c], cells[GYY, r, c]
-    along_x, along_y = cells[GXE, r, c], cells[GYE, r, c]
-    out[0] += xx
-    out[1] += xy
-    out[2] += yy
-    out[3] += along_x - xx * u - xy * v
-    out[4] += along_y - xy * u - yy * v
-    out[5] += cells[WEE, r, c] - f4(2) * (u * along_x + v * along_y) + xx * u * u + f4(2) * xy * u * v + yy * v * v
+def _subtract_moved(cells: np.ndarray, moved: np.ndarray, r: int, out: np.ndarray) -> None:
+    """Set `out` (6, node column) to H (3), grad f e (2) and e^2 of the cells of row r after a displacement."""
+    u, v = moved[0, r], moved[1, r]
+    xx, xy, yy, along_x, along_y = cells[GXX, r], cells[GXY, r], cells[GYY, r], cells[GXE, r], cells[GYE, r]
+    energy = cells[WEE, r]
+    out[0], out[1], out[2] = xx, xy, yy
+    for c in range(u.size):
+        x, y = along_x[c] - xx[c] * u[c] - xy[c] * v[c], along_y[c] - xy[c] * u[c] - yy[c] * v[c]
+        out[3, c] = x
+        out[4, c] = y
+        out[5, c] = energy[c] - u[c] * (along_x[c] + x) - v[c] * (along_y[c] + y)
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
@@ -361,23 +361,24 @@ def bound_unresolved(cells: np.ndarray, moved: np.ndarray, out: np.ndarray) -> N
     mean over the cells by up to CREST for the waves that T does not remove, and it may be in a neighbouring cell.
     """
     _, rows, columns = moved.shape
+    left = np.zeros((rows + 2, 6, columns + 2), f4)
     found = np.zeros((rows + 2, columns + 2), f4)
     for r in prange(rows):
-        left = np.empty(6, f4)
+        _subtract_moved(cells, moved, r, left[r + 1, :, 1:-1])
+    for r in prange(rows):
+        column, target = left[r] + left[r + 1] + left[r + 2], found[r + 1]
+        total = column[:, :-2] + column[:, 1:-1] + column[:, 2:]
         for c in range(columns):
-            left[:] = f4(0)
-            for i in range(max(r - 1, 0), min(r + 2, rows)):
-                for j in range(max(c - 1, 0), min(c + 2, columns)):
-                    _add_left(cells, moved, i, j, left)
-            xx, xy, yy, along_x, along_y, energy = left
+            xx, xy, yy, along_x, along_y = total[0, c], total[1, c], total[2, c], total[3, c], total[4, c]
             scale = f4(1) / max(xx * yy - xy * xy, f4(1e-12))
             x, y = (yy * along_x - xy * along_y) * scale, (xx * along_y - xy * along_x) * scale
-            explained, length = x * along_x + y * along_y, np.sqrt(x * x + y * y)
-            if explained > f4(EXPLAINED) * energy and length < f4(UNRESOLVED):
-                found[r + 1, c + 1] = f4(CREST) * length
+            seen = x * along_x + y * along_y > f4(EXPLAINED) * total[5, c]
+            length = np.sqrt(x * x + y * y)
+            target[c + 1] = f4(CREST) * length if seen and length < f4(UNRESOLVED) else f4(0)
     for r in prange(rows):
+        highest = np.maximum(np.maximum(found[r], found[r + 1]), found[r + 2])
         for c in range(columns):
-            out[r, c] = np.max(found[r : r + 3, c : c + 3])
+            out[r, c] = max(max(highest[c], highest[c + 1]), highest[c + 2])
 
 
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
