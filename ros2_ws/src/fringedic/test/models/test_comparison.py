@@ -107,7 +107,7 @@ def test_warm_up_leaves_nothing_to_compile():
     """In a fresh process: kernels of this one are compiled already."""
     code = """
 from fringedic.models import sampling
-from fringedic.warm_up import warm_up
+from fringedic.warm_up.pipeline import warm_up
 kernels = [each for each in vars(sampling).values() if hasattr(each, "signatures")]
 warm_up()
 compiled = [len(each.signatures) for each in kernels]
