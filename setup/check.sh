@@ -15,7 +15,8 @@ lint-imports --no-logo
 types=$(mktemp)
 trap 'rm -f "$types"' EXIT
 mypy >"$types" 2>&1 &
-pytest=(python -m pytest --dist loadfile)
+# Files go to the workers in the order of the folders; in that of the number of tests, files of a few long ones would be left for the end.
+pytest=(python -m pytest --dist loadfile --no-loadscope-reorder)
 coverage=(--cov --cov-report=term:skip-covered)
 if [ "${1:-}" = library ]; then
     coverage=() # it costs a third of the time
@@ -39,8 +40,7 @@ if ! setup/hardware.sh; then
 fi
 files=$(git status --porcelain || true)
 # Most tests of nodes wait more than they compute; more processes than these would take time from what is being timed.
-# The files of few but long tests come first, in the order of these folders, so that none of them is left for the end.
-"${pytest[@]}" -n 3 --no-loadscope-reorder "${chosen[@]}" "${rest[@]}"
+"${pytest[@]}" -n 3 "${chosen[@]}" "${rest[@]}"
 if [ "$files" != "$(git status --porcelain || true)" ]; then
     echo "the tests have left files in the checkout:" >&2
     git status --porcelain >&2
