@@ -7,7 +7,7 @@ import re
 import shutil
 import signal
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -116,7 +116,7 @@ def test_two_sides_measure_and_a_step_that_ctrl_c_cuts_off_has_an_error_record(
             assert rig.measure().valid_fraction > 0.5
         begun = rig.last_step
         with pytest.raises(KeyboardInterrupt):
-            rig.measure(feedback=lambda feedback: _interrupt(feedback.frame))
+            rig.measure(feedback=lambda feedback: _interrupt(feedback.frame, processes.values()))
     bag = BagReader(tmp_path / "run" / "bag")
     topic = bag.find("experiment/step")["experiment/step"]
     last = [message for _, message, _ in bag.messages([topic])][-1]
@@ -125,6 +125,9 @@ def test_two_sides_measure_and_a_step_that_ctrl_c_cuts_off_has_an_error_record(
     assert not bag.lost
 
 
-def _interrupt(frame: int) -> None:
+def _interrupt(frame: int, processes: Iterable[subprocess.Popen[bytes]]) -> None:
+    """Press Ctrl-C after the third frame, for the nodes too: the step would have ended before the client has."""
     if frame == 3:
+        for process in processes:
+            process.send_signal(signal.SIGINT)
         raise KeyboardInterrupt
