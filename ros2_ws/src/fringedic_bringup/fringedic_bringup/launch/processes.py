@@ -18,7 +18,7 @@ from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from fringedic.errors import NodeDiedError, ProcessError
 from fringedic.warm_up import require_kernels
 from fringedic_bringup.launch.environment import node_environment, remove_stale_segments
-from fringedic_bringup.launch.graph import Graph, NodeEntry
+from fringedic_bringup.launch.graph import PROCESSING_NODES, Graph, NodeEntry
 from fringedic_bringup.launch.lease import RigLease
 
 # Wait after each signal, in which a node finishes its current work.
@@ -69,7 +69,8 @@ class RunningGraph:
 
     def __enter__(self) -> RunningGraph:
         executables = {entry.name: _executable(entry) for entry in self.graph.nodes}
-        require_kernels(lambda words: sys.stderr.write(f"{words}\n"))  # before a node is waited for
+        if any(entry.package in PROCESSING_NODES.values() for entry in self.graph.nodes):
+            require_kernels(lambda words: sys.stderr.write(f"{words}\n"))  # before a node is waited for
         if self._owner:
             self._lease.__enter__()
         try:
