@@ -15,7 +15,6 @@ from fringedic.calibration.acceptance import (
     Place,
     unsuitable,
 )
-from fringedic.provenance import git_commit, software
 from fringedic.report.embedding import base64_png
 from fringedic.report.templates import render_page
 
@@ -112,7 +111,6 @@ def write_acceptance_page(acceptance: Acceptance, path: Path, *, rig: str, creat
         "acceptance.html.j2",
         rig=rig,
         created=f"{created:%Y-%m-%d %H:%M} UTC",
-        software=f"{software()}, commit {git_commit()}",
         guideline=GUIDELINE,
         sentences=[verdict_sentence(acceptance), *size_sentences(acceptance)],
         errors=error_rows(acceptance),

@@ -10,7 +10,6 @@ from typing import Any
 from fringedic.calibration.fit_results import GOOD, USABLE, PlaneResult, Verdict
 from fringedic.calibration.result import RigCalibration
 from fringedic.calibration.variants import ModelVariant
-from fringedic.provenance import git_commit, software
 from fringedic.report.calibration_sentences import (
     model_choice_sentence,
     problem_sentence,
@@ -94,7 +93,6 @@ def _content(calibration: RigCalibration, traceability: Traceability) -> dict[st
         "figures": _figures(calibration),
         "thresholds": _thresholds(calibration),
         "traceability": _traceability(traceability),
-        "software": f"{software()}, commit {git_commit()}",
         "planes": [_plane(each) for each in calibration.planes],
         "candidates": [
             {

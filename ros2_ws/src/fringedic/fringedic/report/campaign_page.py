@@ -15,7 +15,6 @@ from fringedic.campaign.store import CampaignStore
 from fringedic.campaign.unit import Receipt
 from fringedic.errors import CampaignError
 from fringedic.figures.thumbnails import thumbnail_png
-from fringedic.provenance import git_commit, software
 from fringedic.report.campaign import status_sentences
 from fringedic.report.embedding import base64_text
 from fringedic.report.templates import render_page
@@ -68,7 +67,6 @@ def write_campaign_page(store: CampaignStore, status: Status, output: Path) -> P
         "campaign.html.j2",
         title=status.plan.title or store.address,
         store=store.address,
-        software=f"{software()}, commit {git_commit()}",
         sentences=status_sentences(status),
         group_columns=GROUP_COLUMNS,
         groups=group_rows(status.done.values()),

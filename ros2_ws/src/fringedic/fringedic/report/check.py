@@ -7,7 +7,6 @@ from datetime import datetime
 from pathlib import Path
 
 from fringedic.calibration.check import SCALE_TOLERANCE, RigCheck
-from fringedic.provenance import git_commit, software
 from fringedic.report.calibration_sentences import check_sentence, check_warning_sentences, measured_distance
 from fringedic.report.embedding import base64_png
 from fringedic.report.templates import render_page
@@ -40,7 +39,6 @@ def write_check_page(check: RigCheck, path: Path, *, rig: str, created: datetime
         "check.html.j2",
         rig=rig,
         created=f"{created:%Y-%m-%d %H:%M} UTC",
-        software=f"{software()}, commit {git_commit()}",
         sentences=[check_sentence(check), *check_warning_sentences(check)],
         figures=_figures(check),
         picture=base64_png(draw_flatness(check)),

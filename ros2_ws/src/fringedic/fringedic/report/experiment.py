@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,7 +23,6 @@ from fringedic.figures.residuals import residual_figure
 from fringedic.frames.region import Point, Region
 from fringedic.inputs.arguments import check_arguments, optional, path, several, whole
 from fringedic.metadata import NOISE_COLUMNS
-from fringedic.provenance import git_commit, software
 from fringedic.recording.bag_files import recording_of
 from fringedic.report.confirmation import confirmation_sentence
 from fringedic.report.data import ReportData
@@ -33,7 +31,7 @@ from fringedic.report.entries import MISSING, Entry, hardware_entries, specimen_
 from fringedic.report.processing_entries import analysis_entries, fringe_entries
 from fringedic.report.recorded_exposures import read_exposures, read_textures
 from fringedic.report.tables import gauge_rows, noise_floor_row, region_rows, step_columns, truth_rows
-from fringedic.report.templates import render_page
+from fringedic.report.templates import render_page, require_new, write_errors_named, write_page
 from fringedic.report.warnings import warnings
 from fringedic.results.noise_floor import noise_floors
 from fringedic.results.noise_floor import static_steps as steps_at_rest
@@ -119,25 +117,12 @@ def write_report(
             place = Path(dataset.encoding["source"])  # the folder of measured images has no recording
         files = _Source(place, _recording(place, dataset))
         target = files.folder / "report.html" if output is None else Path(output)
-        if target.exists() and not overwrite:
-            raise DatasetError(f"{target} exists already; choose another --output or ask to overwrite it")
-        with _write_errors_named(target):
+        require_new(target, overwrite)
+        with write_errors_named(target):
             target.parent.mkdir(parents=True, exist_ok=True)
         static = steps_at_rest(dataset) if static_steps is None else list(static_steps)
         page = render_page("experiment.html.j2", **_content(dataset, files, static, gauges, regions or {}))
-    with _write_errors_named(target):
-        temporary = target.with_name(f".{target.name}.writing")
-        temporary.write_text(page, encoding="utf-8")
-        temporary.replace(target)
-    return target
-
-
-@contextmanager
-def _write_errors_named(target: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise DatasetError(f"{target}: cannot be written: {error.strerror}") from error
+    return write_page(page, target)
 
 
 def _recording(source: Path, dataset: xr.Dataset) -> Path | None:
@@ -166,7 +151,6 @@ def _content(
         "title": str(dataset.attrs.get("experiment", "experiment")),
         "date": _date(dataset),
         "written": datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
-        "software": f"{software()}, commit {git_commit()}",
         "simulated": data.simulated,
         "confirmation": confirmation_sentence(dataset),
         "warnings": warnings(data, static, floors) + failed + unread,

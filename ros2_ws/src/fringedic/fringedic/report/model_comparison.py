@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import DatasetError
 from fringedic.figures.maps import maps_figure
 from fringedic.figures.panels import Panel, panel_of
-from fringedic.provenance import git_commit, software
 from fringedic.report.embedding import base64_png
-from fringedic.report.templates import render_page
+from fringedic.report.templates import render_page, require_new, write_page
 from fringedic.results.quantities import number_text, people_unit
 
 if TYPE_CHECKING:
@@ -54,24 +52,18 @@ def write_model_comparison(comparison: xr.Dataset, output: Path, *, overwrite: b
     FringedicError
         A package of the extra ``report`` is not installed.
     """
-    if output.exists() and not overwrite:
-        raise DatasetError(f"{output} exists already; choose another --output or ask to overwrite it")
+    require_new(output, overwrite)
     last = comparison.isel(step=-1)
     page = render_page(
         "model_comparison.html.j2",
         title=f"{comparison.attrs.get('experiment', 'experiment')} and {comparison.attrs['model']}",
-        software=f"{software()}, commit {git_commit()}",
         sentences=[*agreement_sentences(last), *placement_sentences(comparison)],
         columns=COLUMNS,
         rows=[row for step in comparison["step"].values for row in _rows(comparison.sel(step=step))],
         shown=int(last["step"]),
         maps={name: base64_png(_maps(last, name)) for name in comparison["quantity"].values.tolist()},
     )
-    try:
-        output.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise DatasetError(f"{output}: cannot be written: {error.strerror}") from error
-    return output
+    return write_page(page, output)
 
 
 def agreement_sentences(step: xr.Dataset) -> list[str]:

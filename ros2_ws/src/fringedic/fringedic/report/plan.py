@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from fringedic.provenance import git_commit, software
 from fringedic.report.embedding import base64_png
 from fringedic.report.templates import render_page
 from fringedic.rig_setup.plan import NoiseSource, Plan
@@ -60,7 +59,6 @@ def write_plan_page(plan: Plan, path: Path, *, rig: str) -> Path:
     page = render_page(
         "plan.html.j2",
         rig=rig,
-        software=f"{software()}, commit {git_commit()}",
         lengths=length_rows(plan),
         rows=uncertainty_rows(plan),
         changes=change_rows(plan),

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import Any
 
-from fringedic.errors import optional_import
+from fringedic.errors import DatasetError, optional_import
+from fringedic.provenance import git_commit, software
 
 with optional_import("report"):
     import jinja2
@@ -14,7 +18,8 @@ with optional_import("report"):
 def render_page(template: str, **content: Any) -> str:
     """Return an HTML page from a template of this folder.
 
-    Text is escaped, and a name that the template uses but `content` lacks is an error.
+    Text is escaped, and a name that the template uses but `content` lacks is an error. The template knows the
+    ``software`` that writes the page.
 
     Parameters
     ----------
@@ -28,8 +33,50 @@ def render_page(template: str, **content: Any) -> str:
     jinja2.UndefinedError
         The template uses a name that `content` does not contain.
     """
-    page: str = _environment().get_template(template).render(**content)
+    page: str = _environment().get_template(template).render(software=f"{software()}, commit {git_commit()}", **content)
     return page
+
+
+def require_new(target: Path, overwrite: bool) -> None:
+    """Refuse to replace a page unasked, before the work of rendering.
+
+    Raises
+    ------
+    DatasetError
+        It exists already.
+    """
+    if target.exists() and not overwrite:
+        raise DatasetError(f"{target} exists already; choose another --output or ask to overwrite it")
+
+
+def write_page(page: str, target: Path) -> Path:
+    """Write a page as a whole, and return its path: the one before stays when the writing fails.
+
+    Raises
+    ------
+    DatasetError
+        It cannot be written.
+    """
+    with write_errors_named(target):
+        temporary = target.with_name(f".{target.name}.writing")
+        temporary.write_text(page, encoding="utf-8")
+        temporary.replace(target)
+    return target
+
+
+@contextmanager
+def write_errors_named(target: Path) -> Iterator[None]:
+    """Name a page that cannot be written.
+
+    Raises
+    ------
+    DatasetError
+        In place of an error of the file system.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise DatasetError(f"{target}: cannot be written: {error.strerror}") from error
 
 
 @cache

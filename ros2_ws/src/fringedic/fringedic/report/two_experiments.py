@@ -11,9 +11,8 @@ from fringedic.errors import DatasetError
 from fringedic.figures.charts import comparison_charts
 from fringedic.figures.maps import maps_figure
 from fringedic.figures.panels import Panel
-from fringedic.provenance import git_commit, software
 from fringedic.report.embedding import base64_png, chart_html, chart_script
-from fringedic.report.templates import render_page
+from fringedic.report.templates import render_page, require_new, write_page
 from fringedic.results.quantities import number_text, people_unit
 from fringedic.results.two_experiments import compare_experiments, difference_maps, differing_attributes
 
@@ -52,8 +51,7 @@ def write_comparison(one: xr.Dataset, other: xr.Dataset, output: Path, *, overwr
     FringedicError
         A package of the extra ``report`` is not installed.
     """
-    if output.exists() and not overwrite:
-        raise DatasetError(f"{output} exists already; choose another --output or ask to overwrite it")
+    require_new(output, overwrite)
     found = compare_experiments(one, other)
     step = _last_compared(found)
     maps = difference_maps(one, other, step)
@@ -61,7 +59,6 @@ def write_comparison(one: xr.Dataset, other: xr.Dataset, output: Path, *, overwr
     page = render_page(
         "two_experiments.html.j2",
         titles=[_title(each) for each in (one, other)],
-        software=f"{software()}, commit {git_commit()}",
         sentences=comparison_sentences(found),
         columns=COLUMNS,
         rows=[
@@ -75,11 +72,7 @@ def write_comparison(one: xr.Dataset, other: xr.Dataset, output: Path, *, overwr
         charts=[chart_html(chart) for chart in comparison_charts(found, ("A", "B"))],
         script=chart_script(),
     )
-    try:
-        output.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise DatasetError(f"{output}: cannot be written: {error.strerror}") from error
-    return output
+    return write_page(page, output)
 
 
 def comparison_sentences(found: xr.Dataset) -> list[str]:
