@@ -181,19 +181,17 @@ class Dask:
             with client:
                 yield client
             return
-        import dask
-
-        started = {f"distributed.nanny.pre-spawn-environ.{name}": value for name, value in ONE_THREAD.items()}
-        with dask.config.set(started), _interrupts_ignored():
-            cluster = self._distributed.LocalCluster(
-                n_workers=self._workers,
-                threads_per_worker=1,
-                host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",
-                silence_logs=logging.CRITICAL,  # what concerns a unit is in its outcome
-            )
-        with cluster, self._distributed.Client(cluster) as client:
-            yield client
+        with _environment(ONE_THREAD):  # to the end: a worker that has died is started again
+            with _interrupts_ignored():
+                cluster = self._distributed.LocalCluster(
+                    n_workers=self._workers,
+                    threads_per_worker=1,
+                    host="127.0.0.1",
+                    dashboard_address="127.0.0.1:0",
+                    silence_logs=logging.CRITICAL,  # what concerns a unit is in its outcome
+                )
+            with cluster, self._distributed.Client(cluster) as client:
+                yield client
 
 
 def _too_large(unit: Unit, limit: float) -> Failure:
@@ -235,14 +233,15 @@ def _interrupts_ignored() -> Iterator[None]:
 
 @contextmanager
 def _environment(values: dict[str, str]) -> Iterator[None]:
-    """Set environment variables for the processes that are started meanwhile."""
-    before = {name: os.environ.get(name) for name in values}
+    """Set environment variables for the processes that are started meanwhile, and take back those that Dask sets, too.
+
+    Numba refuses to compile in a process whose NUMBA_NUM_THREADS is another one than at its start.
+    """
+    before = os.environ.copy()
     os.environ.update(values)
     try:
         yield
     finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
+        for name in os.environ.keys() - before.keys():
+            del os.environ[name]
+        os.environ.update(before)
