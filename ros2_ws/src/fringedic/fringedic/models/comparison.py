@@ -16,7 +16,8 @@ from fringedic.models.agreement import AGREEMENT, Agreement, assess
 from fringedic.models.levelling import Levelling, levelling_of
 from fringedic.models.model import Model
 from fringedic.models.placement import Placement, PointPair, place_model
-from fringedic.models.sampling import Samples, facing, sample
+from fringedic.models.sampling import facing, sample
+from fringedic.models.sensitivity import Sensitivity
 from fringedic.models.shift import SHIFT, Shift, estimate_shift
 from fringedic.results.motion import in_space
 from fringedic.results.quantities import MAP_DIMENSIONS
@@ -224,14 +225,14 @@ class _Comparison:
     def result(self) -> xr.Dataset:
         """Return the maps of the step and its agreement."""
         measured, sigma = self._measured()
-        samples = self._samples(self._placement)
-        sampled = self._sample(self._placement, samples)
-        modelled = self._fields(self._levelling.displacement(sampled))
-        moved = self._changes(self._fields(sampled))
-        deviation = np.sqrt(sigma.values**2 + sum((change**2 for change in moved), np.zeros(sigma.values.shape)))
+        sampled, height = self._sample()
+        levelled = self._levelling.displacement(sampled)
+        modelled = self._fields(levelled)
+        moved = self._changes(levelled, height)
+        deviation = np.sqrt(sum((change**2 for change in moved), sigma.values**2))
         difference = measured.values - modelled.values
         maps: dict[str, np.ndarray] = dict(zip(_POSITION, self._positions, strict=True))
-        maps["distance"] = self._positions[2] - self._height(samples)
+        maps["distance"] = self._positions[2] - height
         for place, name in enumerate(measured.names):
             maps[name], maps[f"sigma_{name}"] = measured.values[place], sigma.values[place]
             maps[f"model_{name}"], maps[f"difference_{name}"] = modelled.values[place], difference[place]
@@ -249,13 +250,14 @@ class _Comparison:
         fields = (modelled.values[spatial], difference[spatial], sigma.values[spatial])
         return self._dataset(maps, measured.names, agreements, estimate_shift(self._positions, axes, *fields))
 
-    def _changes(self, unmoved: _Fields) -> list[np.ndarray]:
+    def _changes(self, displacement: np.ndarray, height: np.ndarray) -> list[np.ndarray]:
         """Return the change of the fields by each independent error of the placement, one standard deviation each."""
+        sensitivity = Sensitivity(np.stack([*self._positions[:2], height]), displacement, self._placement.centre)
 
         def change(deviation: np.ndarray) -> np.ndarray:
-            placement = self._placement.moved(deviation)
-            moved = self._fields(self._sample(placement, self._samples(placement)))
-            return np.asarray(moved.values - unmoved.values)
+            moved = sensitivity.displacement(deviation)
+            strain = sensitivity.strain(moved) if self._strain_names() else ()
+            return np.stack([*self._spatial(moved), *strain])
 
         with ThreadPoolExecutor(_THREADS) as pool:
             return list(pool.map(change, self._placement.deviations()))
@@ -263,7 +265,7 @@ class _Comparison:
     def _measured(self) -> tuple[_Fields, _Fields]:
         names = [*(name for name in _DISPLACEMENT if f"sigma_{name}" in self._step), *self._strain_names()]
         values, sigmas = (
-            np.stack([self._step[f"{prefix}{name}"].values.astype(float) for name in names])
+            np.stack([self._step[f"{prefix}{name}"].values.astype(np.float32) for name in names])
             for prefix in ("", "sigma_")
         )
         return _Fields(tuple(names), values), _Fields(tuple(names), sigmas)
@@ -274,31 +276,28 @@ class _Comparison:
                 return names
         return ()
 
-    def _samples(self, placement: Placement) -> Samples:
-        nodes = placement.apply(self._nodes)
+    def _sample(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return displacement (3, row, column) and z (row, column) of the model in the rig frame at the points."""
+        nodes = self._placement.apply(self._nodes)
         triangles = facing(nodes, self._model.triangles) if self._model.closed else self._model.triangles
-        return sample(nodes, triangles, self._positions[:, self._known].T)
+        samples = sample(nodes, triangles, self._positions[:, self._known].T)
+        values = np.column_stack([self._motion @ self._placement.rotation.T, nodes[:, 2]])
+        maps = np.full((4, *self._known.shape), np.nan, np.float32)
+        maps[:, self._known] = samples.interpolate(values).T
+        return maps[:3], maps[3]
 
-    def _height(self, samples: Samples) -> np.ndarray:
-        """Return z of the model under the measured points, (row, column)."""
-        heights = np.full(self._known.shape, np.nan)
-        heights[self._known] = samples.interpolate(self._placement.apply(self._nodes))[:, 2]
-        return heights
-
-    def _sample(self, placement: Placement, samples: Samples) -> np.ndarray:
-        """Return the displacement of the model in the rig frame at the measured points, (3, row, column)."""
-        maps = np.full((3, *self._known.shape), np.nan)
-        for values, found in zip(maps, samples.interpolate(self._motion @ placement.rotation.T).T, strict=True):
-            values[self._known] = found
-        return maps
-
-    def _fields(self, filtered: np.ndarray) -> _Fields:
+    def _fields(self, displacement: np.ndarray) -> _Fields:
         """Return the compared quantities of a displacement (3, row, column)."""
-        names = tuple(name for name in _DISPLACEMENT if f"sigma_{name}" in self._step)
-        fields = [filtered[_DISPLACEMENT.index(name)] for name in names]
-        if strains := self._strain_names():
-            fields += list(self._levelling.strain(self._positions, filtered, self._step))
-        return _Fields((*names, *strains), np.stack(fields))
+        strains = self._strain_names()
+        found = self._levelling.strain(self._positions, displacement, self._step) if strains else ()
+        names = [name for name in _DISPLACEMENT if f"sigma_{name}" in self._step]
+        return _Fields((*names, *strains), np.stack([*self._spatial(displacement), *found]))
+
+    def _spatial(self, displacement: np.ndarray) -> list[np.ndarray]:
+        """Return the components of a displacement (3, row, column) that are compared."""
+        return [
+            values for name, values in zip(_DISPLACEMENT, displacement, strict=True) if f"sigma_{name}" in self._step
+        ]
 
     def _dataset(
         self, maps: Mapping[str, np.ndarray], names: tuple[str, ...], agreements: Sequence[Agreement], shift: Shift

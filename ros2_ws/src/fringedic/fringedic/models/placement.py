@@ -16,6 +16,7 @@ from fringedic.models.sampling import facing, node_normals, sample
 
 _MOST_POINTS = 20_000  # of the measured surface; more do not change the result within its uncertainty
 _ITERATIONS = 50
+_MIRROR_ITERATIONS = 8  # a mirrored model that fits converges in a few; others need no exact residual
 _TUKEY = 4.685  # width of the biweight in standard deviations: 95 % efficiency for normal errors
 _SMALLEST_SCALE = 1e-7  # residual of computed data over the size of the surface
 _TURNING = 0.1  # singular value above which a free motion contains a rotation
@@ -186,6 +187,13 @@ class _Fit(NamedTuple):
     variance: float
 
 
+class _Side(NamedTuple):
+    """Triangles of a model that face the camera, and normals of its nodes (node, 3) in its own frame."""
+
+    triangles: np.ndarray
+    normals: np.ndarray
+
+
 class _System(NamedTuple):
     """Normal equations at a placement: gradient, covariance of the solution, and what the shape leaves free."""
 
@@ -212,6 +220,7 @@ class _Alignment:
         if not (spacing > 0 and np.ptp(measured[:, 0]) > 0 and np.ptp(measured[:, 1]) > 0):
             raise ModelError("the measured points lie on a line or at one place; choose another reference step")
         self._centre = measured.mean(axis=0)
+        self._side = _Side(np.empty((0, 3), np.int64), np.empty((0, 3)))
         self._length = float(np.sqrt(np.mean(np.sum((measured - self._centre) ** 2, axis=1))))
 
     def start(self) -> Placement:
@@ -239,8 +248,9 @@ class _Alignment:
 
         What the shape determines depends on the residual, which is known after a first fit.
         """
-        variance = self._fit(self._iterate(placed, None)).variance
-        placed = self._iterate(placed, variance)
+        placed, fit = self._iterate(placed, None)
+        variance = fit.variance
+        placed, _ = self._iterate(placed, variance)
         system = self._system(placed, variance)
         return replace(
             placed,
@@ -250,14 +260,16 @@ class _Alignment:
             free=system.free,
         )
 
-    def _iterate(self, placed: Placement, variance: float | None) -> Placement:
-        for _ in range(_ITERATIONS):
+    def _iterate(self, placed: Placement, variance: float | None, most: int = _ITERATIONS) -> tuple[Placement, _Fit]:
+        """Return the placement after Gauss-Newton steps, and the fit there."""
+        self._side = self._seen_side(placed)
+        for _ in range(most):
             system = self._system(placed, variance)
             step = system.covariance @ system.gradient
             placed = placed.moved(step)
             if np.abs(step * system.lengths).max() < 1e-4 * self._spacing:
                 break
-        return placed
+        return placed, self._fit(placed)
 
     def mirrored(self, placed: Placement) -> float:
         """Return the residual of the mirrored model, infinite where it misses the surface."""
@@ -271,7 +283,7 @@ class _Alignment:
         alignment = _Alignment(self._points.T.reshape(3, *self._shape), other, [], self._spacing, self._pair_sigma)
         alignment._pairs = self._pairs
         try:
-            return alignment.run(placed).residual
+            return alignment._iterate(placed, None, _MIRROR_ITERATIONS)[1].scale
         except ModelError:
             return np.inf
 
@@ -308,12 +320,17 @@ class _Alignment:
             rows.append(np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]]))
         return np.vstack(rows), (self._pairs[:, 0] - modelled).ravel()
 
-    def _fit(self, placed: Placement) -> _Fit:
+    def _seen_side(self, placed: Placement) -> _Side:
+        """Return the triangles that face the camera with the normals of their nodes, which the iterations keep."""
         nodes = placed.apply(self._model.nodes)
         triangles = facing(nodes, self._model.triangles) if self._model.closed else self._model.triangles
         if not len(triangles):
             raise ModelError(f"{self._model.name}: no side of the model faces the camera; check the point pairs")
-        samples = sample(nodes, triangles, self._points)
+        return _Side(triangles, node_normals(nodes, triangles) @ placed.rotation)
+
+    def _fit(self, placed: Placement) -> _Fit:
+        nodes = placed.apply(self._model.nodes)
+        samples = sample(nodes, self._side.triangles, self._points)
         found = samples.found
         if np.count_nonzero(found) < _FEWEST:
             raise ModelError(
@@ -321,7 +338,7 @@ class _Alignment:
                 "model: check the unit of the mesh, and give point pairs"
             )
         on_model = samples.interpolate(nodes)
-        normal = samples.interpolate(node_normals(nodes, triangles))
+        normal = samples.interpolate(self._side.normals @ placed.rotation.T)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         residuals = np.einsum("pi,pi->p", normal, self._points - on_model)
         derivatives = np.hstack([normal, np.cross(on_model - self._centre, normal)])

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fringedic.models.correlated import correlated_points
+from fringedic.models.sensitivity import surface_gradient
 
 SHIFT = {
     "shift_x": "translation of the model along x that fits the displacement best",
@@ -69,7 +70,10 @@ def estimate_shift(
     positions, modelled, difference, sigma = (
         each[:, ::step, ::step].astype(float) for each in (positions, modelled, difference, sigma)
     )
-    basis = np.stack([*_translations(positions, modelled), modelled, *_rigid_motions(positions, axes)])
+    # a map f that moves by t becomes f(x - t): its change is minus its gradient
+    basis = np.stack(
+        [*(-each for each in surface_gradient(positions, modelled)), modelled, *_rigid_motions(positions, axes)]
+    )
     known = np.isfinite(difference) & np.isfinite(basis).all(axis=0) & (sigma > 0)
     if np.count_nonzero(known) < 10 * len(basis):
         return Shift()
@@ -89,19 +93,6 @@ def estimate_shift(
     size = max(float(np.ptp(each[known.any(axis=0)])) for each in positions[:2])
     shifts = solution[:2] / lengths[:2]
     return Shift(*np.where(deviations[:2] < _DETERMINED * size, [shifts, deviations[:2]], np.nan).ravel().tolist())
-
-
-def _translations(positions: np.ndarray, maps: np.ndarray) -> np.ndarray:
-    """Return the change of maps (map, row, column) when the model moves by 1 m along x, and along y.
-
-    A map f that moves by t becomes f(x - t): its change is minus its gradient, from those along rows and columns.
-    """
-    (x_row, x_column), (y_row, y_column) = (np.gradient(each) for each in positions[:2])
-    by_row, by_column = np.gradient(maps, axis=(1, 2))
-    area = x_column * y_row - x_row * y_column
-    along_x = (by_column * y_row - by_row * y_column) / area
-    along_y = (by_row * x_column - by_column * x_row) / area
-    return -np.stack([along_x, along_y])
 
 
 def _rigid_motions(positions: np.ndarray, axes: Sequence[int]) -> np.ndarray:
