@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import shutil
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -54,3 +56,23 @@ def browser() -> Iterator[Browser]:
         running = playwright.chromium.launch(executable_path=chromium, args=arguments)
         yield running
         running.close()
+
+
+@pytest.fixture(scope="module")
+def collected_from_module() -> Iterator[None]:
+    """Collect the connections that the fixtures of a module have cut: this one ends last."""
+    yield
+    _collect()
+
+
+@pytest.fixture
+def collected() -> Iterator[None]:
+    """Collect the connections that a test has cut: they would be reported in a later one."""
+    yield
+    _collect()
+
+
+def _collect() -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)
+        gc.collect()

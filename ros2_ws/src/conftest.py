@@ -29,7 +29,7 @@ def domain(request: pytest.FixtureRequest) -> Iterator[int | None]:
 
 @pytest.fixture(autouse=True)
 def process_left_as_found() -> Iterator[None]:
-    """Environment, folder and signal handlers are the process's own: what a test leaves there decides over later tests."""
+    """Environment, folder and signal handlers belong to the process: a change would affect later tests."""
     before = _process_state()
     yield
     assert _process_state() == before

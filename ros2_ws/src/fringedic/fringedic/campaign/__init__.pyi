@@ -11,7 +11,6 @@ from .run import Status as Status
 from .run import current_plan as current_plan
 from .run import forget_failures as forget_failures
 from .run import read_plan as read_plan
-from .run import run_units as run_units
 from .run import status_of as status_of
 from .run import update_plan as update_plan
 from .settings import Campaign as Campaign

@@ -178,6 +178,12 @@ class Dask:
                     f"the Dask scheduler {self._scheduler} does not answer: start it with 'dask scheduler', or leave "
                     "--scheduler out"
                 ) from error
+            except (TypeError, ValueError) as error:  # of an address that is none, or of TLS without files
+                raise CampaignError(
+                    f"the Dask scheduler {self._scheduler} cannot be reached: {str(error)[:200]}; write "
+                    "tcp://computer:port, or tls://computer:port with the files of distributed.comm.tls in the "
+                    "settings of Dask"
+                ) from error
             with client:
                 yield client
             return

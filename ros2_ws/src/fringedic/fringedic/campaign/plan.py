@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -91,8 +92,8 @@ class Plan:
         Units of work in the order of their names.
     refused
         Recordings that cannot be processed, each with the reason as one sentence.
-    odd
-        What differs between the recordings, each as one sentence.
+    unusual_shapes
+        Shape (row, column) of the images of recordings whose images have another one than most.
     """
 
     title: str
@@ -100,7 +101,7 @@ class Plan:
     settings_hash: str
     units: tuple[Unit, ...] = ()
     refused: dict[str, str] = field(default_factory=dict)
-    odd: tuple[str, ...] = ()
+    unusual_shapes: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def to_document(self) -> dict[str, Any]:
         """Return the plan as JSON values; what all units share is there once."""
@@ -118,7 +119,8 @@ class Plan:
             Unit(**shared, **{**each, "fingerprint": _tuples(each["fingerprint"])}) for each in document["units"]
         )
         own = {name: value for name, value in document.items() if name not in ("processing", "software")}
-        return cls(**{**own, "units": units, "odd": tuple(document["odd"])})
+        shapes = {name: (rows, columns) for name, (rows, columns) in document["unusual_shapes"].items()}
+        return cls(**{**own, "units": units, "unusual_shapes": shapes})
 
 
 def make_plan(campaign: Campaign, recordings: Iterable[Found]) -> Plan:
@@ -139,12 +141,12 @@ def plan_of(campaign: Campaign, summaries: Iterable[tuple[Found, Summary | str]]
     processing, software = campaign.processing, software_identity()
     units: list[Unit] = []
     refused: dict[str, str] = {}
-    shapes: dict[tuple[int, int], list[str]] = {}
+    shapes: dict[str, tuple[int, int]] = {}
     for found, summary in summaries:
         if isinstance(summary, str):
             refused[found.name] = summary
             continue
-        shapes.setdefault(summary.image_shape, []).append(found.name)
+        shapes[found.name] = summary.image_shape
         units.append(_unit(campaign.store, found, summary, processing, software))
     return Plan(
         title=campaign.content.title,
@@ -152,7 +154,7 @@ def plan_of(campaign: Campaign, summaries: Iterable[tuple[Found, Summary | str]]
         settings_hash=_hash(processing),
         units=tuple(units),
         refused=refused,
-        odd=tuple(_odd_sizes(shapes)),
+        unusual_shapes=_unusual(shapes),
     )
 
 
@@ -207,12 +209,10 @@ def _summary_or_reason(found: Found, campaign: Campaign) -> Summary | str:
     return summary
 
 
-def _odd_sizes(shapes: dict[tuple[int, int], list[str]]) -> Iterator[str]:
-    """Yield which recordings have another size of images than most."""
-    usual = max(shapes.values(), key=len, default=[])
-    for (rows, columns), names in shapes.items():
-        if names is not usual:
-            yield f"images of {columns}x{rows} px, unlike most recordings: {', '.join(names)}"
+def _unusual(shapes: dict[str, tuple[int, int]]) -> dict[str, tuple[int, int]]:
+    """Return the recordings whose shape of images is not the most frequent one."""
+    usual = Counter(shapes.values()).most_common(1)
+    return {name: shape for name, shape in shapes.items() if shape != usual[0][0]}
 
 
 def _labels(labels: Labels) -> dict[str, str]:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from fringedic.campaign.engines import Engine
 from fringedic.campaign.plan import Plan, Unit, make_plan
 from fringedic.campaign.recordings import find_recordings
 from fringedic.campaign.settings import Campaign
@@ -38,6 +36,19 @@ class Status:
     def waiting(self) -> list[Unit]:
         """Units that are neither complete nor failed."""
         return [unit for unit in self.plan.units if unit.name not in self.done and unit.name not in self.failed]
+
+    def share(self, number: int, count: int) -> list[Unit]:
+        """Return the waiting units of one of several parts of the plan, for arrays of jobs.
+
+        The parts are those of the plan, so that jobs that start at different times have different units.
+
+        Parameters
+        ----------
+        number, count
+            Of the part, from 1, and of all parts.
+        """
+        part = {unit.name for unit in self.plan.units[number - 1 :: count]}
+        return [unit for unit in self.waiting if unit.name in part]
 
     @property
     def complete(self) -> bool:
@@ -114,22 +125,6 @@ def current_plan(campaign: Campaign, *, recompute: bool = False) -> Plan:
         if _fits(plan, campaign):
             return plan
     return update_plan(campaign, recompute=recompute)
-
-
-def run_units(units: list[Unit], engine: Engine, shard: tuple[int, int] = (1, 1)) -> Iterator[Receipt | Failure]:
-    """Process units and yield their outcomes.
-
-    Parameters
-    ----------
-    units
-        Of `Status.waiting`.
-    engine
-        How they are distributed.
-    shard
-        (number from 1, count): only this part of the units.
-    """
-    number, count = shard
-    yield from engine.outcomes(units[number - 1 :: count])
 
 
 def forget_failures(store: CampaignStore) -> None:

@@ -19,7 +19,10 @@ def plan_sentences(plan: Plan) -> list[str]:
     return [
         f"plan: {_count(len(plan.units), 'recording')}, about {_count(steps, 'step')}, {1e-9 * size:.2f} GB, "
         f"{1e-9 * largest:.1f} GB of memory per worker, store {plan.store}",
-        *(f"odd: {sentence}" for sentence in plan.odd),
+        *(
+            f"odd: {name} has images of {columns}x{rows} px, unlike most recordings"
+            for name, (rows, columns) in plan.unusual_shapes.items()
+        ),
         *(f"refused: {reason}" for reason in plan.refused.values()),
     ]
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +19,7 @@ from fringedic.campaign import (
     Campaign,
     CampaignStore,
     Failure,
+    Plan,
     Receipt,
     Serial,
     current_plan,
@@ -26,10 +29,12 @@ from fringedic.campaign import (
     status_of,
     update_plan,
 )
-from fringedic.campaign.plan import predicted_memory
-from fringedic.campaign.recordings import summarise
+from fringedic.campaign.plan import plan_of, predicted_memory
+from fringedic.campaign.recordings import Found, summarise
+from fringedic.campaign.settings import Labels
 from fringedic.errors import CampaignError, ConfigurationError
 from fringedic.recording import BagReader, BagWriter
+from fringedic.report.campaign import plan_sentences
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 NAMES = ["plate-1", "plate-2"]
@@ -130,6 +135,32 @@ def test_without_receipts_the_same_bytes_are_written_again(done: Campaign) -> No
     assert set(again) == {"plate-2"}
     assert status_of(store, plan).done["plate-2"] == again["plate-2"]
     assert status_of(store, plan).done["plate-2"].digest == before["plate-2"].digest
+
+
+def test_parts_of_a_campaign_share_its_units_whenever_they_start(done: Campaign, tmp_path: Path) -> None:
+    shutil.copytree(done.folder / "recordings", tmp_path / "recordings")
+    campaign = written(copied(tmp_path, "plate-3"), settings={"dic.window": 24})
+    plan = update_plan(campaign)
+    store = CampaignStore(campaign.store)
+    first = digests(Serial().outcomes(status_of(store, plan).share(1, 2)))
+    second = digests(Serial().outcomes(status_of(store, plan).share(2, 2)))
+    assert (set(first), set(second)) == ({"plate-1", "plate-3"}, {"plate-2"})
+    before = status_of(CampaignStore(done.store), current_plan(done)).done
+    assert {name: (first | second)[name] for name in NAMES} == {name: before[name].digest for name in NAMES}
+
+
+def digests(outcomes: Iterable[Receipt | Failure]) -> dict[str, str]:
+    return {outcome.name: outcome.digest for outcome in outcomes if isinstance(outcome, Receipt)}
+
+
+def test_images_of_another_size_are_unusual(done: Campaign) -> None:
+    summary = summarise(str(RECORDED))
+    found = [(Found(name, name, Labels()), summary) for name in ("a", "b")]
+    other = (Found("c", "c", Labels()), replace(summary, image_shape=(60, 80)))
+    plan = plan_of(done, [*found, other])
+    assert plan.unusual_shapes == {"c": (60, 80)}
+    assert Plan.from_document(json.loads(json.dumps(plan.to_document()))) == plan
+    assert "odd: c has images of 80x60 px, unlike most recordings" in plan_sentences(plan)
 
 
 def test_a_receipt_that_a_killed_process_left_unfinished_counts_as_none(done: Campaign) -> None:

@@ -142,17 +142,17 @@ def _cell(value: object) -> str:
 
 
 def _run(folder: Path, engine: Engine, shard: tuple[int, int], *, recompute: bool = False) -> None:
-    from fringedic.campaign import CampaignStore, current_plan, load_campaign, run_units, status_of
+    from fringedic.campaign import CampaignStore, current_plan, load_campaign, status_of
     from fringedic.report.campaign import CampaignProgress, plan_sentences, status_sentences
 
     campaign = load_campaign(folder)
     made = current_plan(campaign, recompute=recompute)
     say(*plan_sentences(made))
     store = CampaignStore(campaign.store)
-    waiting = status_of(store, made).waiting
-    progress, started = CampaignProgress(waiting[shard[0] - 1 :: shard[1]]), time.monotonic()
+    units = status_of(store, made).share(*shard)
+    progress, started = CampaignProgress(units), time.monotonic()
     outcome: Receipt | Failure
-    for outcome in run_units(waiting, engine, shard):
+    for outcome in engine.outcomes(units):
         say(progress.sentence(outcome, time.monotonic() - started))
     found = status_of(store, made)
     say(*status_sentences(found), f"next: `fringedic campaign open {folder}`")

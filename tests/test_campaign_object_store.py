@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from moto.server import ThreadedMotoServer
+from running_system import ROOT
 
 import fringedic
 from fringedic.campaign import Campaign, CampaignStore, Receipt, Serial, load_campaign, status_of, update_plan
@@ -22,8 +23,9 @@ from fringedic.recording.bag_files import open_file
 from fringedic.recording.remote import RemoteRecording
 from fringedic.results.datasets import PROCESSED_TOPICS
 
-RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
+RECORDED = ROOT / "ros2_ws" / "src" / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
 pytestmark = [
+    pytest.mark.usefixtures("collected_from_module", "collected"),
     pytest.mark.filterwarnings("ignore::DeprecationWarning"),  # of packages that moto and s3fs use
     pytest.mark.filterwarnings("ignore::ResourceWarning"),  # of connections that were cut
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),

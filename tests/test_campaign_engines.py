@@ -1,0 +1,261 @@
+"""Engines of campaigns: the same bytes from every one, also when processes are killed."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from datetime import UTC, datetime, timedelta
+from ipaddress import ip_address
+from pathlib import Path
+
+import dask
+import distributed
+import psutil
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import NameOID
+from running_system import ROOT
+
+import fringedic
+from fringedic.campaign import (
+    ONE_THREAD,
+    Campaign,
+    CampaignStore,
+    Dask,
+    Failure,
+    Processes,
+    Receipt,
+    Serial,
+    Unit,
+    current_plan,
+    load_campaign,
+    status_of,
+)
+from fringedic.errors import CampaignError
+
+RECORDED = ROOT / "ros2_ws" / "src" / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
+NAMES = {f"plate-{number}" for number in range(1, 5)}
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),  # of connections to killed processes
+    pytest.mark.usefixtures("collected_from_module", "collected"),
+]
+
+
+@pytest.fixture(scope="module")
+def recordings(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recordings")
+    for name in NAMES:
+        shutil.copytree(RECORDED, folder / name)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def expected(recordings: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Digests of the groups that the serial engine writes: they contain the SHA-256 of every chunk."""
+    return digests(Serial().outcomes(units(campaign_in(tmp_path_factory.mktemp("serial"), recordings))))
+
+
+@pytest.fixture
+def campaign(recordings: Path, tmp_path: Path) -> Campaign:
+    return campaign_in(tmp_path, recordings)
+
+
+def campaign_in(folder: Path, recordings: Path) -> Campaign:
+    (folder / "campaign.yaml").write_text(f"recordings: [{{path: '{recordings}/*'}}]")
+    return load_campaign(folder)
+
+
+def units(campaign: Campaign) -> list[Unit]:
+    """Units that are neither complete nor failed."""
+    return status_of(CampaignStore(campaign.store), current_plan(campaign)).waiting
+
+
+def digests(outcomes: Iterator[Receipt | Failure]) -> dict[str, str]:
+    found = list(outcomes)
+    assert all(isinstance(outcome, Receipt) for outcome in found), found
+    assert len({outcome.name for outcome in found}) == len(found), "a recording was processed twice"
+    return {outcome.name: outcome.digest for outcome in found if isinstance(outcome, Receipt)}
+
+
+def receipts(campaign: Campaign) -> dict[str, Receipt]:
+    return status_of(CampaignStore(campaign.store), current_plan(campaign)).done
+
+
+def written(campaign: Campaign) -> dict[str, str]:
+    """Digests of the receipts in the store."""
+    return {name: receipt.digest for name, receipt in receipts(campaign).items()}
+
+
+def workers(process: psutil.Process) -> list[psutil.Process]:
+    return [each for each in process.children(recursive=True) if "spawn_main" in command_of(each)]
+
+
+def command_of(process: psutil.Process) -> str:
+    try:
+        return " ".join(process.cmdline())
+    except psutil.Error:  # it has just ended
+        return ""
+
+
+def processing(campaign: Campaign) -> set[str]:
+    """Recordings of which the first maps are written, and that have no receipt."""
+    store = Path(campaign.store)
+    begun = {path.parts[-2] for path in store.glob("recordings/*/w")}
+    return begun - {path.stem for path in store.glob("receipts/*.json")}
+
+
+def wait_for(condition: Callable[[], object], process: subprocess.Popen[bytes] | None = None) -> None:
+    end = time.monotonic() + 120
+    while not condition():
+        assert time.monotonic() < end, "nothing happened"
+        assert process is None or process.poll() is None, "the process has ended"
+        time.sleep(0.01)
+
+
+def kill(process: psutil.Process) -> None:
+    process.send_signal(signal.SIGKILL)
+    process.wait(60)
+
+
+def test_a_killed_process_changes_nothing(campaign: Campaign, expected: dict[str, str]) -> None:
+    outcomes = Processes(2).outcomes(units(campaign))
+    found = [next(outcomes)]
+    kill(random.Random(1).choice(workers(psutil.Process())))
+    assert digests(iter([*found, *outcomes])) == expected
+    assert written(campaign) == expected
+    assert str(os.getpid()) not in {receipt.worker.rpartition(":")[2] for receipt in receipts(campaign).values()}
+    assert not workers(psutil.Process())
+
+
+def test_after_killed_workers_and_a_killed_command_only_the_rest_is_processed(
+    campaign: Campaign, expected: dict[str, str]
+) -> None:
+    """Two workers are killed while they write, then the command."""
+    random_moment = random.Random(2)
+    program = ["fringedic", "campaign", "run", str(campaign.folder), "--workers", "2"]
+    with subprocess.Popen(program, stdout=subprocess.DEVNULL) as command:
+        client = psutil.Process(command.pid)
+        for _ in range(2):
+            wait_for(lambda: processing(campaign), command)
+            time.sleep(random_moment.uniform(0, 0.2))
+            kill(random_moment.choice(workers(client)))
+        wait_for(lambda: receipts_in(campaign) and processing(campaign), command)
+        below = client.children(recursive=True)
+        command.kill()
+    _, alive = psutil.wait_procs(below, timeout=60)
+    assert not alive
+    before = receipts(campaign)
+    waiting = units(campaign)
+    assert {unit.name for unit in waiting} == NAMES - before.keys()
+    assert waiting
+    assert digests(Serial().outcomes(waiting)) == {unit.name: expected[unit.name] for unit in waiting}
+    assert written(campaign) == expected
+    assert before.items() <= receipts(campaign).items()
+    tree, _ = fringedic.open_campaign(campaign.folder)
+    assert all(tree[name].w.notnull().mean() > 0.5 for name in NAMES)
+
+
+def receipts_in(campaign: Campaign) -> list[Path]:
+    return list(Path(campaign.store).glob("receipts/*.json"))
+
+
+class Cluster:
+    """A Dask scheduler with workers of one thread, whose connections are encrypted.
+
+    Parameters
+    ----------
+    folder
+        Of their files.
+    """
+
+    def __init__(self, folder: Path, processes: ExitStack) -> None:
+        self._folder, self._processes = folder, processes
+        self.certificate, self.key = write_certificate(folder)
+        self.scheduler = self._start(
+            "scheduler", "--host", "tls://127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0"
+        )
+        wait_for(self._file.exists, self.scheduler)
+        self.address = json.loads(self._file.read_text())["address"]
+
+    @property
+    def _file(self) -> Path:
+        return self._folder / "scheduler.json"
+
+    def add_worker(self) -> None:
+        self._start("worker", "--nthreads", "1", "--no-nanny", "--no-dashboard")
+
+    def _start(self, program: str, *options: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", f"distributed.cli.dask_{program}", "--scheduler-file", str(self._file)]
+        tls = ["--tls-ca-file", self.certificate, "--tls-cert", self.certificate, "--tls-key", self.key]
+        process = subprocess.Popen(
+            [*command, *options, *map(str, tls)],
+            env={**os.environ, **ONE_THREAD},
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        self._processes.enter_context(process)
+        self._processes.callback(process.kill)
+        return process
+
+
+def write_certificate(folder: Path) -> tuple[Path, Path]:
+    """Write a certificate of 127.0.0.1, which is its own authority, and its key."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "127.0.0.1")])
+    now = datetime.now(UTC)
+    certificate = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - timedelta(hours=1))
+        .not_valid_after(now + timedelta(hours=1))
+        .add_extension(x509.BasicConstraints(ca=True, path_length=None), critical=True)
+        .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ip_address("127.0.0.1"))]), critical=False)
+        .sign(key, hashes.SHA256())
+    )
+    files = folder / "certificate.pem", folder / "key.pem"
+    files[0].write_bytes(certificate.public_bytes(serialization.Encoding.PEM))
+    files[1].write_bytes(
+        key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption())
+    )
+    return files
+
+
+def test_one_two_and_three_workers_of_an_encrypted_cluster_write_the_same(
+    recordings: Path, expected: dict[str, str], tmp_path: Path
+) -> None:
+    with ExitStack() as processes:
+        cluster = Cluster(tmp_path, processes)
+        assert cluster.address.startswith("tls://127.0.0.1:")
+        with pytest.raises(CampaignError, match=r"tls://.* cannot be reached: .*distributed.comm.tls"):
+            list(Dask(1, cluster.address).outcomes([]))
+        files = {"ca-file": str(cluster.certificate), "client.cert": str(cluster.certificate)}
+        settings = {f"distributed.comm.tls.{name}": value for name, value in files.items()}
+        with dask.config.set({**settings, "distributed.comm.tls.client.key": str(cluster.key)}):
+            for count in (1, 2, 3):
+                folder = tmp_path / str(count)
+                folder.mkdir()
+                campaign = campaign_in(folder, recordings)
+                cluster.add_worker()
+                with distributed.Client(cluster.address) as client:
+                    client.wait_for_workers(count, timeout=60)
+                assert digests(Dask(1, cluster.address).outcomes(units(campaign))) == expected
+            lost = campaign_in(tmp_path, recordings)
+            outcomes = Dask(1, cluster.address).outcomes(units(lost))
+            assert isinstance(next(outcomes), Receipt)
+            cluster.scheduler.kill()
+            with pytest.raises(CampaignError, match=r"the Dask scheduler of .* is lost.*repeat the command"):
+                list(outcomes)
+    assert 0 < len(units(lost)) < len(NAMES)
