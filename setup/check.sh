@@ -40,7 +40,7 @@ if ! setup/hardware.sh; then
 fi
 files=$(git status --porcelain || true)
 # Most tests of nodes wait more than they compute; more processes than these would take time from what is being timed.
-"${pytest[@]}" -n 3 "${chosen[@]}" "${rest[@]}"
+"${pytest[@]}" -n 4 "${chosen[@]}" "${rest[@]}"
 if [ "$files" != "$(git status --porcelain || true)" ]; then
     echo "the tests have left files in the checkout:" >&2
     git status --porcelain >&2

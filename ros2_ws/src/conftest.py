@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,16 +24,3 @@ def domain(request: pytest.FixtureRequest) -> Iterator[int | None]:
         for name, value in node_environment(number).items():
             patch.setenv(name, value)
         yield number
-
-
-@pytest.fixture(autouse=True)
-def process_left_as_found() -> Iterator[None]:
-    """Environment, folder and signal handlers belong to the process: a change would affect later tests."""
-    before = _process_state()
-    yield
-    assert _process_state() == before
-
-
-def _process_state() -> tuple[dict[str, str], str, list[object]]:
-    environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
-    return environment, os.getcwd(), [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import signal
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -96,3 +98,17 @@ def speckle() -> type[Speckle]:
 @pytest.fixture(scope="session")
 def expose() -> Callable[..., np.ndarray]:
     return camera
+
+@pytest.fixture(autouse=True)
+def process_left_as_found() -> Iterator[None]:
+    """What a test leaves of environment, folder and signal handlers would decide over later tests."""
+    before = _process_state()
+    yield
+    after = _process_state()
+    assert after == before, f"left behind: {sorted(map(str, set(after.items()) ^ set(before.items())))}"
+
+
+def _process_state() -> dict[str, object]:
+    state: dict[str, object] = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
+    handlers = {number.name: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    return {**state, **handlers, "folder": os.getcwd()}
