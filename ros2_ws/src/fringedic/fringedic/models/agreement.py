@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import label
 
-from fringedic.models.correlated import correlated_points
+from fringedic.results.correlated import correlated_points
 
 AGREEMENT = {
     "points": ("1", "number of compared points"),

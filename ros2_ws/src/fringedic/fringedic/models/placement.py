@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fringedic.errors import ModelError
-from fringedic.models.correlated import correlated_points
+from fringedic.results.correlated import correlated_points
 from fringedic.models.model import Model
 from fringedic.models.sampling import facing, node_normals, sample
 

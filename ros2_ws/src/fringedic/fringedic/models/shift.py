@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fringedic.models.correlated import correlated_points
+from fringedic.results.correlated import correlated_points
 from fringedic.models.sensitivity import surface_gradient
 
 SHIFT = {
