@@ -99,6 +99,7 @@ def speckle() -> type[Speckle]:
 def expose() -> Callable[..., np.ndarray]:
     return camera
 
+
 @pytest.fixture(autouse=True)
 def process_left_as_found() -> Iterator[None]:
     """What a test leaves of environment, folder and signal handlers would decide over later tests."""
