@@ -16,6 +16,7 @@ from .correlation import measure_displacement as measure_displacement
 from .errors import FringedicError as FringedicError
 from .frames.region import Region as Region
 from .models import compare_model as compare_model
+from .models import compare_shape as compare_shape
 from .models import read_model as read_model
 from .patterns import ResponseCurve as ResponseCurve
 from .patterns import fringe_sequence as fringe_sequence

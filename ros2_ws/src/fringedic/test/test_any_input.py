@@ -73,6 +73,10 @@ MEASURED = EXPERIMENT.assign(reference_step=("step", [0, 0])).assign_attrs(
 CORNERS = np.array([(x, y, 0.0) for x in (-0.1, 0.1) for y in (-0.1, 0.1)])
 TRIANGLES = np.array([[0, 2, 3], [0, 3, 1]])
 MODEL = Model("plane", CORNERS, TRIANGLES, False, np.array([0.0, 5.0]), np.array([0 * CORNERS, 1e-3 * CORNERS]))
+NOMINAL = Model("plane", CORNERS, TRIANGLES, False, np.empty(0), np.empty((0, 4, 3)))
+SHAPED = EXPERIMENT.assign(
+    shape_x=EXPERIMENT.x, shape_y=EXPERIMENT.y, shape_z=EXPERIMENT.z, shape_sigma_z=EXPERIMENT.sigma_w
+)
 SEQUENCE = fringedic.fringe_sequence(80, 6, [80, 10], 4)
 FRAMES = np.array([0.8 * image.astype(np.float32) + 10 for image in SEQUENCE])
 ANGLES = [math.radians(angle) for angle in (0, -15, -10, 10, 15)]
@@ -191,7 +195,15 @@ CALLS = {
     fringedic.export.export_dataset: {"dataset": EXPERIMENT, "folder": NOWHERE, "formats": ["csv"], "steps": [1]},
     fringedic.results.compare_with_truth: {"dataset": EXPERIMENT, "truth_path": NOWHERE},
     fringedic.compare_model: {"experiment": MEASURED, "model": MODEL, "steps": [1], "load": "force", "loads": {1: 2.0}},
-    fringedic.read_model: {"file": NOWHERE, "unit": "mm", "displacement": "u", "loads": [1.0]},
+    fringedic.compare_shape: {"experiment": SHAPED, "model": NOMINAL, "step": 0},
+    fringedic.read_model: {
+        "file": NOWHERE,
+        "unit": "mm",
+        "displacement": "u",
+        "strain": "e",
+        "results": [NOWHERE],
+        "loads": [1.0],
+    },
     fringedic.compare_experiments: {"one": MEASURED, "other": MEASURED},
     fringedic.open_campaign: {"place": NOWHERE},
     fringedic.open_experiment: {"path": NOWHERE},

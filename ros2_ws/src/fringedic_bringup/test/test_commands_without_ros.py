@@ -106,7 +106,11 @@ def commands(folder: Path) -> dict[str, list[str]]:
         "report": ["report", dataset, "--output", str(folder / "report.html")],
         "compare-model": [
             *("compare-model", dataset, str(folder / "plate.vtp"), "--unit", "mm", "--by", "position"),
-            *("--load=100", "--output", str(folder / "compared")),
+            *("--load=100", "--output", str(folder / "compared"), "--load-table", str(folder / "loads.csv")),
+        ],
+        "compare-model --shape": [
+            *("compare-model", dataset, str(folder / "plate.vtp"), "--unit", "mm", "--shape"),
+            *("--output", str(folder / "shape")),
         ],
         "view": ["view", dataset, "--port", str(free_port())],
         # a recording of an experiment is read and refused, because a calibration of this size is too long for a test
@@ -137,6 +141,7 @@ def outcomes(folder: Path) -> dict[str, Outcome]:
     sheet = pyvista.Plane(i_size=400, j_size=400).triangulate()
     sheet.point_data["displacement"] = 1e-3 * sheet.points
     sheet.save(folder / "plate.vtp")
+    (folder / "loads.csv").write_text("step,load\n" + "".join(f"{number},{number / 10}\n" for number in range(20)))
     for number in range(3):
         noisy = grey + rng.normal(0, 2, grey.shape)
         cv2.imwrite(str(folder / f"static-{number}.png"), np.clip(noisy, 0, 255).astype(np.uint8))
@@ -218,3 +223,6 @@ def test_results_are_written(folder: Path, outcomes: dict[str, Outcome]) -> None
     page = (folder / "compared" / "comparison.html").read_text(encoding="utf-8")
     assert "The shape is" in page
     assert list((folder / "compared").glob("*_vtk/*.pvd"))
+    assert list((folder / "compared" / "mesh").glob("*.pvd"))
+    assert outcomes["compare-model --shape"].code == 0, outcomes["compare-model --shape"].error
+    assert "peak to valley" in (folder / "shape" / "comparison.html").read_text(encoding="utf-8")

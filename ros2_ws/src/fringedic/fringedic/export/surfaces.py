@@ -15,12 +15,14 @@ from fringedic.results.motion import in_space
 from fringedic.results.quantities import people_unit
 
 MILLI = 1e-3
-_NEEDED = ("x", "y", "z", "u", "v", "w")
+_POSITIONS, _MOTION = ("x", "y", "z"), ("u", "v", "w")
 _VECTORS = {"displacement_mm": ("u", "v", "w"), "displacement_sigma_mm": ("sigma_u", "sigma_v", "sigma_w")}
 
 
 def measured_surface(step: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
-    """Return where a step has a displaced surface, and the quadrilaterals between its points.
+    """Return where a step has a surface, and the quadrilaterals between its points.
+
+    Where a step has a displacement, only displaced points belong to the surface.
 
     Parameters
     ----------
@@ -36,11 +38,11 @@ def measured_surface(step: xr.Dataset) -> tuple[np.ndarray, np.ndarray]:
     Raises
     ------
     ExportError
-        The step has no displaced surface.
+        The step has no such surface.
     """
-    absent = [name for name in _NEEDED if name not in step]
+    absent = [name for name in _POSITIONS if name not in step]
     valid = np.ones((step.sizes["row"], step.sizes["column"]), bool)
-    for name in () if absent else _NEEDED:
+    for name in () if absent else (*_POSITIONS, *(each for each in _MOTION if each in step)):
         valid &= np.isfinite(step[name].values)
     if absent or not valid.any():
         raise ExportError(f"step {int(step.step)} has no surface")
@@ -95,7 +97,9 @@ def write_vtk(dataset: xr.Dataset, folder: Path) -> list[str]:
     skipped: list[str] = []
     text = origin_text(dataset)
     times = dict(zip(dataset["step"].values.tolist(), seconds(dataset), strict=True))
-    names = [name for name in map_names(dataset) if name not in _NEEDED and not name.startswith("shape_")]
+    names = [
+        name for name in map_names(dataset) if name not in (*_POSITIONS, *_MOTION) and not name.startswith("shape_")
+    ]
     for step, valid, quads in _surfaces(dataset, skipped):
         time = times[int(step.step)]
         points = np.stack([step[name].values[valid] for name in "xyz"], axis=-1) / MILLI
@@ -113,7 +117,18 @@ def write_vtk(dataset: xr.Dataset, folder: Path) -> list[str]:
             mesh.field_data[name] = np.array([value])
         name = f"step_{int(step.step):03d}.vtp"
         mesh.save(folder / name)
-        entries.append(f'    <DataSet timestep="{time:.9g}" part="0" file={quoteattr(name)}/>')
+        entries.append(collection_entry(time, name))
+    write_collection(folder / f"{experiment_name(dataset)}.pvd", entries)
+    return skipped
+
+
+def collection_entry(time: float, name: str) -> str:
+    """Return the line of a file of a VTK collection."""
+    return f'    <DataSet timestep="{time:.9g}" part="0" file={quoteattr(name)}/>'
+
+
+def write_collection(file: Path, entries: Iterable[str]) -> None:
+    """Write a ``.pvd`` of the entries `collection_entry`."""
     lines = [
         '<?xml version="1.0"?>',
         '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">',
@@ -122,8 +137,7 @@ def write_vtk(dataset: xr.Dataset, folder: Path) -> list[str]:
         "  </Collection>",
         "</VTKFile>",
     ]
-    (folder / f"{experiment_name(dataset)}.pvd").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    return skipped
+    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def write_ply(dataset: xr.Dataset, folder: Path) -> list[str]:
@@ -145,7 +159,7 @@ def write_ply(dataset: xr.Dataset, folder: Path) -> list[str]:
     names = [name for name in map_names(dataset) if not name.startswith("shape_") and name not in "xyz"]
     for step, valid, quads in _surfaces(dataset, skipped):
         columns = {
-            axis: _float32(step[axis].values[valid] + step[moved].values[valid], MILLI)
+            axis: _float32((step[axis] + step[moved] if moved in step else step[axis]).values[valid], MILLI)
             for axis, moved in zip("xyz", "uvw", strict=True)
         }
         columns |= _maps(step, names, valid)

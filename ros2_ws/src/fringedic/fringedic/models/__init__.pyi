@@ -2,7 +2,9 @@ from .agreement import Agreement as Agreement
 from .comparison import compare_model as compare_model
 from .model import Model as Model
 from .model import read_model as read_model
+from .on_mesh import on_mesh as on_mesh
 from .placement import FreeDirections as FreeDirections
 from .placement import Placement as Placement
 from .placement import PointPair as PointPair
 from .placement import place_model as place_model
+from .shape import compare_shape as compare_shape

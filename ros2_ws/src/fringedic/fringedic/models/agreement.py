@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import xarray as xr
 from scipy.ndimage import label
 
 from fringedic.results.correlated import correlated_points
@@ -25,6 +26,14 @@ AGREEMENT = {
     "sigma_mean_error": ("", "validation uncertainty of the mean error (ASME V&V 20), in the unit of the quantity"),
     "factor": ("1", "factor on the model's map with the least squared differences"),
     "sigma_factor": ("1", "standard uncertainty of the factor"),
+}
+
+CURVE = {
+    "curve_within_2_sigma": "share of the points of all steps whose difference is within two standard uncertainties",
+    "curve_normalized_rms": "RMS of difference over standard uncertainty, of the points of all steps",
+    "curve_relative_error": "RMS difference of all steps over the RMS of their measured maps or uncertainties",
+    "curve_factor": "factor on the model's maps of all steps: mean of those of the steps by their uncertainty",
+    "curve_sigma_factor": "standard uncertainty of curve_factor, for errors that the steps share: an upper limit",
 }
 
 
@@ -115,6 +124,27 @@ def assess(
         factor=factor if power > 0 else math.nan,
         sigma_factor=math.sqrt(together / power + aligned / power**2) if power > 0 else math.nan,
     )
+
+
+def assess_curve(steps: xr.Dataset) -> xr.Dataset:
+    """Return the figures `CURVE` over quantity, from those of each step over (step, quantity).
+
+    The steps share the reference image and the alignment, so that their errors do not average out.
+    """
+    points = steps["points"]
+    total = points.sum("step")
+    scale = (steps["rms_difference"] / steps["relative_error"]) ** 2
+    weights = 1 / steps["sigma_factor"] ** 2
+    weights = weights.where(np.isfinite(weights) & steps["factor"].notnull(), 0.0)
+    found: dict[str, xr.DataArray] = {
+        "curve_within_2_sigma": (points * steps["within_2_sigma"]).sum("step") / total,
+        "curve_normalized_rms": ((points * steps["normalized_rms"] ** 2).sum("step") / total) ** 0.5,
+        "curve_relative_error": ((points * steps["rms_difference"] ** 2).sum("step") / (points * scale).sum("step"))
+        ** 0.5,
+        "curve_factor": (weights * steps["factor"]).sum("step") / weights.sum("step"),
+        "curve_sigma_factor": (weights * steps["sigma_factor"]).sum("step") / weights.sum("step"),
+    }
+    return xr.Dataset({name: each.assign_attrs(units="1", long_name=CURVE[name]) for name, each in found.items()})
 
 
 def _largest_region(normalized: np.ndarray) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -12,12 +11,13 @@ import xarray as xr
 
 from fringedic.errors import ModelError
 from fringedic.inputs.arguments import check_arguments, dataset, number, of_type, one_of, optional, several, whole
-from fringedic.models.agreement import AGREEMENT, Agreement, assess
+from fringedic.models.agreement import AGREEMENT, Agreement, assess, assess_curve
 from fringedic.models.levelling import Levelling, levelling_of
 from fringedic.models.model import Model
-from fringedic.models.placement import Placement, PointPair, place_model
+from fringedic.models.observed import Pair, place_on_step, placement_text
+from fringedic.models.placement import Placement
 from fringedic.models.sampling import facing, sample
-from fringedic.models.sensitivity import Sensitivity
+from fringedic.models.sensitivity import Sensitivity, surface_gradient, tangent_components
 from fringedic.models.shift import SHIFT, Shift, estimate_shift
 from fringedic.results.motion import in_space
 from fringedic.results.quantities import MAP_DIMENSIONS
@@ -25,9 +25,7 @@ from fringedic.results.quantities import MAP_DIMENSIONS
 _POSITION, _DISPLACEMENT = ("x", "y", "z"), ("u", "v", "w")
 _STRAINS = (("e_11", "e_22", "e_12"), ("e_xx", "e_yy", "e_xy"))
 _THREADS = 2  # each needs the memory of one set of maps
-_KEPT = ("experiment", "software", "commit", "parameters", "calibration", "facts", "pixel_size")
-Pair = tuple[Sequence[float], Sequence[float]]
-"""(column, row) [px of the reference image] of a point, and its (x, y, z) [m] in the frame of the model."""
+KEPT = ("experiment", "software", "commit", "parameters", "calibration", "facts", "pixel_size")
 
 
 class _Fields(NamedTuple):
@@ -96,7 +94,8 @@ def compare_model(
         ``sigma_``, ``model_``, ``difference_`` (measured minus model), ``sigma_difference_`` and ``normalized_``, the
         difference over its standard uncertainty. ``x``, ``y``, ``z`` and ``distance`` of the reference surface from the
         model along z [m]. Over (step, quantity) the values of `fringedic.models.agreement`; over step those of
-        `fringedic.models.shift` and the ``load_of_model``.
+        `fringedic.models.shift`, the ``load_of_model`` and the ``load_of_reference``. Over quantity those of all steps
+        together, ``curve_factor`` and others.
         The attribute ``placement`` (JSON) contains the rigid transformation with its standard uncertainties.
 
     Raises
@@ -125,14 +124,15 @@ def compare_model(
         _require_maps(step)
         reference = of_step.get(int(step["reference_step"]), 0.0)
         if placement is None:
-            placement = _place(step, model, pairs, pair_sigma, reference)
+            placement = place_on_step(step, _POSITION, model, pairs, pair_sigma, reference)
         comparison = _Comparison(step, model, placement, levelling, (reference, of_step[number_of_step]))
         compared.append(comparison.result().assign_coords(step=number_of_step))
     assert placement is not None
     joined = xr.concat(compared, "step", coords="minimal", compat="override", join="override")
+    joined = joined.merge(assess_curve(joined))
     return joined.assign_attrs(
-        {name: experiment.attrs[name] for name in _KEPT if name in experiment.attrs}
-    ).assign_attrs(model=model.name, load=load, placement=_placement_text(placement))
+        {name: experiment.attrs[name] for name in KEPT if name in experiment.attrs}
+    ).assign_attrs(model=model.name, load=load, placement=placement_text(placement))
 
 
 def _loads(experiment: xr.Dataset, model: Model, load: str, loads: Mapping[int, float] | None) -> dict[int, float]:
@@ -179,37 +179,6 @@ def _require_maps(step: xr.Dataset) -> None:
         )
 
 
-def _place(step: xr.Dataset, model: Model, pairs: Sequence[Pair], pair_sigma: float | None, load: float) -> Placement:
-    surface = np.stack([step[name].values.astype(float) for name in _POSITION])
-    distances = np.hypot(*(np.diff(surface[axis], axis=1) for axis in (0, 1)))
-    measured = [PointPair(_measured_at(step, surface, pair[0]), _three(pair[1])) for pair in pairs]
-    spacing = float(np.nanmedian(distances))
-    return place_model(surface, model, measured, spacing=spacing, pair_sigma=pair_sigma, load=load)
-
-
-def _three(position: Sequence[float]) -> tuple[float, float, float]:
-    if len(position) != 3:
-        raise ModelError(
-            f"the point {tuple(position)} of the model has {len(position)} coordinates; it needs (x, y, z) in m"
-        )
-    return float(position[0]), float(position[1]), float(position[2])
-
-
-def _measured_at(step: xr.Dataset, surface: np.ndarray, at: Sequence[float]) -> tuple[float, float, float]:
-    """Return the position in space of a pixel: of the plane through the nearest measured points."""
-    row, column = np.meshgrid(step["row"].values, step["column"].values, indexing="ij")
-    known = np.isfinite(surface).all(axis=0)
-    offset = np.stack([column[known] - at[0], row[known] - at[1]])
-    distance = np.hypot(*offset)
-    near = np.argsort(distance)[:9]
-    spacing = abs(float(step["column"][1] - step["column"][0]))
-    if len(near) < 9 or distance[near[0]] > 10 * spacing:
-        raise ModelError(f"nothing is measured near the point {tuple(at)} px (column, row); choose another point pair")
-    basis = np.column_stack([np.ones(9), *offset[:, near]])
-    found = np.linalg.lstsq(basis, surface[:, known][:, near].T, rcond=None)[0][0]
-    return _three(found.tolist())
-
-
 class _Comparison:
     """One step beside the model at its load."""
 
@@ -221,13 +190,14 @@ class _Comparison:
         self._known = np.isfinite(self._positions).all(axis=0) & np.isfinite(step["u"].values)
         before, after = (model.displacement_at(load) for load in loads)
         self._nodes, self._motion, self._model = model.nodes + before, after - before, model
+        self._nodal_strain = model.strain_at(loads[1]) - model.strain_at(loads[0]) if len(model.strain) else None
 
     def result(self) -> xr.Dataset:
         """Return the maps of the step and its agreement."""
         measured, sigma = self._measured()
-        sampled, height = self._sample()
+        sampled, height, strain = self._sample()
         levelled = self._levelling.displacement(sampled)
-        modelled = self._fields(levelled)
+        modelled = self._fields(levelled, strain)
         moved = self._changes(levelled, height)
         deviation = np.sqrt(sum((change**2 for change in moved), sigma.values**2))
         difference = measured.values - modelled.values
@@ -276,20 +246,30 @@ class _Comparison:
                 return names
         return ()
 
-    def _sample(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return displacement (3, row, column) and z (row, column) of the model in the rig frame at the points."""
+    def _sample(self) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Return displacement (3, row, column), z and nodal strain of the model in the rig frame at the points."""
         nodes = self._placement.apply(self._nodes)
         triangles = facing(nodes, self._model.triangles) if self._model.closed else self._model.triangles
         samples = sample(nodes, triangles, self._positions[:, self._known].T)
-        values = np.column_stack([self._motion @ self._placement.rotation.T, nodes[:, 2]])
-        maps = np.full((4, *self._known.shape), np.nan, np.float32)
-        maps[:, self._known] = samples.interpolate(values).T
-        return maps[:3], maps[3]
+        values = [self._motion @ self._placement.rotation.T, nodes[:, 2:]]
+        if self._nodal_strain is not None:
+            values.append(_turn_tensors(self._nodal_strain, self._placement.rotation))
+        together = np.hstack(values)
+        maps = np.full((together.shape[1], *self._known.shape), np.nan, np.float32)
+        maps[:, self._known] = samples.interpolate(together).T
+        if self._nodal_strain is None:
+            return maps[:3], maps[3], None
+        slopes = surface_gradient(np.stack([*self._positions[:2], maps[3]]), maps[3])
+        return maps[:3], maps[3], tangent_components(_metric(maps[4:], *slopes), *slopes)
 
-    def _fields(self, displacement: np.ndarray) -> _Fields:
-        """Return the compared quantities of a displacement (3, row, column)."""
-        strains = self._strain_names()
-        found = self._levelling.strain(self._positions, displacement, self._step) if strains else ()
+    def _fields(self, displacement: np.ndarray, nodal_strain: np.ndarray | None) -> _Fields:
+        """Return the compared quantities of a filtered displacement and perhaps nodal strain (3, row, column)."""
+        strains: tuple[str, ...] = self._strain_names()
+        found: Iterable[np.ndarray] = ()
+        if strains and nodal_strain is not None:
+            found = self._levelling.nodal_strain(nodal_strain)
+        elif strains:
+            found = self._levelling.strain(self._positions, displacement, self._step)
         names = [name for name in _DISPLACEMENT if f"sigma_{name}" in self._step]
         return _Fields((*names, *strains), np.stack([*self._spatial(displacement), *found]))
 
@@ -313,6 +293,7 @@ class _Comparison:
             fields[name] = ("quantity", values, {"units": units, "long_name": long_name})
         for name, long_name in SHIFT.items():
             fields[name] = ((), getattr(shift, name), {"units": "m", "long_name": long_name})
+        fields["load_of_reference"] = ((), self._loads[0], {"long_name": "load of the model at the reference step"})
         fields["load_of_model"] = ((), self._loads[1], {"long_name": "load that the model was interpolated at"})
         for name in ("force", "position", "reference_step", "time"):
             if name in self._step:
@@ -323,18 +304,17 @@ class _Comparison:
         return xr.Dataset(fields, {**coordinates, "quantity": list(names)})
 
 
-def _placement_text(placement: Placement) -> str:
-    """Return the rigid transformation and its uncertainty as JSON."""
-    free = None if placement.free is None else placement.free.__dict__
-    return json.dumps(
-        {
-            "rotation": placement.rotation.tolist(),
-            "translation": placement.translation.tolist(),
-            "centre": placement.centre.tolist(),
-            "sigma_translation": np.sqrt(np.diag(placement.covariance)[:3]).tolist(),
-            "sigma_rotation": np.sqrt(np.diag(placement.covariance)[3:]).tolist(),
-            "residual": placement.residual,
-            "points": placement.used,
-            "free": free,
-        }
+def _turn_tensors(tensors: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """Return symmetric tensors (node, 6), in the order xx, yy, zz, xy, yz, xz, in a rotated frame."""
+    xx, yy, zz, xy, yz, xz = tensors.T
+    full = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    turned = np.einsum("ij,jkn,lk->iln", rotation, full, rotation)
+    return np.stack([turned[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))], axis=-1)
+
+
+def _metric(strain: np.ndarray, z_x: np.ndarray, z_y: np.ndarray) -> np.ndarray:
+    """Return A_x . E A_x, A_y . E A_y and A_x . E A_y of tensors (6, row, column), as of `tangent_components`."""
+    xx, yy, zz, xy, yz, xz = strain
+    return np.stack(
+        [xx + 2 * z_x * xz + z_x**2 * zz, yy + 2 * z_y * yz + z_y**2 * zz, xy + z_y * xz + z_x * yz + z_x * z_y * zz]
     )

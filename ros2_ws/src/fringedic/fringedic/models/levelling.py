@@ -56,6 +56,25 @@ class Levelling:
             in_plane = list(pool.map(lambda values: self._in_plane(values, known), (u, v)))
         return np.where(known, np.stack([*in_plane, w]), np.nan)
 
+    def nodal_strain(self, maps: np.ndarray) -> np.ndarray:
+        """Return maps of e_11, e_22, e_12 (3, row, column) of the surface as they would be measured.
+
+        The slope of a least-squares plane is the mean of the derivative over its window, with weights that fall to 0 at
+        both ends along the direction of the derivative (a parabola) and are equal across it; the shear is the mean of
+        two such slopes. Before, the displacement passes through the window of the correlation.
+        """
+        known = np.isfinite(maps).all(axis=0)
+        e_11, e_22, e_12 = (self._in_plane(np.where(known, each, 0.0).astype(np.float32), known) for each in maps)
+        reach = max(1, round((self.strain_window - 1) / 2 / self.spacing))
+        place = np.arange(-reach, reach + 1)
+        equal, falling = np.ones(len(place)), reach * (reach + 1) - place * (place - 1.0)
+        falling = (falling + falling[::-1]) / 2
+        along_x, along_y = (
+            _normalised(known, *(taps / taps.sum() for taps in pair)) for pair in ((falling, equal), (equal, falling))
+        )
+        found = np.stack([along_x(e_11), along_y(e_22), (along_x(e_12) + along_y(e_12)) / 2])
+        return np.where(known, found, np.nan)
+
     def _in_plane(self, values: np.ndarray, known: np.ndarray) -> np.ndarray:
         if self.method == "zoi":
             return _normalised(known, _zone(self.window, self.spacing))(values)
@@ -113,11 +132,14 @@ def _fixed_point(values: np.ndarray, known: np.ndarray, deviation: float) -> np.
     return result
 
 
-def _normalised(known: np.ndarray, taps: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Return the separable filter that weighs only known points; 0 elsewhere."""
+def _normalised(
+    known: np.ndarray, taps: np.ndarray, across: np.ndarray | None = None
+) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the separable filter, by default alike along both axes, that weighs only known points; 0 elsewhere."""
+    taps_y = taps if across is None else across
 
     def smooth(values: np.ndarray) -> np.ndarray:
-        return np.asarray(cv2.sepFilter2D(values, cv2.CV_32F, taps, taps, borderType=cv2.BORDER_CONSTANT))
+        return np.asarray(cv2.sepFilter2D(values, cv2.CV_32F, taps, taps_y, borderType=cv2.BORDER_CONSTANT))
 
     inverse_share = np.divide(1, smooth(known.astype(np.float32)), out=np.zeros(known.shape, np.float32), where=known)
     return lambda values: np.asarray(smooth(values) * inverse_share)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ import numpy as np
 
 from fringedic.errors import ModelError, optional_import
 from fringedic.inputs.arguments import check_arguments, number, one_of, optional, path, several, text
+from fringedic.models.results_table import NodalResults, node_labels, read_results
 
 if TYPE_CHECKING:
     import pyvista
@@ -24,7 +25,7 @@ _EXODUS_SUFFIXES = {".e", ".ex2", ".exo", ".exii"}
 _SERIES_SUFFIXES = {".pvd"} | _EXODUS_SUFFIXES
 _MESHIO_SUFFIXES = {".inp", ".msh", ".bdf", ".nas", ".med", ".xdmf"}
 _LONGEST_CAUSE = 150  # characters
-_PREFIX = "displacement at load "
+_PREFIX, _STRAIN_PREFIX = "displacement at load ", "strain at load "
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,9 @@ class Model:
         Force [N] or crosshead position [m] of each load, increasing; empty for a nominal shape.
     displacement : (load, node, 3)
         Displacement of the nodes [m].
+    strain : (load, node, 6)
+        Strain at the nodes [1]: xx, yy, zz, xy, yz, xz, tensor shear; empty (0, node, 6) if it is to follow from the
+        displacement.
     """
 
     name: str
@@ -54,6 +58,11 @@ class Model:
     closed: bool
     loads: np.ndarray
     displacement: np.ndarray
+    strain: np.ndarray = field(default_factory=lambda: np.empty((0, 0, 6)))
+
+    def strain_at(self, load: float) -> np.ndarray:
+        """Return the strain at the nodes (node, 6) [1] at a load, as `displacement_at`."""
+        return self._at(load, self.strain)
 
     def displacement_at(self, load: float) -> np.ndarray:
         """Return the displacement of the nodes (node, 3) [m] at a load, linear between the loads of the model.
@@ -63,6 +72,9 @@ class Model:
         ModelError
             The load is outside the loads of the model.
         """
+        return self._at(load, self.displacement)
+
+    def _at(self, load: float, values: np.ndarray) -> np.ndarray:
         if not self.covers(load):
             raise ModelError(
                 f"{self.name}: the load {load:g} is outside the model's loads, {self.loads[0]:g} to "
@@ -70,9 +82,7 @@ class Model:
             )
         place = float(np.interp(load, self.loads, np.arange(len(self.loads))))
         first = min(int(place), len(self.loads) - 2)
-        return np.asarray(
-            (first + 1 - place) * self.displacement[first] + (place - first) * self.displacement[first + 1]
-        )
+        return np.asarray((first + 1 - place) * values[first] + (place - first) * values[first + 1])
 
     def covers(self, load: float) -> bool:
         """Return whether a load is within the loads of the model, up to 0.1 % of their range."""
@@ -85,6 +95,8 @@ class Model:
     file=path,
     unit=one_of(*UNITS),
     displacement=optional(text),
+    strain=optional(text),
+    results=several(path),
     loads=optional(several(number(), least=1)),
 )
 def read_model(
@@ -92,6 +104,8 @@ def read_model(
     *,
     unit: str,
     displacement: str | None = None,
+    strain: str | None = None,
+    results: Sequence[str | os.PathLike[str]] = (),
     loads: Sequence[float] | None = None,
 ) -> Model:
     """Read a mesh of surface or volume elements with the displacement of its nodes.
@@ -109,6 +123,12 @@ def read_model(
     displacement
         Name of the field of displacement vectors at the nodes; by default the only vector field. A file without one
         is a nominal shape.
+    strain
+        Name of a field of strain at the nodes: 6 components xx, yy, zz, xy, yz, xz with the tensor shear, or all 9. By
+        default the strain is computed from the displacement, as the measured one is.
+    results
+        CSV tables with displacement and perhaps strain of the nodes of an Abaqus ``.inp``, one for each load step: a
+        column of node labels, ``U1``, ``U2``, ``U3``, and ``E11``, ``E22``, ``E12`` ... with the engineering shear.
     loads
         Force [N] or crosshead position [m] of each load step of the file; by default the times of a ``.pvd``.
 
@@ -133,9 +153,14 @@ def read_model(
     """
     source = Path(file)
     _require_readable(source)
+    if results and source.suffix.lower() != ".inp":
+        raise ModelError(f"{source.name}: tables of results belong to an Abaqus .inp; leave them out")
     meshes = _load_steps(source) if source.suffix.lower() in _SERIES_SUFFIXES else {0.0: _read_mesh(source)}
-    found = [_displacement(mesh, displacement, source.name) for mesh in meshes.values()]
-    fields = [each for each in found if each is not None]
+    if results:
+        fields = _tables(source, next(iter(meshes.values())), [Path(each) for each in results])
+    else:
+        found = [_field_results(mesh, displacement, strain, source.name) for mesh in meshes.values()]
+        fields = [each for each in found if each is not None]
     given = (list(meshes) if loads is None else loads) if fields else []
     if fields and loads is None and source.suffix.lower() != ".pvd":
         raise ModelError(
@@ -219,10 +244,44 @@ def _at_time(reader: Any, time: float, exodus: bool) -> pyvista.UnstructuredGrid
     return grid
 
 
+def _tables(source: Path, mesh: pyvista.DataSet, files: Sequence[Path]) -> list[NodalResults]:
+    """Return the results of the load steps of an Abaqus input file."""
+    labels = node_labels(source)
+    if len(labels) != mesh.n_points:
+        raise ModelError(
+            f"{source.name}: lists {len(labels)} nodes and its mesh has {mesh.n_points}; write a flat input file "
+            "without parts and includes"
+        )
+    return [read_results(file, labels) for file in files]
+
+
+def _field_results(
+    mesh: pyvista.DataSet, displacement: str | None, strain: str | None, source: str
+) -> NodalResults | None:
+    """Return the fields of a mesh; None for a mesh without vectors that names none."""
+    moved = _displacement(mesh, displacement, source)
+    return None if moved is None else NodalResults(moved, None if strain is None else _strain(mesh, strain, source))
+
+
+def _strain(mesh: pyvista.DataSet, name: str, source: str) -> np.ndarray:
+    values = np.asarray(mesh.point_data[name], float) if name in mesh.point_data else np.empty((0, 0))
+    components = values.shape[1] if values.ndim == 2 else 1
+    if components not in (6, 9):
+        raise ModelError(
+            f"{source}: has no strain {name!r} with 6 or 9 components at its nodes, it has "
+            f"{', '.join(mesh.point_data) or 'no field'}; export it at the nodes, or leave it out"
+        )
+    return values[:, [0, 4, 8, 1, 5, 2]] if components == 9 else values
+
+
 def _displacement(mesh: pyvista.DataSet, name: str | None, source: str) -> np.ndarray | None:
     """Return the vectors (node, 3) of the displacement; None for a mesh without vectors that names none."""
     others = {mesh.point_data.active_normals_name, mesh.point_data.active_texture_coordinates_name}
-    vectors = [each for each in mesh.point_data if np.ndim(mesh.point_data[each]) == 2 and each not in others]
+    vectors = [
+        each
+        for each in mesh.point_data
+        if np.ndim(mesh.point_data[each]) == 2 and mesh.point_data[each].shape[1] <= 3 and each not in others
+    ]
     if name is None and len(vectors) > 1:
         raise ModelError(f"{source}: has the vector fields {', '.join(vectors)}; name the one of the displacement")
     if name is not None and name not in vectors:
@@ -238,27 +297,39 @@ def _displacement(mesh: pyvista.DataSet, name: str | None, source: str) -> np.nd
     return np.pad(field, ((0, 0), (0, 3 - field.shape[1])))
 
 
-def _model(name: str, mesh: pyvista.DataSet, fields: dict[float, np.ndarray], scale: float) -> Model:
-    """Return the model of a mesh with displacements by load; fields move with the nodes to the surface."""
-    for load, field in fields.items():
-        mesh.point_data[f"{_PREFIX}{load}"] = field
+def _model(name: str, mesh: pyvista.DataSet, fields: dict[float, NodalResults], scale: float) -> Model:
+    """Return the model of a mesh with results by load; fields move with the nodes to the surface."""
+    for load, results in fields.items():
+        mesh.point_data[f"{_PREFIX}{load}"] = results.displacement
+        if results.strain is not None:
+            mesh.point_data[f"{_STRAIN_PREFIX}{load}"] = results.strain
     surface = _surface(name, mesh)
     nodes, triangles = scale * np.asarray(surface.points, float), surface.regular_faces.astype(np.int64)
     moved = {load: scale * np.asarray(surface.point_data[f"{_PREFIX}{load}"], float) for load in sorted(fields)}
-    missing = sum(int(np.count_nonzero(~np.isfinite(each).all(axis=1))) for each in (nodes, *moved.values()))
+    strained = {
+        load: np.asarray(surface.point_data[f"{_STRAIN_PREFIX}{load}"], float)
+        for load in sorted(fields)
+        if fields[load].strain is not None
+    }
+    if strained and len(strained) < len(moved):
+        raise ModelError(f"{name}: has a strain at {len(strained)} of {len(moved)} load steps; export it for all")
+    missing = sum(
+        int(np.count_nonzero(~np.isfinite(each).all(axis=1))) for each in (nodes, *moved.values(), *strained.values())
+    )
     if missing:
-        raise ModelError(
-            f"{name}: {missing} nodes have a position or displacement that is not finite; compute it again"
-        )
+        raise ModelError(f"{name}: {missing} nodes have a position or result that is not finite; compute it again")
     if moved and min(moved) > 0:  # from the state without load
         moved = {0.0: np.zeros_like(nodes), **moved}
+        strained = {0.0: np.zeros((len(nodes), 6)), **strained} if strained else {}
     elif len(moved) == 1:
         raise ModelError(f"{name}: one load step at {min(moved):g} cannot be interpolated; add a load step beyond it")
     closed = surface.n_open_edges == 0
     if closed and _volume(nodes, triangles) < 0:
         triangles = triangles[:, ::-1]
     displacement = np.array(list(moved.values())) if moved else np.empty((0, *nodes.shape))
-    return Model(name, nodes, np.ascontiguousarray(triangles), closed, np.array(list(moved), float), displacement)
+    strain = np.array(list(strained.values())) if strained else np.empty((0, len(nodes), 6))
+    loads = np.array(list(moved), float)
+    return Model(name, nodes, np.ascontiguousarray(triangles), closed, loads, displacement, strain)
 
 
 def _surface(name: str, mesh: pyvista.DataSet) -> pyvista.PolyData:

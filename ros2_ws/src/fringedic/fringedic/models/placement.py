@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from fringedic.errors import ModelError
 from fringedic.models.model import Model
-from fringedic.models.sampling import facing, node_normals, sample
+from fringedic.models.sampling import distances, facing, node_normals
 from fringedic.results.correlated import correlated_points
 
 _MOST_POINTS = 20_000  # of the measured surface; more do not change the result within its uncertainty
@@ -113,6 +113,28 @@ class Placement:
         return np.asarray((vectors[:, kept] * np.sqrt(values[kept])).T)
 
 
+class Side(NamedTuple):
+    """Triangles of a model that face the camera, and normals of its nodes (node, 3) in its own frame."""
+
+    triangles: np.ndarray
+    normals: np.ndarray
+
+
+def seen_side(model: Model, placed: Placement) -> Side:
+    """Return the side of a model that faces the camera.
+
+    Raises
+    ------
+    ModelError
+        No triangle faces the camera.
+    """
+    nodes = placed.apply(model.nodes)
+    triangles = facing(nodes, model.triangles) if model.closed else model.triangles
+    if not len(triangles):
+        raise ModelError(f"{model.name}: no side of the model faces the camera; check the point pairs")
+    return Side(triangles, node_normals(nodes, triangles) @ placed.rotation)
+
+
 def place_model(
     surface: np.ndarray,
     model: Model,
@@ -187,13 +209,6 @@ class _Fit(NamedTuple):
     variance: float
 
 
-class _Side(NamedTuple):
-    """Triangles of a model that face the camera, and normals of its nodes (node, 3) in its own frame."""
-
-    triangles: np.ndarray
-    normals: np.ndarray
-
-
 class _System(NamedTuple):
     """Normal equations at a placement: gradient, covariance of the solution, and what the shape leaves free."""
 
@@ -220,7 +235,7 @@ class _Alignment:
         if not (spacing > 0 and np.ptp(measured[:, 0]) > 0 and np.ptp(measured[:, 1]) > 0):
             raise ModelError("the measured points lie on a line or at one place; choose another reference step")
         self._centre = measured.mean(axis=0)
-        self._side = _Side(np.empty((0, 3), np.int64), np.empty((0, 3)))
+        self._side = Side(np.empty((0, 3), np.int64), np.empty((0, 3)))
         self._length = float(np.sqrt(np.mean(np.sum((measured - self._centre) ** 2, axis=1))))
 
     def start(self) -> Placement:
@@ -262,7 +277,7 @@ class _Alignment:
 
     def _iterate(self, placed: Placement, variance: float | None, most: int = _ITERATIONS) -> tuple[Placement, _Fit]:
         """Return the placement after Gauss-Newton steps, and the fit there."""
-        self._side = self._seen_side(placed)
+        self._side = seen_side(self._model, placed)
         for _ in range(most):
             system = self._system(placed, variance)
             step = system.covariance @ system.gradient
@@ -320,29 +335,17 @@ class _Alignment:
             rows.append(np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]]))
         return np.vstack(rows), (self._pairs[:, 0] - modelled).ravel()
 
-    def _seen_side(self, placed: Placement) -> _Side:
-        """Return the triangles that face the camera with the normals of their nodes, which the iterations keep."""
-        nodes = placed.apply(self._model.nodes)
-        triangles = facing(nodes, self._model.triangles) if self._model.closed else self._model.triangles
-        if not len(triangles):
-            raise ModelError(f"{self._model.name}: no side of the model faces the camera; check the point pairs")
-        return _Side(triangles, node_normals(nodes, triangles) @ placed.rotation)
-
     def _fit(self, placed: Placement) -> _Fit:
         nodes = placed.apply(self._model.nodes)
-        samples = sample(nodes, self._side.triangles, self._points)
-        found = samples.found
-        if np.count_nonzero(found) < _FEWEST:
+        found = distances(nodes, self._side.triangles, self._side.normals @ placed.rotation.T, self._points)
+        residuals = found.along_normal
+        known = residuals[np.isfinite(residuals)]
+        if len(known) < _FEWEST:
             raise ModelError(
-                f"{self._model.name}: misses the measured surface, {np.count_nonzero(found)} of its points lie on the "
+                f"{self._model.name}: misses the measured surface, {len(known)} of its points lie on the "
                 "model: check the unit of the mesh, and give point pairs"
             )
-        on_model = samples.interpolate(nodes)
-        normal = samples.interpolate(self._side.normals @ placed.rotation.T)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        residuals = np.einsum("pi,pi->p", normal, self._points - on_model)
-        derivatives = np.hstack([normal, np.cross(on_model - self._centre, normal)])
-        known = residuals[np.isfinite(residuals)]
+        derivatives = np.hstack([found.normals, np.cross(found.foot - self._centre, found.normals)])
         scale = max(1.4826 * float(np.median(np.abs(known))), _SMALLEST_SCALE * self._length)
         weights = np.clip(1 - (residuals / (_TUKEY * scale)) ** 2, 0, None) ** 2
         kept = np.where(weights > 0, residuals, np.nan).reshape(self._shape)

@@ -66,6 +66,30 @@ def sample(nodes: np.ndarray, triangles: np.ndarray, points: np.ndarray) -> Samp
     return Samples(corners, weights)
 
 
+class Distances(NamedTuple):
+    """Distances of points from a model along its normals.
+
+    Attributes
+    ----------
+    along_normal : (point,)
+        Positive outside, towards the camera [m]; NaN beside the model.
+    normals, foot : (point, 3)
+        Unit normals, and the points of the model at the same (x, y) [m].
+    """
+
+    along_normal: np.ndarray
+    normals: np.ndarray
+    foot: np.ndarray
+
+
+def distances(nodes: np.ndarray, triangles: np.ndarray, normals: np.ndarray, points: np.ndarray) -> Distances:
+    """Return the distances of points (point, 3) from triangles, with normals of the nodes as of `node_normals`."""
+    samples = sample(nodes, triangles, points)
+    foot, normal = samples.interpolate(nodes), samples.interpolate(normals)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    return Distances(np.einsum("pi,pi->p", normal, points - foot), normal, foot)
+
+
 def facing(nodes: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return the triangles whose normal has a positive z: those that a camera above the model sees."""
     return np.ascontiguousarray(triangles[_across(nodes, triangles)[:, 2] > 0])

@@ -81,10 +81,19 @@ class Sensitivity:
         z_x, z_y = self._slopes
         (a_x, a_y), (c_x, c_y) = self._tangents, surface_gradient(self._positions, change)
         e_xx, e_yy, e_xy = _dot(a_x, c_x), _dot(a_y, c_y), (_dot(a_x, c_y) + _dot(a_y, c_x)) / 2
-        squared = 1 + z_x**2
-        r = np.sqrt(squared / (squared + z_y**2))
-        p, q = 1 / np.sqrt(squared), -r * z_x * z_y / squared
-        return np.stack([p**2 * e_xx, q**2 * e_xx + 2 * q * r * e_xy + r**2 * e_yy, p * (q * e_xx + r * e_xy)])
+        return tangent_components(np.stack([e_xx, e_yy, e_xy]), z_x, z_y)
+
+
+def tangent_components(metric: np.ndarray, z_x: np.ndarray, z_y: np.ndarray) -> np.ndarray:
+    """Return e_11, e_22, e_12 (3, row, column) of a strain E in the basis of `fringedic.surface.surface_strain`.
+
+    The metric contains A_x . E A_x, A_y . E A_y and A_x . E A_y, with A_x = (1, 0, z_x) and A_y = (0, 1, z_y).
+    """
+    e_xx, e_yy, e_xy = metric
+    squared = 1 + z_x**2
+    r = np.sqrt(squared / (squared + z_y**2))
+    p, q = 1 / np.sqrt(squared), -r * z_x * z_y / squared
+    return np.stack([p**2 * e_xx, q**2 * e_xx + 2 * q * r * e_xy + r**2 * e_yy, p * (q * e_xx + r * e_xy)])
 
 
 def _cross(vector: np.ndarray, maps: np.ndarray) -> np.ndarray:

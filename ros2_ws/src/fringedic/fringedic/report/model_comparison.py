@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import xarray as xr
 
+from fringedic.figures.load_curve import load_curve_figure
 from fringedic.figures.maps import maps_figure
 from fringedic.figures.panels import Panel, panel_of
 from fringedic.report.embedding import base64_png
@@ -31,6 +32,26 @@ COLUMNS = (
     "largest region [points]",
     "factor on the model",
 )
+
+_NOTE = (
+    "The uncertainty is that of the measurement and of the alignment together. RMS over sigma: 1 for noise alone. "
+    "Systematic: the part of the RMS difference beyond its uncertainty. Largest region: connected points whose "
+    "difference exceeds 2 sigma with one sign. The factor is that on the model's map with the least squared "
+    "difference, ± one standard uncertainty."
+)
+_SHAPE_NOTE = (
+    "The deviation is positive outside the nominal shape. Its uncertainty contains the noise of the height and the "
+    "alignment, not the systematic errors of the calibration."
+)
+_SHAPE_COLUMNS = {
+    "rms_difference": "RMS deviation",
+    "rms_sigma": "its uncertainty",
+    "systematic": "systematic",
+    "mean_error": "mean of nominal minus measured",
+    "peak_to_valley": "peak to valley",
+    "sigma_peak_to_valley": "its uncertainty",
+    "noise_peak_to_valley": "peak to valley of noise",
+}
 
 
 def write_model_comparison(comparison: xr.Dataset, output: Path, *, overwrite: bool = False) -> Path:
@@ -61,9 +82,67 @@ def write_model_comparison(comparison: xr.Dataset, output: Path, *, overwrite: b
         columns=COLUMNS,
         rows=[row for step in comparison["step"].values for row in _rows(comparison.sel(step=step))],
         shown=int(last["step"]),
+        note=_NOTE,
+        curve=base64_png(load_curve_figure(comparison)) if comparison.sizes["step"] > 1 else "",
         maps={name: base64_png(_maps(last, name)) for name in comparison["quantity"].values.tolist()},
     )
     return write_page(page, output)
+
+
+def write_shape_comparison(comparison: xr.Dataset, output: Path, *, overwrite: bool = False) -> Path:
+    """Write the page of a shape beside a nominal one: figures, maps of the deviation, the placement of the model.
+
+    Parameters
+    ----------
+    comparison
+        From `fringedic.models.compare_shape`.
+    output, overwrite
+        As in `write_model_comparison`.
+
+    Raises
+    ------
+    DatasetError
+        The file exists already or cannot be written.
+    FringedicError
+        A package of the extra ``report`` is not installed.
+    """
+    require_new(output, overwrite)
+    step = comparison.isel(step=0)
+    panels = (
+        Panel("deviation", "deviation along the normal", symmetric=True),
+        Panel("sigma_deviation", "its standard uncertainty"),
+        Panel("normalized_deviation", "deviation over its uncertainty", symmetric=True),
+    )
+    lengths = {name: _length(step[name]) for name in _SHAPE_COLUMNS}
+    page = render_page(
+        "model_comparison.html.j2",
+        title=f"{comparison.attrs.get('experiment', 'experiment')} and {comparison.attrs['model']}",
+        sentences=[*shape_sentences(comparison), *placement_sentences(comparison)],
+        columns=list(_SHAPE_COLUMNS.values()),
+        rows=[list(lengths.values())],
+        shown=int(step["step"]),
+        note=_SHAPE_NOTE,
+        curve="",
+        maps={"the deviation": base64_png(maps_figure(step, panels, title=f"step {int(step['step'])}"))},
+    )
+    return write_page(page, output)
+
+
+def shape_sentences(comparison: xr.Dataset) -> list[str]:
+    """Return how many points agree with the nominal shape, and the range of the deviation beside that of noise."""
+    step = comparison.isel(step=0)
+    return [
+        f"{100 * float(step['within_2_sigma']):.1f} % of {int(step['points'])} points are within 2 sigma of the "
+        f"nominal shape (95 % expected of noise); RMS deviation {_length(step['rms_difference'])}, of which "
+        f"{_length(step['systematic'])} exceed the noise",
+        f"The deviation ranges over {_length(step['peak_to_valley'])} ± {_length(2 * step['sigma_peak_to_valley'])} "
+        f"(95 %; the flatness, if the nominal shape is a plane); noise alone would give "
+        f"{_length(step['noise_peak_to_valley'])}.",
+    ]
+
+
+def _length(value: xr.DataArray) -> str:
+    return f"{number_text(1e6 * float(value))} µm"
 
 
 def agreement_sentences(step: xr.Dataset) -> list[str]:

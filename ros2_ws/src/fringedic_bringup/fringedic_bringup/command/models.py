@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +13,7 @@ from fringedic.errors import ConfigurationError
 from fringedic_bringup.command.app import Overwrite, Source, app, output_file, say
 
 if TYPE_CHECKING:
-    from fringedic.models.comparison import Pair
+    from fringedic.models.observed import Pair
 
 _MILLI = 1e-3
 
@@ -38,6 +39,20 @@ def compare_model(  # noqa: PLR0913 (options of a command)
             help="A point of the reference image in px and of the mesh in its unit; three or more align the mesh.",
         ),
     ] = None,
+    results: Annotated[
+        list[Path] | None,
+        typer.Option(help="CSV with the results of a load step at the nodes of an Abaqus .inp; may be repeated."),
+    ] = None,
+    strain: Annotated[
+        str | None, typer.Option(help="Name of the strain at the nodes; by default it follows from the displacement.")
+    ] = None,
+    load_table: Annotated[
+        Path | None,
+        typer.Option(help="CSV with the columns step and load (N, or mm by position) instead of the recorded loads."),
+    ] = None,
+    shape: Annotated[
+        bool, typer.Option("--shape", help="Compare the shape alone with a nominal one, such as an STL.")
+    ] = False,
     pair_sigma_mm: Annotated[
         float | None,
         typer.Option(help="Standard uncertainty of each coordinate of the pairs; by default one point spacing."),
@@ -46,27 +61,44 @@ def compare_model(  # noqa: PLR0913 (options of a command)
     output: Annotated[Path, typer.Option(help="Folder for page, dataset and VTK files.")] = Path("compared"),
     overwrite: Overwrite = False,
 ) -> None:
-    """Compare displacement and strain with a finite-element model; write page, dataset and VTK files."""
+    """Compare displacement and strain with a finite-element model, or the shape; write page, dataset and VTK files."""
     page = output_file(output / "comparison.html", overwrite)
-    from fringedic.export import export_dataset
+    from fringedic.export import export_dataset, write_mesh
     from fringedic.models import compare_model as compare
-    from fringedic.models import read_model
+    from fringedic.models import compare_shape, on_mesh, read_model
     from fringedic.models.model import UNITS
-    from fringedic.report.model_comparison import agreement_sentences, placement_sentences, write_model_comparison
+    from fringedic.report.model_comparison import (
+        agreement_sentences,
+        placement_sentences,
+        shape_sentences,
+        write_model_comparison,
+        write_shape_comparison,
+    )
     from fringedic.results import open_experiment
 
     scale = _MILLI if by == "position" else 1.0
-    mesh = read_model(
-        model, unit=unit, displacement=field, loads=None if load is None else [scale * each for each in load]
-    )
+    of_mesh = None if load is None else [scale * each for each in load]
+    if shape and of_mesh is None:
+        of_mesh = [1.0]  # a displacement of the mesh is not used, whatever its load
+    mesh = read_model(model, unit=unit, displacement=field, strain=strain, results=results or [], loads=of_mesh)
     pairs = _pairs(pair or [], UNITS[unit])
+    sigma = None if pair_sigma_mm is None else _MILLI * pair_sigma_mm
     with open_experiment(source) as experiment:
-        sigma = None if pair_sigma_mm is None else _MILLI * pair_sigma_mm
-        comparison = compare(experiment, mesh, pairs=pairs, pair_sigma=sigma, steps=steps or None, load=by)
+        if shape:
+            comparison = compare_shape(experiment, mesh, pairs=pairs, pair_sigma=sigma, step=_only(steps))
+        else:
+            loads = None if load_table is None else _load_table(load_table, scale)
+            comparison = compare(
+                experiment, mesh, pairs=pairs, pair_sigma=sigma, steps=steps or None, load=by, loads=loads
+            )
     output.mkdir(parents=True, exist_ok=True)
-    say(f"step {int(comparison.step[-1])}:", *agreement_sentences(comparison.isel(step=-1)))
+    sentences = shape_sentences(comparison) if shape else agreement_sentences(comparison.isel(step=-1))
+    say(f"step {int(comparison.step[-1])}:", *sentences)
     say(*placement_sentences(comparison))
-    say(f"page: {write_model_comparison(comparison, page, overwrite=overwrite)}")
+    write = write_shape_comparison if shape else write_model_comparison
+    say(f"page: {write(comparison, page, overwrite=overwrite)}")
+    if not shape:
+        say(f"mesh: {write_mesh(on_mesh(comparison, mesh), output / 'mesh')}")
     for done in export_dataset(comparison, output, ["netcdf", "vtk"], overwrite=overwrite):
         say(f"{done.format}: {done.path or '; '.join(done.problems)}")
 
@@ -86,6 +118,37 @@ def compare(
     with open_experiment(one) as first, open_experiment(other) as second:
         say(*comparison_sentences(compare_experiments(first, second)))
         say(f"page: {write_comparison(first, second, page, overwrite=overwrite)}")
+
+
+def _only(steps: list[int] | None) -> int | None:
+    """Return the step of a comparison of the shape.
+
+    Raises
+    ------
+    ConfigurationError
+        There are several.
+    """
+    if steps and len(steps) > 1:
+        raise ConfigurationError("--shape compares one step; give --step once")
+    return steps[0] if steps else None
+
+
+def _load_table(file: Path, scale: float) -> dict[int, float]:
+    """Return the load of each step from a CSV with the columns step and load.
+
+    Raises
+    ------
+    ConfigurationError
+        The file is no such table.
+    """
+    try:
+        with file.open(newline="", encoding="utf-8-sig") as stream:
+            loads = {int(row["step"]): scale * float(row["load"]) for row in csv.DictReader(stream)}
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise ConfigurationError(f"{file}: is no table of loads; write a CSV with the columns step,load") from error
+    if not loads:
+        raise ConfigurationError(f"{file}: contains no load; write a line for each step")
+    return loads
 
 
 def _pairs(texts: list[str], scale: float) -> list[Pair]:
