@@ -27,6 +27,7 @@ from fringedic_bringup.launch.environment import node_environment, private_domai
 from fringedic_bringup.procedures.run import frame_losses
 
 WARM_UP_S, SPAN_S = 5.0, 20.0
+WHEEL_S = 11.0  # after which the wheel of the browsers before is free
 TICKS = os.sysconf("SC_CLK_TCK")
 PROGRAMME = "{experiment: measured, ramp: {to_mm: 0.3, steps: 4, speed_mm_per_s: 5}}"
 PORT = 8177
@@ -99,9 +100,11 @@ def operating(rig: str, folder: Path) -> Iterator[tuple[str, int]]:
         with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, cwd=folder, env=environment) as process:
             assert process.stdout is not None
             url = next(line for line in process.stdout if line.startswith("page: ")).split()[-1]
-            yield url, page_process(process.pid)
-            process.send_signal(signal.SIGINT)
-            process.wait(90)
+            try:
+                yield url, page_process(process.pid)
+            finally:
+                process.send_signal(signal.SIGINT)
+                process.wait(90)
 
 
 def page_process(parent: int) -> int:
@@ -148,6 +151,7 @@ def measure_live(url: str, pid: int, clients: int, span_s: float = SPAN_S) -> No
 
 def measure_run(url: str, pid: int, clients: int, folder: Path) -> None:
     """Print processor time and the delay of the maps during a programme."""
+    time.sleep(WHEEL_S)
     browsers = [Browser(url) for _ in range(clients)]
     time.sleep(1.0)
     browsers[0].post("wheel", action="ask")

@@ -108,7 +108,13 @@ def test_every_field_of_a_message_states_its_unit() -> None:
 
 
 def test_library_declares_what_it_imports() -> None:
-    names = {"cv2": "opencv-python-headless", "PIL": "pillow", "skimage": "scikit-image", "yaml": "pyyaml"}
+    names = {
+        "cv2": "opencv-python-headless",
+        "foxglove": "foxglove-sdk",
+        "PIL": "pillow",
+        "skimage": "scikit-image",
+        "yaml": "pyyaml",
+    }
     needed = {names.get(module, module) for module in imported_by(SOURCES / "fringedic" / "fringedic")} - {"fringedic"}
     needed |= {"websockets", "s3fs"}  # uvicorn and fsspec load them
     settings = ConfigParser()

@@ -191,6 +191,7 @@ _EXTRAS = {
     "figures": "drawing",
     "report": "a report",
     "operator": "the operator's page",
+    "foxglove": "a server for Foxglove",
     "paraview": "a file for ParaView",
     "models": "reading a model",
     "zarr": "a Zarr dataset",
@@ -205,8 +206,8 @@ def optional_import(extra: str) -> Iterator[None]:
     Parameters
     ----------
     extra
-        The extra of this library that installs the package: ``figures``, ``report``, ``operator``, ``paraview``,
-        ``models``, ``zarr`` or ``campaign``.
+        The extra of this library that installs the package: ``figures``, ``report``, ``operator``, ``foxglove``,
+        ``paraview``, ``models``, ``zarr`` or ``campaign``.
 
     Raises
     ------

@@ -5,11 +5,11 @@ from __future__ import annotations
 import importlib
 import json
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+from viewer import LAYOUT, drawn
 
 DOCS = Path(__file__).parents[4] / "docs"
 NAMESPACE = "/rig/"
@@ -17,7 +17,7 @@ NAMESPACE = "/rig/"
 
 @pytest.fixture(scope="module")
 def layout() -> dict[str, Any]:
-    return json.loads((DOCS / "foxglove" / "fringedic.json").read_text())
+    return json.loads(LAYOUT.read_text())
 
 
 @pytest.fixture(scope="module")
@@ -37,20 +37,8 @@ def message(kind: str) -> Any:
     return getattr(importlib.import_module(f"{package}.msg"), name)()
 
 
-def named(panels: dict[str, dict[str, Any]]) -> Iterator[tuple[str, str]]:
-    """Every topic of the panels, with the field that is drawn."""
-    for panel in panels.values():
-        yield from (
-            (path["value"].partition(".")[0], path["value"].partition(".")[2]) for path in panel.get("paths", ())
-        )
-        yield from ((topic, "") for topic in panel.get("topics", ()))
-        for topic in (panel.get("imageMode", {}).get("imageTopic"), panel.get("topicToRender"), panel.get("topicPath")):
-            if topic:
-                yield topic, ""
-
-
 def test_every_topic_and_field_exists(layout: dict[str, Any], published: dict[str, str]) -> None:
-    topics = list(named(layout["configById"]))
+    topics = list(drawn(layout))
     assert len(topics) > 12
     for topic, field in topics:
         name = topic if topic == "/diagnostics" else topic.removeprefix(NAMESPACE)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import struct
 import zlib
+from dataclasses import dataclass
 from typing import TypeVar
 
 from rclpy.serialization import deserialize_message
@@ -55,10 +56,33 @@ def header_stamp(data: bytes) -> int:
     return seconds * 1_000_000_000 + nanoseconds
 
 
-def image_crc(data: bytes) -> int:
-    """Return the CRC-32 of the pixels of a serialised ``sensor_msgs/Image``, whose last field they are.
+@dataclass
+class ImageView:
+    """A serialised ``sensor_msgs/Image`` in the form of `fringedic.frames.messages.ImageMessage`; pixels not copied.
 
-    The field begins with its length, which with padding of strings before it stands at a multiple of four bytes.
+    Attributes
+    ----------
+    stamp
+        Of its header [ns].
+    height, width, encoding, is_bigendian, step
+        Fields of the message.
+    data
+        The bytes of the pixels, in those of the message.
+    """
+
+    stamp: int
+    height: int
+    width: int
+    encoding: str
+    is_bigendian: int
+    step: int
+    data: memoryview
+
+
+def image_view(data: bytes) -> ImageView:
+    """Return the fields of a serialised ``sensor_msgs/Image``; `read` would copy its pixels.
+
+    Fields of four bytes stand at multiples of four (CDR), behind the padding of strings and bytes before them.
 
     Raises
     ------
@@ -67,25 +91,39 @@ def image_crc(data: bytes) -> int:
     """
     try:
         order = "<" if data[1] & 1 else ">"
-        offset = 4 + 8  # encapsulation, stamp
-        offset = _after_string(data, offset, order)  # frame_id
-        offset = _aligned(offset) + 8  # height, width
-        offset = _after_string(data, offset, order)  # encoding
-        offset = _aligned(offset + 1) + 4  # is_bigendian, step
-        (size,) = struct.unpack_from(f"{order}I", data, offset)
-    except (struct.error, IndexError):
+        _, offset = _string(data, 4 + 8, order)  # frame_id, after encapsulation and stamp
+        height, width = struct.unpack_from(f"{order}II", data, offset := _aligned(offset))
+        encoding, offset = _string(data, offset + 8, order)
+        step, size = struct.unpack_from(f"{order}II", data, _aligned(offset + 1))
+        is_bigendian = data[offset]
+    except (struct.error, IndexError, UnicodeDecodeError):
         raise _unreadable(data, "Image") from None
-    return zlib.crc32(memoryview(data)[offset + 4 : offset + 4 + size])
+    first = _aligned(offset + 1) + 8
+    pixels = memoryview(data)[first : first + size]
+    return ImageView(header_stamp(data), height, width, encoding, is_bigendian, step, pixels)
+
+
+def image_crc(data: bytes) -> int:
+    """Return the CRC-32 of the pixels of a serialised ``sensor_msgs/Image``.
+
+    Raises
+    ------
+    RecordingError
+        The bytes are not those of an image.
+    """
+    return zlib.crc32(image_view(data).data)
 
 
 def _unreadable(data: bytes, kind: str) -> RecordingError:
     return RecordingError(f"a message of {len(data)} bytes cannot be read as {kind}; check which program publishes it")
 
 
-def _after_string(data: bytes, offset: int, order: str) -> int:
+def _string(data: bytes, offset: int, order: str) -> tuple[str, int]:
+    """Return the string at or behind an offset, and the offset behind it."""
     offset = _aligned(offset)
     (size,) = struct.unpack_from(f"{order}I", data, offset)
-    return offset + 4 + int(size)
+    end = offset + 4 + size
+    return data[offset + 4 : end].rstrip(b"\0").decode(), end
 
 
 def _aligned(offset: int) -> int:

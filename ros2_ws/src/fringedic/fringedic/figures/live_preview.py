@@ -14,7 +14,8 @@ from fringedic.rig_setup.live_figures import Figures
 
 PREVIEW_WIDTH = 640
 MOST_PIXELS = 1_000_000  # of a picture for a browser
-JPEG_QUALITY = 80
+# A single red pixel keeps its colour: the usual sampling mixes it with its neighbours.
+JPEG = (cv2.IMWRITE_JPEG_QUALITY, 80, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 RED, BLUE, YELLOW = (255, 0, 0), (0, 60, 255), (255, 220, 0)
 
 
@@ -76,19 +77,15 @@ def browser_picture(image: np.ndarray) -> bytes:
         raise ImageError(f"an image of shape {image.shape} and type {image.dtype} has no grey levels of a camera")
     full = full_scale_of([image])
     factor = math.ceil(math.sqrt(image.size / MOST_PIXELS))
-    saturated = image >= full
+    size = max(image.shape[1] // factor, 1), max(image.shape[0] // factor, 1)
     grey = image if image.dtype == np.uint8 else cv2.convertScaleAbs(image, alpha=255 / full)
-    if factor > 1:
-        size = image.shape[1] // factor, image.shape[0] // factor
-        grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-    any_saturated = bool(saturated.any())
-    picture = grey
-    if any_saturated:
-        if factor > 1:
-            saturated = cv2.resize(saturated.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0
-        picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
-        picture[saturated] = RED[::-1]
-    encoded, data = cv2.imencode(".jpg", picture, (cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY))
+    picture = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+    if image.max() >= full:
+        picture = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
+        _, saturated = cv2.threshold(image, full - 1, 255, cv2.THRESH_BINARY)
+        # the mean of the pixels under one is not 0 when any of them is 255: of up to 22 x 22
+        picture[cv2.resize(saturated, size, interpolation=cv2.INTER_AREA) > 0] = RED[::-1]
+    encoded, data = cv2.imencode(".jpg", picture, JPEG)
     if not encoded:
         raise ImageError("the frame cannot be encoded as JPEG")
     return data.tobytes()

@@ -129,7 +129,7 @@ class BagReader:
         """Return the full names of those topics that are in the recording; see `find`."""
         return self.find(*(name for name in relative_names if self._full_names(name)))
 
-    def raw(self, topics: Iterable[str] | None = None) -> Iterator[RawMessage]:
+    def raw(self, topics: Iterable[str] | None = None, *, start: int = 0) -> Iterator[RawMessage]:
         """Iterate over serialised messages in the order of their log time.
 
         Messages of equal time keep their order in the file. One chunk (about a megabyte) is in memory at a time, or
@@ -139,6 +139,8 @@ class BagReader:
         ----------
         topics
             Full names; None for all topics.
+        start
+            Messages of an earlier log time [ns] are left out.
 
         Raises
         ------
@@ -150,7 +152,8 @@ class BagReader:
             (chunk, number, file)
             for number, file in enumerate(self._files)
             for chunk in file.chunks
-            if any(file.channels[known].topic in wanted for known in chunk.channels & file.channels.keys())
+            if chunk.end_time >= start
+            and any(file.channels[known].topic in wanted for known in chunk.channels & file.channels.keys())
         ]
         places.sort(key=lambda place: (place[0].start_time, place[1], place[0].offset))
         waiting: list[tuple[int, int, int, int, RawMessage]] = []
@@ -159,11 +162,28 @@ class BagReader:
                 yield heapq.heappop(waiting)[-1]
             for order, message in enumerate(read_messages(file, chunk)):
                 topic = file.channels[message.channel_id].topic
-                if topic in wanted:
+                if topic in wanted and message.log_time >= start:
                     raw = RawMessage(topic, message.data, message.log_time, message.publish_time, message.sequence)
                     heapq.heappush(waiting, (message.log_time, number, chunk.offset, order, raw))
         while waiting:
             yield heapq.heappop(waiting)[-1]
+
+    def newest(self, topics: Iterable[str], before: int) -> list[RawMessage]:
+        """Return the last message of each topic before a log time [ns], as far as there is one.
+
+        Raises
+        ------
+        RecordingError
+            See `raw`.
+        """
+        missing, found = set(topics), dict[str, RawMessage]()
+        places = [(chunk, file) for file in self._files for chunk in file.chunks if chunk.start_time < before]
+        for chunk, file in sorted(places, key=lambda place: place[0].end_time, reverse=True):
+            if any(file.channels[known].topic in missing for known in chunk.channels & file.channels.keys()):
+                messages = (_raw(file, each) for each in read_messages(file, chunk) if each.log_time < before)
+                found |= {each.topic: each for each in messages if each.topic in missing}
+                missing -= found.keys()
+        return list(found.values())
 
     def stored(self) -> Iterator[RawMessage]:
         """Iterate over serialised messages in the order in which they were written, which is that of their receipt.

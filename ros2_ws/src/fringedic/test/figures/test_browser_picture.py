@@ -39,6 +39,16 @@ def test_saturated_pixels_are_red_also_in_a_smaller_picture(kind: type, full: in
     assert grey.mean() == pytest.approx(127, abs=3)
 
 
+def test_one_saturated_pixel_is_seen_in_a_much_smaller_picture() -> None:
+    image = np.full((4000, 6000), 100, np.uint8)
+    image[2002, 3003] = 255
+    shown = decoded(browser_picture(image)).astype(int)
+    factor = 4000 // shown.shape[0]
+    row, column = 2002 // factor, 3003 // factor
+    assert shown[row, column, 0] - shown[row, column, 2] > 40
+    assert shown[row - 20, column, 0] - shown[row - 20, column, 2] == 0
+
+
 @pytest.mark.parametrize(
     "image", [np.zeros((4, 6, 3), np.uint8), np.zeros((4, 6), np.float32), np.zeros((0, 6), np.uint8)]
 )

@@ -44,6 +44,10 @@ def _recording(path: Path) -> Path:
     return recording_of(path)
 
 
+def _optional_recording(path: Path | None) -> Path | None:
+    return None if path is None else _recording(path)
+
+
 def _recordings(paths: list[Path]) -> list[Path]:
     return [_recording(path) for path in paths]
 
@@ -56,6 +60,10 @@ Source = Annotated[
 ]
 
 Bag = Annotated[Path, typer.Argument(help="Folder of a recording, or of a run.", callback=_recording)]
+OptionalBag = Annotated[
+    Path | None,
+    typer.Argument(metavar="[BAG]", help="Folder of a recording, or of a run.", callback=_optional_recording),
+]
 Bags = Annotated[
     list[Path],
     typer.Argument(help="Folders of recordings or runs, processed one after the other.", callback=_recordings),

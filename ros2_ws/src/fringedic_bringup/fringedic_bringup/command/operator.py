@@ -6,21 +6,21 @@ import ipaddress
 import shutil
 import signal
 import threading
-from contextlib import suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import Bag, Rig, app, say
+from fringedic_bringup.command.app import OptionalBag, Rig, app, say
 from fringedic_bringup.launch.rig_files import rig_path_of
 from fringedic_bringup.procedures.folders import output_folder
 
 if TYPE_CHECKING:
     from fringedic.page.server import Address
 
-PORT = 8090
+LOCAL, PORT, FOXGLOVE_PORT = "127.0.0.1", 8090, 8765
 Port = Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")]
 Host = Annotated[str, typer.Option("--address", help="Address of this computer at which the page is served.")]
 Certificate = Annotated[Path | None, typer.Option(help="TLS certificate (PEM).")]
@@ -29,17 +29,33 @@ Key = Annotated[Path | None, typer.Option(help="Private key of the certificate (
 
 @app.command(epilog="Example: fringedic view recordings/plate-7/bag")
 def view(
-    bag: Bag,
-    port: Port = PORT,
-    address: Host = "127.0.0.1",
+    bag: OptionalBag = None,
+    foxglove: Annotated[
+        bool, typer.Option("--foxglove", help="Serve Foxglove instead; without BAG the topics of running nodes.")
+    ] = False,
+    port: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="Port; 8090, or 8765 for Foxglove, by default.")
+    ] = None,
+    address: Host = LOCAL,
     certificate: Certificate = None,
     key: Key = None,
 ) -> None:
     """Show a recording in a browser: maps with their uncertainty, profiles, extensometers, curves, 3D. Without ROS."""
+    if foxglove:
+        if (address, certificate, key) != (LOCAL, None, None):
+            raise ConfigurationError(f"--foxglove serves {LOCAL} only, because its protocol has no token")
+        view_with_foxglove(bag, port or FOXGLOVE_PORT)
+    elif bag is None:
+        raise ConfigurationError("no recording: give its folder, or --foxglove for the topics of running nodes")
+    else:
+        view_page(bag, page_address(address, port or PORT, certificate, key))
+
+
+def view_page(bag: Path, place: Address) -> None:
+    """Serve the page of a recording until Ctrl-C."""
     from fringedic.page.recorded import RecordedRig
     from fringedic.page.server import PageServer
 
-    place = page_address(address, port, certificate, key)
     with suppress(KeyboardInterrupt):
         server = PageServer(RecordedRig(bag), place)
         try:
@@ -49,12 +65,28 @@ def view(
             server.close()
 
 
+def view_with_foxglove(bag: Path | None, port: int) -> None:
+    """Serve Foxglove with a recording, or with the topics of running nodes, until Ctrl-C."""
+    from fringedic.page.foxglove import RecordingPlayer
+
+    if bag is None:
+        from fringedic_bringup.operating.live_topics import LiveTopics
+
+        source: LiveTopics | RecordingPlayer = LiveTopics(port)
+    else:
+        source = RecordingPlayer(bag, port)
+    with suppress(KeyboardInterrupt), closing(source):
+        say(f"foxglove: {source.server.url}", "Ctrl-C ends")
+        while True:
+            source.spin_once()
+
+
 @app.command(epilog="Example: fringedic operate plate.yaml")
 def operate(
     rig: Rig,
     attach: Annotated[bool, typer.Option("--attach", help="Join a rig that runs already.")] = False,
     port: Port = PORT,
-    address: Host = "127.0.0.1",
+    address: Host = LOCAL,
     certificate: Certificate = None,
     key: Key = None,
 ) -> None:

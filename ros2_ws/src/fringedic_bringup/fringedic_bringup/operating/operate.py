@@ -59,8 +59,9 @@ def operate(
             "maps_folder": str(Path(folder) / "maps"),
         }
         graph = Graph(rig.namespace, (NodeEntry("operator", "operator_node", "operator", parameters),))
-        secret = {TOKEN: address.token}
-        page = RunningGraph(graph, Path(folder), domain=place.domain, environment=secret, owner=False)
+        # for a preview, waking other threads costs more than they do
+        environment = {TOKEN: address.token, "OPENCV_FOR_THREADS_NUM": "1"}
+        page = RunningGraph(graph, Path(folder), domain=place.domain, environment=environment, owner=False)
         server = nullcontext() if attach else ProcedureServer(place)
         with page, server as procedures:
             work = (lambda: time.sleep(0.2)) if procedures is None else procedures.spin_once

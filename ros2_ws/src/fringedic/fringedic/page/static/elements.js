@@ -22,6 +22,15 @@ function set(element, attributes) {
   }
 }
 
+// Shows new children; the element of the same id, or else of the same text, keeps the focus of the keyboard.
+export function repaint(place, ...children) {
+  const active = place.contains(document.activeElement) ? document.activeElement : null, text = active?.textContent;
+  place.replaceChildren(...children.filter((child) => child !== null && child !== undefined));
+  if (!active || active === document.activeElement) return;
+  const same = active.id ? document.getElementById(active.id) : [...place.querySelectorAll(active.tagName)].find((each) => each.textContent === text);
+  same?.focus({ preventScroll: true });
+}
+
 export function options(select, entries, chosen) {
   const value = chosen ?? select.value;
   select.replaceChildren(...entries.map(([key, text]) => make("option", { value: key }, text)));

@@ -1,6 +1,6 @@
 // The frame of the page: views, who drives, the hold button, and the state in one line.
 
-import { make } from "./elements.js";
+import { make, repaint } from "./elements.js";
 import { command, say } from "./server.js";
 import { connect, latest, listen } from "./stream.js";
 
@@ -16,7 +16,7 @@ function views() {
 async function route() {
   if (!latest("rig")) return;
   const known = views(), name = location.hash.slice(1) in known ? location.hash.slice(1) : Object.keys(known)[0];
-  document.getElementById("views").replaceChildren(
+  repaint(document.getElementById("views"),
     ...Object.entries(known).map(([key, text]) => make("a", { href: `#${key}`, "aria-current": key === name ? "page" : null }, text)));
   if (name === current) return;
   current = name;
@@ -29,7 +29,7 @@ function takeRig(rig) {
   document.title = `${rig.title} – fringedic`;
   document.getElementById("title").textContent = rig.title;
   const live = rig.kind === "rig";
-  document.getElementById("hold").hidden = document.getElementById("hold-note").hidden = !(live && rig.load_frame);
+  document.getElementById("hold").hidden = document.getElementById("hold-note").hidden = !(live && (rig.load_frame || rig.machine));
   if (!live) document.getElementById("summary").replaceChildren("recording",
     rig.report ? make("a", { href: "/files/run/report.html", target: "_blank", rel: "noopener" }, " report") : "");
   route();
@@ -39,7 +39,7 @@ function takeWheel(wheel) {
   const give = make("button", { onclick: () => command("wheel", { action: "give" }) }, wheel.asking ? `Hand over to ${wheel.asking}` : "Hand over");
   const ask = make("button", { onclick: () => command("wheel", { action: "ask" }), disabled: wheel.asked }, wheel.asked ? "Asked for the wheel" : "Ask for the wheel");
   const who = wheel.drives ? "You drive" : wheel.driver_present ? `${wheel.driver} drives` : "Nobody drives";
-  document.getElementById("wheel").replaceChildren(...(latest("rig")?.kind === "recording" ? [] : [make("span", { class: "row" }, who, wheel.drives ? give : ask)]));
+  repaint(document.getElementById("wheel"), ...(latest("rig")?.kind === "recording" ? [] : [make("span", { class: "row" }, who, wheel.drives ? give : ask)]));
 }
 
 const STATES = ["", "runs", "pauses after this step", "is paused", "stops", "has ended", "has failed"];

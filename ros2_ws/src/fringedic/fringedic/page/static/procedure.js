@@ -1,6 +1,6 @@
 // The procedure that runs or ran last: progress, question to the operator, result, and the buttons that control it.
 
-import { make } from "./elements.js";
+import { make, repaint } from "./elements.js";
 import { command } from "./server.js";
 import { listen } from "./stream.js";
 
@@ -13,7 +13,7 @@ export function procedurePanel(names) {
   const panel = make("section", { class: "panel", id: "procedure", hidden: true });
   const end = listen("procedure", (procedure) => {
     panel.hidden = !procedure || !names.includes(procedure.procedure);
-    if (!panel.hidden) panel.replaceChildren(...content(procedure));
+    if (!panel.hidden) repaint(panel, ...content(procedure));
   });
   return { element: panel, end };
 }
@@ -21,7 +21,7 @@ export function procedurePanel(names) {
 function content(procedure) {
   const busy = isBusy(procedure), parts = [make("h2", {}, procedure.title)];
   if (procedure.question) parts.push(make("p", { id: "question", role: "alert" }, `${procedure.question}.`),
-    make("div", { class: "row" }, make("button", { class: "main", id: "confirm", onclick: control("confirm") }, "Done, continue"), make("button", { onclick: control("refuse") }, "End")));
+    make("div", { class: "row" }, make("button", { class: "main", id: "confirm", onclick: control("confirm") }, "Done, continue"), make("button", { id: "refuse", onclick: control("refuse") }, "End")));
   if (busy) parts.push(make("p", { id: "activity" }, activity(procedure)), bar(procedure),
     make("div", { class: "row" }, ...buttons(procedure)));
   if (procedure.error) parts.push(make("p", { class: "bad", id: "error" }, procedure.error));

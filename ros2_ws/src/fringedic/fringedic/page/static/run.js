@@ -1,6 +1,6 @@
 // Runs a programme: its table, start, pause, stop, steps by hand; state of machine, recorder and calibration.
 
-import { make, number } from "./elements.js";
+import { make, number, repaint } from "./elements.js";
 import { LiveImage } from "./live_image.js";
 import { isBusy, procedurePanel } from "./procedure.js";
 import { command } from "./server.js";
@@ -13,7 +13,7 @@ export function show(place) {
   place.replaceChildren(make("div", { class: "columns" },
     make("section", {}, start, procedure.element, make("div", { class: "panel scroll" }, table)),
     make("section", {}, facts, image.element)));
-  const paint = () => { start.replaceChildren(...startPanel()); table.replaceChildren(...rows()); facts.replaceChildren(...factList()); };
+  const paint = () => { repaint(start, ...startPanel()); table.replaceChildren(...rows()); facts.replaceChildren(...factList()); };
   const ends = [() => image.end(), procedure.end, ...["rig", "procedure", "steps", "step", "load", "recorder", "hand"].map((topic) => listen(topic, paint))];
   return () => ends.forEach((end) => end());
 }

@@ -1,6 +1,6 @@
 // The check list for setting up a rig: state of each item, its measurement, its picture, and what to do next.
 
-import { make } from "./elements.js";
+import { make, repaint } from "./elements.js";
 import { figuresPanel } from "./figures.js";
 import { LiveImage } from "./live_image.js";
 import { isBusy, procedurePanel } from "./procedure.js";
@@ -19,7 +19,7 @@ export function show(place) {
   place.replaceChildren(make("div", { class: "columns" }, make("section", {}, list), make("section", {}, procedure.element, work)));
   const choose = (item) => { open = item; paint(); };
   const paint = () => {
-    list.replaceChildren(...(latest("setup") ?? []).map((item) => entry(item, choose)));
+    repaint(list, ...(latest("setup") ?? []).map((item) => entry(item, choose)));
     if (shown === open) return;
     shown = open;
     leave();
