@@ -6,6 +6,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 
+import cv2  # noqa: F401 (its first import changes the environment: not inside of a test)
 import numpy as np
 import pytest
 from numba import njit, prange

@@ -70,6 +70,7 @@ EXPERIMENT = xr.concat([MAPS] * 2, dim="step").assign(
 MEASURED = EXPERIMENT.assign(reference_step=("step", [0, 0])).assign_attrs(
     parameters='[{"parameters": {"dic": {"window": 16, "method": "dense"}}}]'
 )
+STRAINED = EXPERIMENT.assign(dict.fromkeys(("e_11", "e_22", "sigma_e_11", "sigma_e_22"), EXPERIMENT["u"]))
 CORNERS = np.array([(x, y, 0.0) for x in (-0.1, 0.1) for y in (-0.1, 0.1)])
 TRIANGLES = np.array([[0, 2, 3], [0, 3, 1]])
 MODEL = Model("plane", CORNERS, TRIANGLES, False, np.array([0.0, 5.0]), np.array([0 * CORNERS, 1e-3 * CORNERS]))
@@ -170,6 +171,13 @@ CALLS = {
         "points": 5,
     },
     fringedic.results.region_statistics: {"dataset": EXPERIMENT, "names": ["u"], "region": REGION},
+    fringedic.results.strain_curve: {"dataset": STRAINED, "region": REGION},
+    fringedic.results.elastic_constants: {
+        "dataset": STRAINED,
+        "region": REGION,
+        "strain": (-1.0, 1.0),
+        "sigma_force": 1.0,
+    },
     fringedic.results.remove_rigid_motion: {"dataset": EXPERIMENT, "region": REGION},
     fringedic.results.force_curve: {
         "dataset": EXPERIMENT,
@@ -398,6 +406,7 @@ MADE_UP = {
         fringedic.compare_experiments,
         fringedic.figures.save_pictures,
         fringedic.results.remove_rigid_motion,
+        fringedic.results.strain_curve,
     }
 }
 

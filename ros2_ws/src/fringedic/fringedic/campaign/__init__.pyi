@@ -3,6 +3,8 @@ from .engines import Dask as Dask
 from .engines import Engine as Engine
 from .engines import Processes as Processes
 from .engines import Serial as Serial
+from .groups import GroupStatistic as GroupStatistic
+from .groups import group_statistics as group_statistics
 from .key_figures import key_figures as key_figures
 from .opening import open_campaign as open_campaign
 from .plan import Plan as Plan

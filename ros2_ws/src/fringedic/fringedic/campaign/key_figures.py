@@ -9,19 +9,23 @@ import xarray as xr
 
 from fringedic.results.attributes import recorded_metadata
 from fringedic.results.confirmation import confirmed_share
+from fringedic.results.elasticity import ElasticConstants
 from fringedic.results.noise_floor import noise_floors, static_steps
 
 _STRAINS = ("e_11", "e_22")
+_ELASTIC = ("modulus", "sigma_modulus", "poisson_ratio", "sigma_poisson_ratio")
 _NOISE = ("u", "v", "w", *_STRAINS)
 
 
-def key_figures(dataset: xr.Dataset) -> dict[str, Any]:
+def key_figures(dataset: xr.Dataset, constants: ElasticConstants) -> dict[str, Any]:
     """Return the figures of an experiment in SI units; None for those that are not known.
 
     Parameters
     ----------
     dataset
         From `fringedic.open_experiment`.
+    constants
+        Its elastic constants.
 
     Returns
     -------
@@ -29,7 +33,9 @@ def key_figures(dataset: xr.Dataset) -> dict[str, Any]:
         ``experiment``, ``specimen``, ``material``; numbers of ``steps`` and ``failed_steps``; ``confirmed_fraction``
         and the mean ``valid_fraction``; ``largest_force`` by its magnitude [N]; ``largest_strain``, the largest
         magnitude of e_11 and e_22 at any point, with ``sigma_largest_strain`` there and ``largest_strain_step``;
-        ``noise_u``, ... [m] and ``noise_e_11``, ...: standard deviation over the points of the steps at rest.
+        ``axial_strain``, the name of the strain along the load; ``modulus`` [Pa] and ``poisson_ratio`` with
+        ``sigma_modulus`` and ``sigma_poisson_ratio``; ``noise_u``, ... [m] and ``noise_e_11``, ...: standard deviation
+        over the points of the steps at rest.
     """
     specimen = recorded_metadata(dataset).specimen
     floors = {floor.name: floor.spatial for floor in noise_floors(dataset, static_steps(dataset))}
@@ -43,6 +49,8 @@ def key_figures(dataset: xr.Dataset) -> dict[str, Any]:
         "valid_fraction": _mean(dataset["valid_fraction"].values),
         "largest_force": _largest(dataset["force"].values),
         **_largest_strain(dataset),
+        "axial_strain": constants.axial,
+        **{name: getattr(constants, name) for name in _ELASTIC},
         **{f"noise_{name}": floors.get(name, np.nan) for name in _NOISE},
     }
     return {name: None if isinstance(value, float) and np.isnan(value) else value for name, value in figures.items()}

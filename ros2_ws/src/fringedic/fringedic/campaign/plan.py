@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from fringedic.campaign.recordings import Found, Summary, summarise
-from fringedic.campaign.settings import Campaign, Labels
+from fringedic.campaign.settings import Campaign, Elasticity, Labels
 from fringedic.campaign.software import software_identity
 from fringedic.errors import FringedicError
 from fringedic.results.datasets import ProcessingSettings
@@ -76,6 +76,11 @@ class Unit:
             reference=self.processing["reference"],
             calibration=RigModel.from_text(calibration) if calibration else None,
         )
+
+    @property
+    def elasticity(self) -> Elasticity:
+        """What its elastic constants are computed from."""
+        return Elasticity(**self.processing["elasticity"])
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,6 @@ import re
 import zlib
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,6 @@ from fringedic.recording.frames import EXPOSURE, IMAGE
 from fringedic.recording.mcap_file import index_bytes
 from fringedic.recording.reader import BagReader
 from fringedic.recording.remote import RemoteRecording, find_remote, is_remote
-from fringedic.results.datasets import PROCESSED_TOPICS
 
 _NOT_IN_NAMES = re.compile(r"[^A-Za-z0-9._-]+")
 
@@ -172,22 +170,6 @@ def summarise(path: str) -> Summary:
         with RemoteRecording(path).copied((IMAGE, EXPOSURE), first=True) as nearby:
             return _summary(path, nearby)
     return _summary(path, Path(path))
-
-
-@contextmanager
-def local_copy(path: str) -> Iterator[Path]:
-    """Return a recording on this computer: itself, or what processing needs of one in an object store.
-
-    Raises
-    ------
-    RecordingError
-        The recording cannot be read.
-    """
-    if not is_remote(path):
-        yield Path(path)
-        return
-    with RemoteRecording(path).copied(PROCESSED_TOPICS) as nearby:
-        yield nearby
 
 
 def _summary(path: str, nearby: Path) -> Summary:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from fringedic.configuration.yaml_section import Section, load_sections
 from fringedic.errors import CalibrationError, CampaignError
+from fringedic.frames.region import Region
 from fringedic.rig.model import RigModel
 from fringedic.steps.recorded_parameters import RecordedParameters
 
@@ -26,6 +27,7 @@ settings:                           # replace the recorded parameters, as --set 
   dic.window: 32
 # calibration: calibration/calibration.yaml   # replaces the recorded one
 # reference: 0                                # step that all others are measured against
+# elasticity: {strain: [0.0005, 0.002]}       # range of the regression for modulus and Poisson's ratio
 """
 
 
@@ -44,6 +46,35 @@ class RecordingEntry(Labels):
     path: str = Field(description="Recording, folder of a run, folder with recordings, or a pattern with * and **.")
 
 
+_Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class Elasticity(Section):
+    """What the elastic constants of the catalogue are computed from."""
+
+    region_px: list[_Pair] = Field(
+        [], description="Two corners of a rectangle, or the corners of a polygon: [column, row]; by default all points."
+    )
+    strain: _Pair = Field(
+        [-1.0, 1.0], description="Smallest and largest axial strain of the regression; by default all steps."
+    )
+    force_sigma_newton: float = Field(0.0, ge=0, description="Standard uncertainty of a force [N].")
+
+    @model_validator(mode="after")
+    def _require_region(self) -> Self:
+        if len(self.region_px) == 1:
+            raise ValueError("region_px has one corner: give two of a rectangle, or those of a polygon")
+        return self
+
+    @property
+    def region(self) -> Region | None:
+        """The region; None for all points."""
+        if not self.region_px:
+            return None
+        corners = [(column, row) for column, row in self.region_px]
+        return Region.rectangle(*corners) if len(corners) == 2 else Region.polygon(corners)
+
+
 class CampaignFile(Section):
     """Content of ``campaign.yaml``."""
 
@@ -55,6 +86,9 @@ class CampaignFile(Section):
     )
     calibration: str | None = Field(None, description="File of a calibration that replaces the recorded ones.")
     reference: int | None = Field(None, description="Step that all others are measured against.")
+    elasticity: Elasticity = Field(
+        default_factory=Elasticity, description="Region and range of the elastic constants of the catalogue."
+    )
 
 
 @dataclass(frozen=True)
@@ -87,6 +121,7 @@ class Campaign:
             "overrides": dict(sorted(self.content.settings.items())),
             "reference": self.content.reference,
             "calibration": self.calibration,
+            "elasticity": self.content.elasticity.model_dump(mode="json"),
         }
 
 

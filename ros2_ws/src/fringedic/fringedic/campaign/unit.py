@@ -7,14 +7,18 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import numpy as np
+
 from fringedic.campaign.key_figures import key_figures
 from fringedic.campaign.opening import open_group
 from fringedic.campaign.plan import Unit
-from fringedic.campaign.recordings import fingerprint, local_copy
+from fringedic.campaign.recordings import fingerprint
 from fringedic.campaign.software import differences, processor, software_identity, worker_name
 from fringedic.campaign.store import FAILURES, RECEIPTS, CampaignStore, GroupStore
 from fringedic.errors import CampaignError, FringedicError
-from fringedic.results.datasets import process_into
+from fringedic.recording.remote import local_copy
+from fringedic.results.datasets import PROCESSED_TOPICS, process_into
+from fringedic.results.elasticity import constants_of, strain_curve
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,8 @@ class Receipt:
         SHA-256 over all objects of the group, their number and their size [byte].
     figures
         Of `key_figures`.
+    curve
+        Of `fringedic.results.strain_curve`: values over the steps by their names; None where not known.
     seconds, worker, processor
         Duration, and where it was processed.
     input_size
@@ -46,6 +52,7 @@ class Receipt:
     objects: int
     size: int
     figures: dict[str, Any]
+    curve: dict[str, list[float | None]]
     seconds: float
     worker: str
     processor: str
@@ -94,11 +101,13 @@ def process_unit(unit: Unit) -> Receipt:
     _require_recording(unit)
     started = time.perf_counter()
     group = GroupStore(store, unit.name)
-    with local_copy(unit.path) as path:
+    with local_copy(unit.path, PROCESSED_TOPICS) as path:
         process_into(group, path, unit.settings)
     _require_recording(unit)
     with open_group(store, unit.name) as dataset:
-        figures = key_figures(dataset)
+        curve = strain_curve(dataset, unit.elasticity.region)
+        constants = constants_of(curve, unit.elasticity.strain, unit.elasticity.force_sigma_newton)
+        figures = key_figures(dataset, constants)
     receipt = Receipt(
         name=unit.name,
         key=unit.key,
@@ -109,6 +118,7 @@ def process_unit(unit: Unit) -> Receipt:
         objects=group.objects,
         size=group.size,
         figures=figures,
+        curve={str(name): _known(values.values) for name, values in curve.data_vars.items()},
         seconds=time.perf_counter() - started,
         worker=worker_name(),
         processor=processor(),
@@ -162,6 +172,10 @@ def other_results(address: str, names: list[str]) -> CampaignError:
         f"the store {address} contains results of other settings, recordings or software for {shown}: give another "
         "store in the file of the campaign, or compute them again with 'fringedic campaign run --recompute'"
     )
+
+
+def _known(values: np.ndarray) -> list[float | None]:
+    return [float(value) if np.isfinite(value) else None for value in values]
 
 
 def _require_software(unit: Unit) -> None:

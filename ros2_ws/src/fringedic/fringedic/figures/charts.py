@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -154,6 +154,41 @@ def comparison_charts(found: xr.Dataset, names: tuple[str, str]) -> list[go.Figu
         figure.update_yaxes(title="force [N]")
         charts.append(figure)
     return charts
+
+
+class SpecimenCurve(NamedTuple):
+    """Axial strain of a specimen with its standard uncertainty [1], its load over the steps, and the load's label."""
+
+    strain: np.ndarray
+    sigma: np.ndarray
+    load: np.ndarray
+    label: str
+
+
+def specimen_charts(title: str, curves: Mapping[str, SpecimenCurve]) -> list[go.Figure]:
+    """Return the load over the strain of the specimens of a group, one chart for each kind of load.
+
+    Parameters
+    ----------
+    title
+        Of the charts.
+    curves
+        By the names of the specimens; those without a known load are left out.
+    """
+    charts: dict[str, go.Figure] = {}
+    for name, curve in curves.items():
+        if not np.isfinite(curve.load).any():
+            continue
+        layout = {"title": title, "xaxis_title": "mean axial strain [µstrain]", "yaxis_title": curve.label}
+        chart = charts.setdefault(curve.label, go.Figure(layout={**_LAYOUT, **layout, "showlegend": True}))
+        chart.add_scatter(
+            x=(curve.strain / MICRO).tolist(),
+            y=curve.load.tolist(),
+            error_x={"type": "data", "array": (curve.sigma / MICRO).tolist()},
+            mode="lines+markers",
+            name=name,
+        )
+    return list(charts.values())
 
 
 def extensometer_charts(

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fringedic.errors import RecordingError, optional_import
+from fringedic.errors import FringedicError, RecordingError, optional_import
 from fringedic.recording.bag_files import BAG, METADATA, open_file
 from fringedic.recording.mcap_file import MAGIC, ChunkPlace, McapFile, index_start
 
@@ -75,12 +75,35 @@ def find_remote(pattern: str) -> list[str]:
     RecordingError
         The object store cannot be read.
     """
-    with _named(pattern):
-        files, root = _file_system(pattern)
+    with named_errors(pattern):
+        files, root = file_system(pattern)
         files.invalidate_cache()
         matches = files.glob(root) if "*" in root else [root.rstrip("/")]
         found = {name.rpartition("/")[0] for match in matches for name in files.find(match) if name.endswith(".mcap")}
         return sorted(str(files.unstrip_protocol(name)) for name in found)
+
+
+@contextmanager
+def local_copy(path: str | os.PathLike[str], topics: Iterable[str]) -> Iterator[Path]:
+    """Return a recording on this computer: itself, or a temporary copy of what is needed of one in an object store.
+
+    Parameters
+    ----------
+    path
+        The recording; ``s3://...`` or another address that fsspec knows for one in an object store.
+    topics
+        Names of the needed topics relative to the rig's namespace. Without a topic only the index is copied.
+
+    Raises
+    ------
+    RecordingError
+        See `RemoteRecording`.
+    """
+    if not is_remote(path):
+        yield Path(path)
+        return
+    with RemoteRecording(str(path)).copied(topics) as nearby:
+        yield nearby
 
 
 class RemoteRecording:
@@ -100,8 +123,8 @@ class RemoteRecording:
 
     def __init__(self, address: str) -> None:
         self._address = address
-        with _named(address):
-            self._files, self._root = _file_system(address)
+        with named_errors(address):
+            self._files, self._root = file_system(address)
             self._files.invalidate_cache()
             names = sorted(name for name in self._files.find(self._root) if name.endswith(".mcap"))
             self.files = [self._with_index(name) for name in names]
@@ -128,7 +151,7 @@ class RemoteRecording:
         with tempfile.TemporaryDirectory() as folder:
             target = Path(folder, *self._name_parts)
             target.mkdir(parents=True)
-            with _named(self._address):
+            with named_errors(self._address):
                 metadata = f"{self._root.rstrip('/')}/{METADATA}"
                 if self._files.exists(metadata):
                     (target / METADATA).write_bytes(self._files.cat_file(metadata))
@@ -210,7 +233,16 @@ def _batches(ranges: Iterable[tuple[int, int]]) -> Iterator[list[tuple[int, int]
         yield batch
 
 
-def _file_system(address: str) -> tuple[Any, str]:
+def file_system(address: str) -> tuple[Any, str]:
+    """Return the file system of an address, and the path in it.
+
+    Raises
+    ------
+    RecordingError
+        The address is of no known kind.
+    FringedicError
+        A package of the extra ``campaign`` is not installed.
+    """
     with optional_import("campaign"):
         import fsspec
     try:
@@ -221,10 +253,11 @@ def _file_system(address: str) -> tuple[Any, str]:
 
 
 @contextmanager
-def _named(address: str) -> Iterator[None]:
+def named_errors(address: str) -> Iterator[None]:
+    """Raise every error of an object store as RecordingError, which names the address."""
     try:
         yield
-    except RecordingError:
+    except FringedicError:
         raise
     except Exception as error:  # every kind of object store has its own errors
         reason = " ".join(str(error).split())[:200] or type(error).__name__

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from fringedic.errors import RecordingError
 from fringedic.recording.reader import BagReader
+from fringedic.recording.remote import is_remote, local_copy
 from fringedic.recording.writer import ONE_FILE, BagWriter, Split
 
 
@@ -20,7 +21,7 @@ class Content:
     Attributes
     ----------
     path
-        The recording.
+        The recording, or its address in an object store.
     counts
         Readable messages of each topic by its full name.
     missing
@@ -30,7 +31,7 @@ class Content:
         Description of damaged and missing files; empty if there are none.
     """
 
-    path: Path
+    path: Path | str
     counts: dict[str, int]
     missing: dict[str, int]
     damage: str
@@ -147,16 +148,20 @@ class BagInfo(Content):
 
 
 def info(path: str | os.PathLike[str]) -> BagInfo:
-    """Return the summary of a recording.
+    """Return the summary of a recording; of one in an object store only the index is read.
 
     Raises
     ------
     RecordingError
         There is no such recording, or it has another format.
     """
-    reader = BagReader(path)
+    with local_copy(path, ()) as nearby:
+        return _info(BagReader(nearby), str(path) if is_remote(path) else None)
+
+
+def _info(reader: BagReader, address: str | None) -> BagInfo:
     return BagInfo(
-        path=reader.path,
+        path=address or reader.path,
         start_time=reader.start_time,
         end_time=reader.end_time,
         size=sum(file.stat().st_size for file in reader.files),

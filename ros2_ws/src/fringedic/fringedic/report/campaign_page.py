@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
 
+from fringedic.campaign.groups import GroupStatistic, group_statistics
 from fringedic.campaign.opening import open_group
 from fringedic.campaign.run import Status
 from fringedic.campaign.store import CampaignStore
 from fringedic.campaign.unit import Receipt
 from fringedic.errors import CampaignError
+from fringedic.figures.charts import SpecimenCurve, specimen_charts
 from fringedic.figures.thumbnails import thumbnail_png
 from fringedic.report.campaign import status_sentences
-from fringedic.report.embedding import base64_text
+from fringedic.report.embedding import base64_text, chart_html, chart_script
 from fringedic.report.templates import render_page
 from fringedic.results.quantities import number_text, people_unit
+
+if TYPE_CHECKING:
+    import plotly.graph_objects as go
 
 _MAPS = ("w", "displacement_x", "shape_z")  # the first that is measured is shown
 COLUMNS = (
@@ -32,18 +37,24 @@ COLUMNS = (
     "largest strain [µstrain]",
     "its standard deviation",
     "noise of w [µm]",
+    "modulus [GPa]",
+    "Poisson's ratio",
 )
-
-
 GROUP_COLUMNS = (
     "group",
+    "figure",
     "recordings",
-    "largest force [N]",
-    "spread of specimens",
-    "largest strain [µstrain]",
+    "mean",
     "spread of specimens",
     "uncertainty of one",
+    "between specimens",
 )
+_FIGURES = {
+    "modulus": ("modulus [GPa]", 1e9),
+    "poisson_ratio": ("Poisson's ratio", 1.0),
+    "largest_strain": ("largest strain [µstrain]", 1e-6),
+    "largest_force": ("largest force [N]", 1.0),
+}
 
 
 def write_campaign_page(store: CampaignStore, status: Status, output: Path) -> Path:
@@ -69,7 +80,9 @@ def write_campaign_page(store: CampaignStore, status: Status, output: Path) -> P
         store=store.address,
         sentences=status_sentences(status),
         group_columns=GROUP_COLUMNS,
-        groups=group_rows(status.done.values()),
+        groups=group_rows(group_statistics(status.done.values())),
+        charts=[chart_html(chart) for chart in _charts(status.done.values())],
+        script=chart_script(),
         columns=COLUMNS,
         rows=[(_row(receipt), _picture(store, receipt.name)) for receipt in status.done.values()],
     )
@@ -80,34 +93,37 @@ def write_campaign_page(store: CampaignStore, status: Status, output: Path) -> P
     return output
 
 
-def group_rows(receipts: Iterable[Receipt]) -> list[list[str]]:
-    """Return `GROUP_COLUMNS` of each group with several recordings: the spread of its specimens beside the uncertainty.
-
-    Parameters
-    ----------
-    receipts
-        Of complete recordings.
-    """
-    groups: dict[str, list[Receipt]] = {}
-    for receipt in receipts:
-        groups.setdefault(receipt.labels["group"], []).append(receipt)
+def group_rows(statistics: Iterable[GroupStatistic]) -> list[list[str]]:
+    """Return `GROUP_COLUMNS` of statistics of groups in the units of people."""
     rows = []
-    for group, members in groups.items():
-        known = [each.figures for each in members if each.figures["largest_strain"] is not None]
-        if len(known) < 2:
-            continue
-        forces = np.array([each["largest_force"] for each in known], float)
-        strains = 1e6 * np.array([each["largest_strain"] for each in known], float)
-        sigmas = 1e6 * np.array([each["sigma_largest_strain"] for each in known], float)
-        rows.append(
-            [
-                group or "-",
-                str(len(known)),
-                *map(number_text, (forces.mean(), forces.std(ddof=1))),
-                *map(number_text, (strains.mean(), strains.std(ddof=1), np.sqrt(np.mean(sigmas**2)))),
-            ]
-        )
+    for each in statistics:
+        name, unit = _FIGURES[each.figure]
+        values = (each.mean, each.spread, each.uncertainty, each.between_specimens)
+        numbers = [number_text(value / unit) for value in values]
+        rows.append([each.group or "-", name, str(each.recordings), *numbers])
     return rows
+
+
+def _charts(receipts: Iterable[Receipt]) -> Iterator[go.Figure]:
+    """Yield the curves of each group."""
+    groups: dict[str, dict[str, SpecimenCurve]] = {}
+    for receipt in receipts:
+        curve = receipt.curve
+        axial = receipt.figures["axial_strain"]
+        load, values = ("stress [MPa]", _array(curve["stress"]) / 1e6) if "stress" in curve else ("force [N]", None)
+        known = SpecimenCurve(
+            strain=_array(curve[axial]),
+            sigma=_array(curve[f"sigma_{axial}"]),
+            load=_array(curve["force"]) if values is None else values,
+            label=load,
+        )
+        groups.setdefault(receipt.labels["group"], {})[receipt.name] = known
+    for group, curves in groups.items():
+        yield from specimen_charts(group or "Recordings without a group", curves)
+
+
+def _array(values: list[float | None]) -> np.ndarray:
+    return np.array(values, float)
 
 
 def _row(receipt: Receipt) -> list[str]:
@@ -123,11 +139,18 @@ def _row(receipt: Receipt) -> list[str]:
         _number(figures["largest_strain"], 1e-6),
         _number(figures["sigma_largest_strain"], 1e-6),
         _number(figures["noise_w"], 1e-6),
+        _with_uncertainty(figures, "modulus"),
+        _with_uncertainty(figures, "poisson_ratio"),
     ]
 
 
 def _number(value: float | None, unit: float) -> str:
     return "-" if value is None else number_text(value / unit)
+
+
+def _with_uncertainty(figures: dict[str, Any], name: str) -> str:
+    value, sigma, unit = figures[name], figures[f"sigma_{name}"], _FIGURES[name][1]
+    return "-" if value is None else f"{_number(value, unit)} ± {_number(sigma, unit)}"
 
 
 def _picture(store: CampaignStore, recording: str) -> dict[str, Any]:

@@ -1,5 +1,8 @@
 from .datasets import dataset_from_derived as dataset_from_derived
 from .datasets import process_bag as process_bag
+from .elasticity import ElasticConstants as ElasticConstants
+from .elasticity import elastic_constants as elastic_constants
+from .elasticity import strain_curve as strain_curve
 from .force import force_curve as force_curve
 from .image_series import ImageSeries as ImageSeries
 from .image_series import MeasuredImage as MeasuredImage

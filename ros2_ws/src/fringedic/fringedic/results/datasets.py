@@ -12,9 +12,10 @@ from typing import Any
 from fringedic.errors import DatasetError
 from fringedic.inputs.arguments import check_arguments, optional
 from fringedic.inputs.arguments import path as file_path
-from fringedic.recording.bag_files import recording_of
+from fringedic.recording.bag_files import BAG, recording_of
 from fringedic.recording.frames import RecordedMessage, events
 from fringedic.recording.reader import BagReader
+from fringedic.recording.remote import is_remote, local_copy
 from fringedic.results.derived import Collected
 from fringedic.results.quantities import PHASE_TOPICS, PROCESSED, RECORDING, Layout
 from fringedic.results.rows import Row, in_order_of_steps, row_of
@@ -62,10 +63,11 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     Parameters
     ----------
     path
-        The recording.
+        The recording; ``s3://...`` or another address that fsspec knows for one in an object store, of which the index
+        and the needed chunks are copied.
     output
         The dataset to write, ``.nc`` for NetCDF or ``.zarr`` for Zarr; by default NetCDF beside the recording with its
-        name.
+        name, in the working folder if the recording is in an object store.
     overrides
         Parameters that replace the recorded ones, ``{"dic.window": 24}``.
     steps
@@ -109,9 +111,22 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     """
     only = None if steps is None else frozenset(steps)
     settings = ProcessingSettings(overrides or {}, reference, calibration, experiment, only)
-    target = dataset_path(recording_of(Path(path)), output, overwrite)
-    process_into(target, path, settings, progress)
+    target = dataset_path(_name_nearby(str(path)) if is_remote(path) else recording_of(Path(path)), output, overwrite)
+    with local_copy(path, PROCESSED_TOPICS) as nearby:
+        process_into(target, nearby, settings, progress)
     return target
+
+
+def _name_nearby(address: str) -> Path:
+    """Return the name of a recording in an object store, that of its run for the folder ``bag``, in the working folder.
+
+    Examples
+    --------
+    >>> _name_nearby("s3://laboratory/plate-7/bag"), _name_nearby("s3://laboratory/plate-8")
+    (PosixPath('plate-7'), PosixPath('plate-8'))
+    """
+    parts = [part for part in address.split("://")[1].split("/") if part]
+    return Path(parts[-2] if parts[-1] == BAG and len(parts) > 1 else parts[-1])
 
 
 @dataclass(frozen=True)

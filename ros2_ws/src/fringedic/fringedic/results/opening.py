@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
+from typing import Any
 
 import xarray as xr
 
@@ -12,7 +13,8 @@ from fringedic.errors import DatasetError, ErrorCode, RecordingError, optional_i
 from fringedic.inputs.arguments import check_arguments
 from fringedic.inputs.arguments import path as file_path
 from fringedic.metadata import translate_metadata
-from fringedic.recording.bag_files import recording_of
+from fringedic.recording.bag_files import BAG, recording_of
+from fringedic.recording.remote import file_system, is_remote, named_errors
 from fringedic.results.millimetres import with_millimetres
 from fringedic.results.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE
 from fringedic.results.stores import SUFFIXES, dataset_path
@@ -34,7 +36,8 @@ def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
     path
         A NetCDF file or Zarr folder, the folder of a run or of measured images, or a recording. For a recording the
         dataset beside it is opened: the one with its name, or the ``results`` of the run that recorded it. If there is
-        none, it is made from the derived topics.
+        none, it is made from the derived topics. Also the address of a dataset, a run or a recording in an object store
+        (``s3://...`` or another one that fsspec knows), whose maps are fetched when they are used.
 
     Returns
     -------
@@ -54,6 +57,8 @@ def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
     FringedicError
         The dataset is a Zarr folder and the package ``zarr`` is not installed.
     """
+    if is_remote(path):
+        return _open_remote(str(path).rstrip("/"))
     path = Path(path) if Path(path).name else Path(path).absolute()
     file = path if path.suffix in SUFFIXES else _dataset_in(path)
     if file is None:
@@ -94,14 +99,30 @@ def find_dataset(recording: Path) -> Path | None:
     return None
 
 
-def _open(file: Path) -> xr.Dataset:
-    netcdf = file.suffix == ".nc"
+def _open_remote(address: str) -> xr.Dataset:
+    """Open a dataset in an object store, or that of a run or recording there."""
+    beside = address.removesuffix(f"/{BAG}")
+    candidates = [address] if address.endswith(SUFFIXES) else [f"{beside}/{name}" for name in _OF_A_FOLDER]
+    candidates += [f"{address}{suffix}" for suffix in SUFFIXES if not address.endswith(SUFFIXES)]
+    with named_errors(address):
+        for candidate in candidates:
+            files, place = file_system(candidate)
+            files.invalidate_cache()
+            if files.exists(place):
+                netcdf = candidate.endswith(".nc")
+                return _open(candidate, files.open(place, "rb") if netcdf else candidate)
+    raise RecordingError(f"{address}: has no dataset; 'fringedic process {address}' measures it")
+
+
+def _open(file: Path | str, source: Any = None) -> xr.Dataset:
+    """Open a file of this computer, or an object in an object store by what xarray reads there."""
+    netcdf = str(file).endswith(".nc")
     if not netcdf:
         with optional_import("zarr"):
             import zarr  # noqa: F401 (xarray loads it)
     try:
         # without a cache: a loop over the maps of an experiment would fill the memory
-        dataset = xr.open_dataset(file, engine="h5netcdf" if netcdf else "zarr", cache=False)
+        dataset = xr.open_dataset(source or file, engine="h5netcdf" if netcdf else "zarr", cache=False)
     except (OSError, ValueError, KeyError) as error:
         raise DatasetError(f"{file}: cannot be read as {'NetCDF' if netcdf else 'Zarr'}: {error}") from error
     lacking = (set(MAP_DIMENSIONS) - set(dataset.sizes)) | (set(_OF_EVERY_EXPERIMENT) - set(dataset.variables))

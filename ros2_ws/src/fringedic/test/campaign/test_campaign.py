@@ -96,6 +96,8 @@ def test_catalogue_has_labels_and_figures_with_their_uncertainty(done: Campaign)
     row = catalogue.loc["plate-1"]
     assert (row["group"], row["experiment"], row["steps"], row["failed_steps"]) == ("batch 7", "tiny", 3, 0)
     assert 0 < row["sigma_largest_strain"] < 0.1 * row["largest_strain"]
+    assert abs(row["poisson_ratio"] - 0.33) < 3 * row["sigma_poisson_ratio"] < 0.03
+    assert np.isnan(row["modulus"])  # the recording contains no section
     assert row["software"] == f"fringedic {fringedic.__version__}"
 
 
@@ -295,6 +297,7 @@ def test_a_store_that_cannot_be_written_is_named(tmp_path: Path) -> None:
         ({"settings": {"dic.windows": 3}}, "there is no parameter 'dic.windows'"),
         ({"stores": "x"}, "stores: unknown key"),
         ({"recordings": [{"path": "recordings", "colour": "red"}]}, "colour"),
+        ({"elasticity": {"region_px": [[1, 2]]}}, "region_px has one corner: give two"),
     ],
 )
 def test_a_wrong_file_is_refused(tmp_path: Path, content: dict[str, object], sentence: str) -> None:

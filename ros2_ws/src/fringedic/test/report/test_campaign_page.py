@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from fringedic.campaign import Failure, Receipt
+from fringedic.campaign import Failure, Receipt, group_statistics
 from fringedic.report.campaign import CampaignProgress
 from fringedic.report.campaign_page import group_rows
 
 
 def receipt(name: str, group: str, strain: float | None) -> Receipt:
     figures = {"steps": 6, "failed_steps": 1, "largest_force": 100.0, "largest_strain": strain}
+    figures |= {"modulus": None, "poisson_ratio": None}
     return Receipt(
         name=name,
         key="",
@@ -18,6 +19,7 @@ def receipt(name: str, group: str, strain: float | None) -> Receipt:
         digest="",
         objects=1,
         size=1,
+        curve={},
         figures={**figures, "sigma_largest_strain": 3e-5},
         seconds=4.0,
         worker="computer:1",
@@ -28,8 +30,13 @@ def receipt(name: str, group: str, strain: float | None) -> Receipt:
 
 def test_groups_show_the_spread_of_their_specimens_beside_the_uncertainty() -> None:
     receipts = [receipt("a", "one", 1e-3), receipt("b", "one", 3e-3), receipt("c", "two", 1e-3)]
-    rows = group_rows([*receipts, receipt("d", "one", None)])
-    assert rows == [["one", "2", "100", "0", "2000", "1414", "30"]]
+    rows = group_rows(group_statistics([*receipts, receipt("d", "one", None)]))
+    assert rows == [
+        ["one", "largest strain [µstrain]", "2", "2000", "1414", "30", "1414"],
+        ["one", "largest force [N]", "3", "100", "0", "-", "-"],
+    ]
+    (strain, _) = group_statistics([receipt("a", "", 1e-3), receipt("b", "", 1.02e-3)])
+    assert strain.between_specimens == 0  # the measurement explains the spread
 
 
 def test_progress_states_rates_failures_and_the_remaining_time() -> None:

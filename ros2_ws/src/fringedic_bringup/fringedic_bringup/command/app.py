@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 import yaml
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from fringedic.frames.region import Region
     from fringedic.report.experiment import GaugePoints
 
+BagKind = TypeVar("BagKind", Path, str)
 app = typer.Typer(
     help="3D shape and displacement of surfaces, measured with one camera and one projector.",
     no_args_is_help=True,
@@ -48,6 +49,18 @@ def _optional_recording(path: Path | None) -> Path | None:
     return None if path is None else _recording(path)
 
 
+def _place(text: str) -> str:
+    """Return a recording as `_recording` does, or its address in an object store, which is no path."""
+    if "://" not in text:
+        return str(_recording(Path(text)))
+    say(f"reading {text}")
+    return text
+
+
+def _places(texts: list[str]) -> list[str]:
+    return [_place(text) for text in texts]
+
+
 def _recordings(paths: list[Path]) -> list[Path]:
     return [_recording(path) for path in paths]
 
@@ -67,6 +80,17 @@ OptionalBag = Annotated[
 Bags = Annotated[
     list[Path],
     typer.Argument(help="Folders of recordings or runs, processed one after the other.", callback=_recordings),
+]
+Place = Annotated[
+    str, typer.Argument(metavar="BAG", help="Folder of a recording or run, or its address: s3://...", callback=_place)
+]
+Places = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="BAGS...",
+        help="Folders of recordings or runs, or their addresses (s3://...), processed one after the other.",
+        callback=_places,
+    ),
 ]
 Steps = Annotated[list[int] | None, typer.Option("--step", help="Only this step and its reference; may be repeated.")]
 ReferenceStep = Annotated[
@@ -182,7 +206,7 @@ def named_regions(texts: Iterable[str] | None) -> dict[str, Region]:
     return regions
 
 
-def for_each(bags: list[Path], work: Callable[[Path], None]) -> None:
+def for_each(bags: list[BagKind], work: Callable[[BagKind], None]) -> None:
     """Call a function with each recording; when one fails, report it and continue with the others.
 
     Raises

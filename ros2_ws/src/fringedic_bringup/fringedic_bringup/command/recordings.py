@@ -13,10 +13,11 @@ from rich.table import Table
 from fringedic.errors import ExportError
 from fringedic_bringup.command.app import (
     Bag,
-    Bags,
     Calibration,
     Output,
     Overwrite,
+    Place,
+    Places,
     ReferenceStep,
     Settings,
     Source,
@@ -38,7 +39,7 @@ from fringedic_bringup.display.progress import LiveProgress
 
 @app.command(epilog="Example: fringedic process recordings/plate-7/bag --set coupling.z_filter_px=4 --output new.nc")
 def process(
-    bags: Bags,
+    bags: Places,
     settings: Settings = None,
     steps: Steps = None,
     reference: ReferenceStep = None,
@@ -51,25 +52,31 @@ def process(
 ) -> None:
     """Process recordings again without nodes and write the results as datasets."""
     from fringedic.recording.reader import BagReader
+    from fringedic.recording.remote import is_remote, local_copy
     from fringedic.report.confirmation import confirmation_sentence
     from fringedic.results import open_experiment, process_bag
+    from fringedic.results.datasets import PROCESSED_TOPICS
     from fringedic.rig.model import RigModel
     from fringedic.steps.recorded_rig import require_calibration
 
     values = parameter_values(settings)
     model = None if calibration is None else RigModel.from_yaml(calibration_file(calibration))
 
-    def work(bag: Path) -> None:
+    def work(place: str) -> None:
+        with local_copy(place, PROCESSED_TOPICS) as bag:
+            measure(place, bag)
+
+    def measure(place: str, bag: Path) -> None:
         if model is None:
             require_calibration(BagReader(bag))
-        target = output
+        target = Path(f"{title_of(bag)}.nc") if output is None and is_remote(place) else output
         if output is not None and len(bags) > 1:
             output.mkdir(parents=True, exist_ok=True)
             target = output / f"{title_of(bag)}.nc"
         say(*losses(bag))
         errors = []
         with LiveProgress(console) as progress:
-            progress.stage(f"processing {bag}")
+            progress.stage(f"processing {place}")
 
             def tell(step: int, error: str) -> None:
                 errors.append(error)
@@ -94,9 +101,10 @@ def process(
 
 
 @app.command(epilog="Example: fringedic info recordings/plate-7/bag")
-def info(bag: Bag) -> None:
+def info(bag: Place) -> None:
     """List the content of a recording and whether it is complete."""
     from fringedic.recording.recorded_clocks import recorded_clocks
+    from fringedic.recording.remote import is_remote
     from fringedic.recording.repair import info as bag_info
     from fringedic.report.clocks import clock_sentences
     from fringedic.report.recordings import content_sentences, next_command
@@ -112,7 +120,8 @@ def info(bag: Bag) -> None:
     for name, type_name in summary.types.items():
         table.add_row(name, type_name, str(summary.counts[name]), str(summary.missing.get(name, "")))
     console.print(table)
-    say(*clock_sentences(recorded_clocks(bag)), *content_sentences(summary), next_command(summary))
+    clocks = {} if is_remote(bag) else recorded_clocks(bag)  # they are in the chunks, which are not fetched
+    say(*clock_sentences(clocks), *content_sentences(summary), next_command(summary))
 
 
 @app.command(epilog="Example: fringedic verify recordings/plate-7/bag")
