@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from pathlib import Path
 
@@ -55,6 +56,13 @@ def test_a_campaign_from_its_file_to_its_catalogue(tmp_path: Path) -> None:
     assert "2 of 2 recordings complete" in page
     assert "<td>batch 7</td>" in page
     assert "mean axial strain" in page
+    summary = json.loads((folder / "store" / "data-summary.json").read_text())["Campaign"]
+    assert list(summary) == ["GeneralData", "Samples", "Diagnostics", "CampaignDescription"]
+    assert summary["Samples"]["Materials"] == {"plate-1": "PMMA", "plate-2": "PMMA"}
+    assert summary["Diagnostics"]["DigitalImageCorrelation (DIC)"]["plate-1"]["CameraResolution"] == "160x120"
+    test = summary["CampaignDescription"]["plate-2"]
+    assert (folder / "store" / test["Directories"]["Tests"]["Results"]).is_dir()
+    assert test["Files"]["Recording"] == str(folder / "recordings" / "plate-2")
 
 
 def test_recordings_in_an_object_store_have_addresses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

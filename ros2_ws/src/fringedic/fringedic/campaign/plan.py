@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from fringedic.campaign.recordings import Found, Summary, summarise
@@ -53,6 +53,8 @@ class Unit:
         Of the recording [byte].
     memory
         Predicted need of memory [byte].
+    part
+        Number of the part of the recording, from 0; None for the whole recording.
     """
 
     name: str
@@ -66,6 +68,18 @@ class Unit:
     steps: int
     size: int
     memory: float
+    part: int | None = None
+
+    @property
+    def parts(self) -> list[Unit]:
+        """Units of the parts of the recording, which can be processed beside each other before it; none without them.
+
+        The parts follow from the settings, never from the number of workers.
+        """
+        count = self.processing["segments"]
+        if count == 1 or self.part is not None:
+            return []
+        return [replace(self, name=f"{self.name}~{part}", part=part) for part in range(count)]
 
     @property
     def settings(self) -> ProcessingSettings:
@@ -75,6 +89,7 @@ class Unit:
             overrides=self.processing["overrides"],
             reference=self.processing["reference"],
             calibration=RigModel.from_text(calibration) if calibration else None,
+            segment=None if self.part is None else (self.part, self.processing["segments"]),
         )
 
     @property

@@ -9,7 +9,7 @@ from fringedic.campaign.plan import Plan, Unit, make_plan
 from fringedic.campaign.recordings import find_recordings
 from fringedic.campaign.settings import Campaign
 from fringedic.campaign.software import software_identity
-from fringedic.campaign.store import FAILURES, PLAN, RECEIPTS, RECORDINGS, CampaignStore
+from fringedic.campaign.store import FAILURES, PARTS, PLAN, RECEIPTS, RECORDINGS, CampaignStore
 from fringedic.campaign.unit import Failure, Receipt, other_results
 from fringedic.errors import CampaignError
 
@@ -153,4 +153,8 @@ def _remove_other(store: CampaignStore, plan: Plan) -> None:
     for name, receipt in store.documents(RECEIPTS).items():
         if receipt["key"] != keys.get(name):
             store.remove(f"{RECEIPTS}/{name}.json")
+            store.remove(f"{RECORDINGS}/{name}")
+    for name, receipt in store.documents(PARTS).items():
+        if receipt["key"] not in keys.values():
+            store.remove(f"{PARTS}/{name}.json")
             store.remove(f"{RECORDINGS}/{name}")

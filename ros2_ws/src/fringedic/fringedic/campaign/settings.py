@@ -86,6 +86,9 @@ class CampaignFile(Section):
     )
     calibration: str | None = Field(None, description="File of a calibration that replaces the recorded ones.")
     reference: int | None = Field(None, description="Step that all others are measured against.")
+    segments: int = Field(
+        1, ge=1, description="Parts of a recording whose steps are processed beside each other; 1 is as the desk does."
+    )
     elasticity: Elasticity = Field(
         default_factory=Elasticity, description="Region and range of the elastic constants of the catalogue."
     )
@@ -121,6 +124,7 @@ class Campaign:
             "overrides": dict(sorted(self.content.settings.items())),
             "reference": self.content.reference,
             "calibration": self.calibration,
+            "segments": self.content.segments,
             "elasticity": self.content.elasticity.model_dump(mode="json"),
         }
 

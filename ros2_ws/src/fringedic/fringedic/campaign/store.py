@@ -6,6 +6,7 @@
     recordings/NAME/       one Zarr group (format 3) per recording, one chunk per step and map
     receipts/NAME.json     written last: the recording is complete
     failures/NAME.json     why it could not be processed
+    parts/NAME~0.json      receipt of a part of a recording, recordings/NAME~0 its group; both end with the recording
 
 Nothing is renamed, appended to or resized in place, so that the same rules hold for object stores.
 """
@@ -15,7 +16,7 @@ from __future__ import annotations
 import hashlib
 import json
 import warnings
-from collections.abc import AsyncIterator, Iterator, Mapping
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ with optional_import("campaign"):
 
 PLAN = "plan.json"
 RECORDINGS, RECEIPTS, FAILURES = "recordings", "receipts", "failures"
+PARTS = "parts"  # receipts of parts of recordings
 _METADATA = "zarr.json"
 _STEPS_PER_CHUNK = 1024  # of values per step
 
@@ -245,6 +247,39 @@ class GroupStore:
     def _resize(self, name: str) -> None:
         array = self._arrays[name]
         array.resize((self._steps, *array.shape[1:]))
+
+
+def join_parts(store: CampaignStore, parts: Sequence[str], target: GroupStore) -> None:
+    """Write the groups of the parts of a recording, in their order, as the group of the recording."""
+    groups = [zarr.open_group(store.zarr_store(part, read_only=True), mode="r") for part in parts]
+    arrays: list[dict[str, Any]] = [dict(group.arrays()) for group in groups]
+    sizes = {name: array.shape[0] for name, array in arrays[0].items() if name in MAP_DIMENSIONS[1:]}
+    for name, array in arrays[0].items():
+        dtype = TEXT if array.dtype.kind in "TOU" else array.dtype.str[1:]
+        variable = Variable(name, array.metadata.dimension_names, dtype, dict(array.attrs))
+        target.add_variable(variable, {"step": 0, **sizes})
+        if name in sizes:
+            target.put(name, slice(None), array[:])
+    stepwise = arrays[0].keys() - sizes.keys()
+    steps = [(part, index) for part in arrays for index in range(part["step"].shape[0])]
+    for place, (part, index) in enumerate(steps):
+        target.grow(place + 1)
+        for name in stepwise:
+            target.put(name, place, part[name][index])
+    target.finish(_joined_attributes([dict(group.attrs) for group in groups]))
+
+
+def _joined_attributes(attributes: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the attributes of a recording: the parameters of all parts, the latest of everything else."""
+    settings: list[dict[str, Any]] = []
+    for each in attributes:
+        settings += [
+            entry
+            for entry in json.loads(each["parameters"])
+            if not settings or entry["parameters"] != settings[-1]["parameters"]
+        ]
+    joined = {name: value for each in attributes for name, value in each.items()}
+    return {**joined, "parameters": json.dumps(settings)}
 
 
 class _HeldMetadata(WrapperStore[Any]):

@@ -14,7 +14,7 @@ from fringedic.campaign.opening import open_group
 from fringedic.campaign.plan import Unit
 from fringedic.campaign.recordings import fingerprint
 from fringedic.campaign.software import differences, processor, software_identity, worker_name
-from fringedic.campaign.store import FAILURES, RECEIPTS, CampaignStore, GroupStore
+from fringedic.campaign.store import FAILURES, PARTS, RECEIPTS, RECORDINGS, CampaignStore, GroupStore, join_parts
 from fringedic.errors import CampaignError, FringedicError
 from fringedic.recording.remote import local_copy
 from fringedic.results.datasets import PROCESSED_TOPICS, process_into
@@ -72,6 +72,8 @@ class Failure:
 def process_unit(unit: Unit) -> Receipt:
     """Process one recording; a unit that is complete already is not processed again.
 
+    A recording with parts is joined from them; parts that are not complete yet are processed first.
+
     The results are those of `fringedic.process_bag`, bit by bit on the same kind of processor. The function can be
     repeated at any time, also by several workers at once: all write the same objects.
 
@@ -101,8 +103,13 @@ def process_unit(unit: Unit) -> Receipt:
     _require_recording(unit)
     started = time.perf_counter()
     group = GroupStore(store, unit.name)
-    with local_copy(unit.path, PROCESSED_TOPICS) as path:
-        process_into(group, path, unit.settings)
+    if unit.parts:
+        for part in unit.parts:
+            process_unit(part)
+        join_parts(store, [part.name for part in unit.parts], group)
+    else:
+        with local_copy(unit.path, PROCESSED_TOPICS) as path:
+            process_into(group, path, unit.settings)
     _require_recording(unit)
     with open_group(store, unit.name) as dataset:
         curve = strain_curve(dataset, unit.elasticity.region)
@@ -124,8 +131,15 @@ def process_unit(unit: Unit) -> Receipt:
         processor=processor(),
         input_size=unit.size,
     )
-    store.write(f"{RECEIPTS}/{unit.name}.json", asdict(receipt))
+    store.write(_receipt_name(unit), asdict(receipt))
+    for part in unit.parts:
+        store.remove(_receipt_name(part))
+        store.remove(f"{RECORDINGS}/{part.name}")
     return receipt
+
+
+def _receipt_name(unit: Unit) -> str:
+    return f"{RECEIPTS if unit.part is None else PARTS}/{unit.name}.json"
 
 
 def attempt(unit: Unit) -> Receipt | Failure:
@@ -142,8 +156,10 @@ def attempt(unit: Unit) -> Receipt | Failure:
 
 
 def record_failure(unit: Unit, reason: str) -> Failure:
-    """Write why a unit could not be processed, and return it."""
+    """Write why a unit could not be processed, and return it; the failure of a part becomes that of its recording."""
     failure = Failure(unit.name, unit.key, " ".join(reason.split())[:500])
+    if unit.part is not None:
+        return failure
     with suppress(CampaignError):  # a full disk has no room for the reason either
         CampaignStore(unit.store).write(f"{FAILURES}/{unit.name}.json", asdict(failure))
     return failure
@@ -157,7 +173,7 @@ def read_receipt(store: CampaignStore, unit: Unit) -> Receipt | None:
     CampaignError
         The store contains results of other settings.
     """
-    document = store.read(f"{RECEIPTS}/{unit.name}.json")
+    document = store.read(_receipt_name(unit))
     if document is None:
         return None
     if document["key"] != unit.key:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from fringedic.errors import DatasetError
 from fringedic.inputs.arguments import check_arguments, optional
@@ -38,6 +38,7 @@ PROCESSED_TOPICS = (
     "load_frame/state",
 )
 """Topics that processing reads; a recording needs the first two."""
+_LEAD_IN = 2  # steps before a segment
 
 
 @check_arguments(DatasetError, path=file_path, output=optional(file_path))
@@ -131,13 +132,37 @@ def _name_nearby(address: str) -> Path:
 
 @dataclass(frozen=True)
 class ProcessingSettings:
-    """What a recording is processed with; see `process_bag`."""
+    """What a recording is processed with; see `process_bag`.
+
+    Attributes
+    ----------
+    segment
+        (number from 0, count): only the steps of one of several equal parts of the recording, without those of its
+        references.
+    """
 
     overrides: Mapping[str, Any] = field(default_factory=dict)
     reference: int | None = None
     calibration: RigModel | None = None
     experiment: str | None = None
     steps: frozenset[int] | None = None
+    segment: tuple[int, int] | None = None
+
+
+class _Segment(NamedTuple):
+    """Numbers of the steps of one of several equal parts of a recording, and of those measured before it.
+
+    The displacement of a step is searched from the extrapolation of the two steps before: after as many, the history of
+    the measurement does not matter.
+    """
+
+    lead_in: frozenset[int]
+    steps: frozenset[int]
+
+    @classmethod
+    def of(cls, steps: Sequence[int], number: int, count: int) -> _Segment:
+        first, end = (len(steps) * edge // count for edge in (number, number + 1))
+        return cls(frozenset(steps[max(0, first - _LEAD_IN) : first]), frozenset(steps[first:end]))
 
 
 def process_into(
@@ -169,7 +194,9 @@ def process_into(
     pipeline = OfflinePipeline(settings.overrides, timeline.experiment, reference, settings.calibration)
     references = timeline.references if reference is None else {reference}
     asked = references if reference is not None else set()
-    wanted = None if settings.steps is None else settings.steps | references
+    segment = None if settings.segment is None else _Segment.of(timeline.steps, *settings.segment)
+    steps = settings.steps if segment is None else segment.lead_in | segment.steps
+    wanted = None if steps is None else steps | references
     timeline.require_steps(asked | (wanted or set()))
     topics = {name: full for name, full in names.items() if name != "load_frame/state"}
 
@@ -183,7 +210,10 @@ def process_into(
         yield from passing(wanted)
         yield from (row_of(each, pipeline.settings.spacing) for each in pipeline.finish())
 
-    _write(target, timeline, in_order_of_steps(rows()), lambda: pipeline.settings, progress, PROCESSED)
+    measured = in_order_of_steps(rows())
+    if segment is not None:
+        measured = (row for row in measured if row.step in segment.steps)
+    _write(target, timeline, measured, lambda: pipeline.settings, progress, PROCESSED)
 
 
 @check_arguments(DatasetError, path=file_path, output=optional(file_path))

@@ -93,6 +93,11 @@ class Timeline:
             return self._load.mean_over(*self._exposed[min(self._exposed)])[0]
         return float(specimen.force_tare_newton)
 
+    @property
+    def steps(self) -> list[int]:
+        """Numbers of all exposed steps in their order."""
+        return sorted(self._exposed)
+
     def require_steps(self, steps: set[int]) -> None:
         """Raise DatasetError if no frame of one of these steps was exposed."""
         absent = sorted(steps - self._exposed.keys())

@@ -139,6 +139,27 @@ def test_without_receipts_the_same_bytes_are_written_again(done: Campaign) -> No
     assert status_of(store, plan).done["plate-2"].digest == before["plate-2"].digest
 
 
+def test_segments_differ_far_less_than_the_uncertainty(done: Campaign, tmp_path: Path) -> None:
+    """Without the steps that are measured before a segment the difference would be 0.2 sigma."""
+    shutil.copytree(done.folder / "recordings" / "plate-1", tmp_path / "recordings" / "plate-1")
+    campaign = written(tmp_path, settings={"dic.window": 24}, segments=2)
+    (unit,) = update_plan(campaign).units
+    store = CampaignStore(campaign.store)
+    parts = [process_unit(part) for part in unit.parts]
+    assert [part.figures["steps"] for part in parts] == [1, 2]
+    joined = process_unit(unit)
+    assert [each.name for each in Path(campaign.store, "recordings").iterdir()] == ["plate-1"]  # the parts are removed
+    store.remove("receipts")
+    assert process_unit(unit).digest == joined.digest  # it has processed the parts itself
+    whole, segmented = (fringedic.open_campaign(each.folder)[0]["plate-1"].to_dataset() for each in (done, campaign))
+    assert segmented.attrs == whole.attrs
+    assert segmented.isel(step=[0]).identical(whole.isel(step=[0]))
+    for name in ("u", "v", "w", "e_11", "e_22"):
+        ratio = ((segmented[name] - whole[name]) / whole[f"sigma_{name}"]).isel(step=2)
+        assert float(np.sqrt((ratio**2).mean())) < 0.01, name
+    assert segmented.w.isel(step=2).notnull().equals(whole.w.isel(step=2).notnull())
+
+
 def test_parts_of_a_campaign_share_its_units_whenever_they_start(done: Campaign, tmp_path: Path) -> None:
     shutil.copytree(done.folder / "recordings", tmp_path / "recordings")
     campaign = written(copied(tmp_path, "plate-3"), settings={"dic.window": 24})

@@ -119,9 +119,10 @@ def open_results(
     folder: Folder,
     output: Annotated[Path | None, typer.Option(help="HTML file; by default campaign.html in the folder.")] = None,
 ) -> None:
-    """Print the catalogue, write a page with a thumbnail of each recording, and say how to open both in Python."""
+    """Print the catalogue, write a page with a thumbnail of each recording and data-summary.json into the store."""
     from fringedic.campaign import CampaignStore, open_campaign, read_plan, status_of
     from fringedic.campaign.opening import store_address
+    from fringedic.report import data_summary
     from fringedic.report.campaign_page import write_campaign_page
 
     _, catalogue = open_campaign(folder)
@@ -133,7 +134,9 @@ def open_results(
         table.add_row(str(name), *(_cell(row[column]) for column in columns))
     console.print(table)
     store = CampaignStore(store_address(folder))
-    page = write_campaign_page(store, status_of(store, read_plan(store)), output or folder / "campaign.html")
+    found = status_of(store, read_plan(store))
+    page = write_campaign_page(store, found, output or folder / "campaign.html")
+    store.write(data_summary.FILE, data_summary.data_summary(store, found))
     say(f"page: {page}", f'tree, catalogue = fringedic.open_campaign("{folder}")')
 
 
@@ -150,10 +153,12 @@ def _run(folder: Path, engine: Engine, shard: tuple[int, int], *, recompute: boo
     say(*plan_sentences(made))
     store = CampaignStore(campaign.store)
     units = status_of(store, made).share(*shard)
-    progress, started = CampaignProgress(units), time.monotonic()
+    parts = [part for unit in units for part in unit.parts]
     outcome: Receipt | Failure
-    for outcome in engine.outcomes(units):
-        say(progress.sentence(outcome, time.monotonic() - started))
+    for batch in (parts, units) if parts else (units,):
+        progress, started = CampaignProgress(batch), time.monotonic()
+        for outcome in engine.outcomes(batch):
+            say(progress.sentence(outcome, time.monotonic() - started))
     found = status_of(store, made)
     say(*status_sentences(found), f"next: `fringedic campaign open {folder}`")
     _end(found)
