@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,16 +16,18 @@ from fringedic.inputs.arguments import check_arguments, dataset, number, of_type
 from fringedic.models.agreement import AGREEMENT, Agreement, assess, assess_curve
 from fringedic.models.levelling import Levelling, levelling_of
 from fringedic.models.model import Model
-from fringedic.models.observed import Pair, place_on_step, placement_text
+from fringedic.models.observed import FEATURE_CHECKS, Edge, Features, Pair, place_on_step, placement_text
 from fringedic.models.placement import Placement
 from fringedic.models.sampling import facing, sample
 from fringedic.models.sensitivity import Sensitivity, surface_gradient, tangent_components
-from fringedic.models.shift import SHIFT, Shift, estimate_shift
+from fringedic.models.shift import SHIFT, Shift, estimate_shift, fit_changes
 from fringedic.results.motion import in_space
 from fringedic.results.quantities import MAP_DIMENSIONS
 
 _POSITION, _DISPLACEMENT = ("x", "y", "z"), ("u", "v", "w")
 _STRAINS = (("e_11", "e_22", "e_12"), ("e_xx", "e_yy", "e_xy"))
+_DISPLACEMENT_ITERATIONS = 4
+_FITTED_POINTS = 100_000  # of the fit by displacement
 _THREADS = 2  # each needs the memory of one set of maps
 KEPT = ("experiment", "software", "commit", "parameters", "calibration", "facts", "pixel_size")
 
@@ -45,18 +49,21 @@ def _load_of_each_step(value: object) -> dict[int, float]:
     ModelError,
     experiment=dataset(over=("step", "row", "column")),
     model=of_type(Model),
-    pairs=several(several(several(number()), length=2)),
-    pair_sigma=optional(number(1e-9, 1.0)),
+    **FEATURE_CHECKS,
     steps=optional(several(whole(), least=1)),
     load=one_of("force", "position"),
     loads=optional(_load_of_each_step),
 )
-def compare_model(
+def compare_model(  # noqa: PLR0913 (options of a public function, all by keyword)
     experiment: xr.Dataset,
     model: Model,
     *,
     pairs: Sequence[Pair] = (),
     pair_sigma: float | None = None,
+    holes: Sequence[Pair] = (),
+    edges: Sequence[Edge] = (),
+    start: str = "given",
+    by_displacement: bool = False,
     steps: Iterable[int] | None = None,
     load: str = "force",
     loads: Mapping[int, float] | None = None,
@@ -75,11 +82,23 @@ def compare_model(
     model
         From `read_model`, with displacement.
     pairs
-        At least three points ((column, row), (x, y, z)): where they are in the reference image [px], and in the model
-        [m]. Without them the model has to be in the rig frame already, and its placement in directions that the shape
-        does not determine counts as exact.
+        Points ((column, row), (x, y, z)): where they are in the reference image [px], and in the model [m]. Three or
+        more are the coarse start. The placement in directions that neither the shape nor features determine counts as
+        exact.
     pair_sigma
         Standard uncertainty of each coordinate of a pair [m]; by default one point spacing, as for clicked points.
+    holes
+        Round holes ((column, row), (x, y, z)): a pixel in the hole, and the centre of the hole in the model [m]. The
+        centre in space is that of a circle through the points around the hole.
+    edges
+        Straight edges (((column, row), (column, row)), ((x, y, z), (x, y, z))): two pixels on the edge, and any two
+        points of it in the model.
+    start
+        Without three pairs: ``"given"``, the model is in the rig frame already, or ``"principal axes"``, see
+        `place_model`.
+    by_displacement
+        Move the model in directions that remain so that its displacement at the last step fits best. It hides a feature
+        in the wrong place.
     steps
         Numbers of the steps; by default all with a displacement and a load within those of the model.
     load
@@ -117,6 +136,7 @@ def compare_model(
     levelling = levelling_of(experiment)
     of_step = _loads(experiment, model, load, loads)
     chosen = _choose(experiment, model, of_step, steps)
+    features = Features(pairs, pair_sigma, holes, edges, start)
     placement: Placement | None = None
     compared: list[xr.Dataset] = []
     for number_of_step in chosen:
@@ -124,7 +144,13 @@ def compare_model(
         _require_maps(step)
         reference = of_step.get(int(step["reference_step"]), 0.0)
         if placement is None:
-            placement = place_on_step(step, _POSITION, model, pairs, pair_sigma, reference)
+            placement = place_on_step(step, _POSITION, model, features, reference)
+            if by_displacement:
+                last = in_space(experiment.sel(step=chosen[-1])).transpose(..., "row", "column", missing_dims="ignore")
+                _require_maps(last)
+                placement = _Comparison(
+                    last, model, placement, levelling, (reference, of_step[chosen[-1]])
+                ).placed_by_displacement()
         comparison = _Comparison(step, model, placement, levelling, (reference, of_step[number_of_step]))
         compared.append(comparison.result().assign_coords(step=number_of_step))
     assert placement is not None
@@ -219,6 +245,39 @@ class _Comparison:
         axes = [_DISPLACEMENT.index(measured.names[place]) for place in spatial]
         fields = (modelled.values[spatial], difference[spatial], sigma.values[spatial])
         return self._dataset(maps, measured.names, agreements, estimate_shift(self._positions, axes, *fields))
+
+    def placed_by_displacement(self) -> Placement:
+        """Return the placement whose undetermined motions fit the displacement best (Gauss-Newton)."""
+        placement, covariance = self._placement, self._placement.covariance
+        free = placement.undetermined
+        measured, sigma = (np.stack(self._spatial_measured(prefix)) for prefix in ("", "sigma_"))
+        axes = [axis for axis, name in enumerate(_DISPLACEMENT) if f"sigma_{name}" in self._step]
+        thin = (..., slice(None, None, self._thinning()), slice(None, None, self._thinning()))
+        for _ in range(_DISPLACEMENT_ITERATIONS if free.size else 0):
+            sampled, height, _ = self._sample()
+            modelled = self._levelling.displacement(sampled)
+            positions = np.stack([*self._positions[:2], height])
+            sensitivity = Sensitivity(positions, modelled, placement.centre)
+            changes = np.stack([sensitivity.displacement(motion)[axes][thin] for motion in free.T]).astype(float)
+            maps = [each[thin].astype(float) for each in (modelled[axes], measured - modelled[axes], sigma)]
+            found = fit_changes(changes, positions[thin], axes, *maps)
+            if found is None:
+                raise ModelError(
+                    f"{self._model.name}: the displacement of step {int(self._step.step)} does not determine the "
+                    "placement; give point pairs, holes or edges"
+                )
+            self._placement = self._placement.moved(free @ found[0])
+            covariance = placement.covariance + free @ found[1] @ free.T
+        if free.size:
+            self._placement = replace(self._placement, covariance=covariance, undetermined=np.empty((6, 0)))
+        return self._placement
+
+    def _thinning(self) -> int:
+        return max(1, math.ceil(math.sqrt(self._positions[0].size / _FITTED_POINTS)))
+
+    def _spatial_measured(self, prefix: str) -> list[np.ndarray]:
+        names = [name for name in _DISPLACEMENT if f"sigma_{name}" in self._step]
+        return [self._step[f"{prefix}{name}"].values.astype(np.float32) for name in names]
 
     def _changes(self, displacement: np.ndarray, height: np.ndarray) -> list[np.ndarray]:
         """Return the change of the fields by each independent error of the placement, one standard deviation each."""

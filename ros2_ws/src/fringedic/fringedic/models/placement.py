@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +22,13 @@ _SMALLEST_SCALE = 1e-7  # residual of computed data over the size of the surface
 _TURNING = 0.1  # singular value above which a free motion contains a rotation
 _SINGULAR = 1e-5  # ratio of eigenvalues below which a direction is not determined, whatever the noise
 _FEWEST = 50  # points of the surface
+_FEWEST_PAIRS = 3  # that determine a position
+_UNDETERMINED = 1e-3  # information [1/spacing^2] below which pairs and shape determine no motion
+_TURN_STEP = 30  # [degree] between starts of a surface that is as long as wide
+_ROUND = 0.8  # ratio of its two longer axes from which their directions are uncertain
+_COVERED = 0.9  # points on the model over those of the best placement
+_AS_GOOD = 1.3  # residual over that of the best placement
+_SAME_TURN = 0.05  # [rad]
 _MISFIT = 10.0  # standard deviations of a clicked point
 _MIRRORED = 0.3  # residual of the mirrored model over that of the model
 _SHAPES = {  # number of free translations and rotations (slippage analysis)
@@ -42,10 +49,17 @@ class PointPair(NamedTuple):
         (x, y, z) in the rig frame.
     model
         (x, y, z) in the frame of the model.
+    sigma
+        Standard deviation of each coordinate [m]; None for that of clicked points.
+    along
+        Direction of a straight edge in the frame of the model: both points lie on the edge, and are the same only
+        across it. None for one point.
     """
 
     measured: tuple[float, float, float]
     model: tuple[float, float, float]
+    sigma: float | None = None
+    along: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -86,6 +100,10 @@ class Placement:
         Number of measured points that lie on the model.
     free
         What the shape does not determine; None if it determines everything.
+    undetermined : (6, number)
+        Motions (translation, rotation about the centre) that neither the shape nor point pairs determine.
+    alternatives
+        Number of other orientations, of those by principal axes, that fit the surface as well.
     """
 
     rotation: np.ndarray
@@ -95,6 +113,8 @@ class Placement:
     residual: float = 0.0
     used: int = 0
     free: FreeDirections | None = None
+    undetermined: np.ndarray = field(default_factory=lambda: np.empty((6, 0)))
+    alternatives: int = 0
 
     def apply(self, points: np.ndarray) -> np.ndarray:
         """Return points (point, 3) of the model in the rig frame [m]."""
@@ -143,6 +163,7 @@ def place_model(
     spacing: float,
     pair_sigma: float | None = None,
     load: float | None = None,
+    start: str = "given",
 ) -> Placement:
     """Align a model with a measured surface by point-to-plane least squares (Chen and Medioni 1992).
 
@@ -157,14 +178,18 @@ def place_model(
     model
         To be aligned.
     pairs
-        At least three that do not lie on a line, the coarse start; they also determine directions that the shape does
-        not. Without them the model has to be in the rig frame already, up to a few points.
+        They determine directions that the shape does not. Three or more that do not lie on a line are also the coarse
+        start.
     spacing
         Distance of measured points [m]: standard deviation of a direction that counts as not determined.
     pair_sigma
         Standard deviation of each coordinate of a point pair [m]; by default `spacing`.
     load
         At which the surface was measured; by default without load.
+    start
+        Coarse position without three pairs: ``"given"``, the model is in the rig frame already, up to a few points, or
+        ``"principal axes"``, those of model and surface are the same; of the orientations that this leaves the one with
+        the least residual is taken, and others that fit as well are counted. Both have to show the same part.
 
     Returns
     -------
@@ -186,7 +211,7 @@ def place_model(
     step = max(1, int(np.ceil(np.sqrt(surface[0].size / _MOST_POINTS))))
     thinned = surface[:, ::step, ::step]
     alignment = _Alignment(thinned, replace(model, nodes=nodes), list(pairs), spacing, pair_sigma or spacing)
-    placed = alignment.run(alignment.start())
+    placed = alignment.from_axes() if start == "principal axes" else alignment.run(alignment.start())
     mirror = alignment.mirrored(placed)
     if mirror < _MIRRORED * placed.residual:
         raise ModelError(
@@ -217,6 +242,7 @@ class _System(NamedTuple):
     covariance: np.ndarray
     lengths: np.ndarray
     free: FreeDirections | None
+    undetermined: np.ndarray
 
 
 class _Alignment:
@@ -228,7 +254,9 @@ class _Alignment:
         self._shape = surface.shape[1:]
         self._points = surface.reshape(3, -1).T.astype(float)
         self._model, self._spacing, self._pair_sigma = model, spacing, pair_sigma
-        self._pairs = np.array(pairs, float).reshape(-1, 2, 3)
+        self._pairs = np.array([pair[:2] for pair in pairs], float).reshape(-1, 2, 3)
+        self._pair_sigmas = np.array([pair.sigma or pair_sigma for pair in pairs], float)
+        self._along = np.array([pair.along or (0.0, 0.0, 0.0) for pair in pairs], float).reshape(-1, 3)
         measured = self._points[np.isfinite(self._points).all(axis=1)]
         if len(measured) < _FEWEST:
             raise ModelError(f"only {len(measured)} points of the surface are measured; choose another reference step")
@@ -241,11 +269,11 @@ class _Alignment:
     def start(self) -> Placement:
         """Return the transformation of the point pairs (Kabsch 1976); without them that of a model in the rig frame."""
         zero = np.zeros((6, 6))
-        if not len(self._pairs):
+        measured, modelled = np.moveaxis(self._pairs[~self._along.any(axis=1)], 1, 0)
+        if len(measured) < _FEWEST_PAIRS:
             return Placement(np.eye(3), np.zeros(3), self._centre, zero)
-        measured, modelled = self._pairs[:, 0], self._pairs[:, 1]
         spread = np.linalg.svd(modelled - modelled.mean(axis=0), compute_uv=False)
-        if len(self._pairs) < 3 or spread[1] < 2 * self._spacing:
+        if spread[1] < 2 * self._spacing:
             raise ModelError("the point pairs do not determine a position: give at least three that are not on a line")
         turn, _ = Rotation.align_vectors(measured - measured.mean(axis=0), modelled - modelled.mean(axis=0))
         rotation = turn.as_matrix()
@@ -257,6 +285,39 @@ class _Alignment:
                 "the unit of the mesh, and whether the mesh is mirrored"
             )
         return placed
+
+    def from_axes(self) -> Placement:
+        """Return the best placement of those that give surface and model the same principal axes."""
+        measured = self._points[np.isfinite(self._points).all(axis=1)]
+        axes, lengths = _principal_axes(measured)
+        middle = self._model.nodes[self._model.triangles].mean(axis=1)  # of the triangles, with their areas
+        first, second, third = (self._model.nodes[self._model.triangles[:, corner]] for corner in range(3))
+        areas = np.linalg.norm(np.cross(second - first, third - first), axis=1)
+        own, _ = _principal_axes(middle, areas)
+        centre = np.average(middle, axis=0, weights=areas)
+        turns = np.arange(0, 180, _TURN_STEP) if lengths[1] > _ROUND * lengths[0] else np.zeros(1)
+        found = []
+        for turn in Rotation.from_euler("z", turns[:, np.newaxis], degrees=True).as_matrix():
+            for signs in ((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)):
+                rotation = axes @ np.diag(signs) @ turn @ own.T
+                start = Placement(rotation, self._centre - rotation @ centre, self._centre, np.zeros((6, 6)))
+                try:
+                    found.append(self.run(start))
+                except ModelError:  # misses the surface, or shows its other side
+                    continue
+        if not found:
+            raise ModelError(
+                f"{self._model.name}: does not fit the surface by their principal axes; both have to show the same "
+                "part in the same unit: give three point pairs"
+            )
+        most = max(each.used for each in found)
+        best = min((each for each in found if each.used > _COVERED * most), key=lambda each: each.residual)
+        others: list[Placement] = []
+        for each in found:
+            as_good = each.used > _COVERED * best.used and each.residual < _AS_GOOD * best.residual
+            if as_good and all(_differ(each, other) for other in (best, *others)):
+                others.append(each)
+        return replace(best, alternatives=len(others))
 
     def run(self, placed: Placement) -> Placement:
         """Return the placement with the least residual, and its covariance.
@@ -273,6 +334,7 @@ class _Alignment:
             residual=system.fit.scale,
             used=int(np.count_nonzero(np.isfinite(system.fit.residuals))),
             free=system.free,
+            undetermined=system.undetermined,
         )
 
     def _iterate(self, placed: Placement, variance: float | None, most: int = _ITERATIONS) -> tuple[Placement, _Fit]:
@@ -296,7 +358,7 @@ class _Alignment:
         nodes = self._model.nodes - 2 * np.outer((self._model.nodes - centre) @ normal, normal)
         other = replace(self._model, nodes=nodes, triangles=np.ascontiguousarray(self._model.triangles[:, ::-1]))
         alignment = _Alignment(self._points.T.reshape(3, *self._shape), other, [], self._spacing, self._pair_sigma)
-        alignment._pairs = self._pairs
+        alignment._pairs, alignment._pair_sigmas, alignment._along = self._pairs, self._pair_sigmas, self._along
         try:
             return alignment._iterate(placed, None, _MIRROR_ITERATIONS)[1].scale
         except ModelError:
@@ -319,21 +381,30 @@ class _Alignment:
             free |= values < 1 / self._spacing**2
         kept = vectors[:, ~free] / lengths[:, np.newaxis]
         covariance = (kept / values[~free]) @ kept.T
+        undetermined = vectors[:, free]
         if len(self._pairs):
-            derivatives, differences = self._pair_equations(placed)
-            information = information + derivatives.T @ derivatives / self._pair_sigma**2
-            gradient = gradient + derivatives.T @ differences / self._pair_sigma**2
-            scaled = np.linalg.inv(information / np.outer(lengths, lengths))
-            covariance = scaled / np.outer(lengths, lengths)
-        return _System(fit, gradient, covariance, lengths, _name_free(vectors[:, free]))
+            derivatives, differences, sigmas = self._pair_equations(placed)
+            information = information + (derivatives.T / sigmas**2) @ derivatives
+            gradient = gradient + (derivatives.T / sigmas**2) @ differences
+            totals, motions = np.linalg.eigh(information / np.outer(lengths, lengths))
+            open_ = totals < _UNDETERMINED / self._spacing**2
+            kept = motions[:, ~open_] / lengths[:, np.newaxis]
+            covariance, undetermined = (kept / totals[~open_]) @ kept.T, motions[:, open_]
+        return _System(
+            fit, gradient, covariance, lengths, _name_free(vectors[:, free]), undetermined / lengths[:, np.newaxis]
+        )
 
-    def _pair_equations(self, placed: Placement) -> tuple[np.ndarray, np.ndarray]:
-        """Return derivatives (3 pairs, 6) and differences (3 pairs,) of the point pairs."""
-        modelled = placed.apply(self._pairs[:, 1])
+    def _pair_equations(self, placed: Placement) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return derivatives (3 pairs, 6), differences and their standard deviations (3 pairs,) of the point pairs."""
+        along = self._along @ placed.rotation.T  # 0 for points
+        apart = self._pairs[:, 0] - placed.apply(self._pairs[:, 1])
+        apart -= along * np.sum(along * apart, axis=1, keepdims=True)  # from the nearest point of an edge
         rows = []
-        for x, y, z in modelled - self._centre:
-            rows.append(np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]]))
-        return np.vstack(rows), (self._pairs[:, 0] - modelled).ravel()
+        for (x, y, z), direction in zip(self._pairs[:, 0] - apart - self._centre, along, strict=True):
+            across = np.eye(3) - np.outer(direction, direction)
+            rows.append(across @ np.hstack([np.eye(3), [[0, z, -y], [-z, 0, x], [y, -x, 0]]]))
+        differences = list(apart)
+        return np.vstack(rows), np.concatenate(differences), np.repeat(self._pair_sigmas, 3)
 
     def _fit(self, placed: Placement) -> _Fit:
         nodes = placed.apply(self._model.nodes)
@@ -370,3 +441,17 @@ def _unit(vectors: np.ndarray) -> tuple[tuple[float, float, float], ...]:
     """Return unit vectors of columns (3, number) whose largest component is positive."""
     columns = (column / np.linalg.norm(column) * np.sign(column[np.argmax(np.abs(column))]) for column in vectors.T)
     return tuple((float(x), float(y), float(z)) for x, y, z in columns)
+
+
+def _principal_axes(points: np.ndarray, weights: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Return right-handed principal axes (3, axis) of points and their standard deviations, longest first."""
+    offsets = points - np.average(points, axis=0, weights=weights)
+    values, vectors = np.linalg.eigh(np.cov(offsets.T, aweights=weights))
+    axes = vectors[:, ::-1]
+    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    return axes, np.sqrt(np.clip(values[::-1], 0, None))
+
+
+def _differ(one: Placement, other: Placement) -> bool:
+    """Return whether two placements have different orientations."""
+    return float(Rotation.from_matrix(one.rotation.T @ other.rotation).magnitude()) > _SAME_TURN

@@ -11,11 +11,11 @@ import numpy as np
 import xarray as xr
 
 from fringedic.errors import ModelError
-from fringedic.inputs.arguments import check_arguments, dataset, number, of_type, optional, several, whole
+from fringedic.inputs.arguments import check_arguments, dataset, of_type, optional, whole
 from fringedic.models.agreement import AGREEMENT, assess
 from fringedic.models.comparison import KEPT
 from fringedic.models.model import Model
-from fringedic.models.observed import Pair, place_on_step, placement_text
+from fringedic.models.observed import FEATURE_CHECKS, Edge, Features, Pair, place_on_step, placement_text
 from fringedic.models.placement import Placement, seen_side
 from fringedic.models.sampling import Distances, distances
 from fringedic.results.quantities import MAP_DIMENSIONS
@@ -32,9 +32,8 @@ _FIGURES = {name: AGREEMENT[name] for name in AGREEMENT if not name.endswith("fa
     ModelError,
     experiment=dataset(over=("step", "row", "column")),
     model=of_type(Model),
-    pairs=several(several(several(number()), length=2)),
-    pair_sigma=optional(number(1e-9, 1.0)),
     step=optional(whole()),
+    **FEATURE_CHECKS,
 )
 def compare_shape(
     experiment: xr.Dataset,
@@ -42,6 +41,9 @@ def compare_shape(
     *,
     pairs: Sequence[Pair] = (),
     pair_sigma: float | None = None,
+    holes: Sequence[Pair] = (),
+    edges: Sequence[Edge] = (),
+    start: str = "given",
     step: int | None = None,
 ) -> xr.Dataset:
     """Compare the measured shape of a step with that of a mesh, such as an STL of the nominal part.
@@ -56,7 +58,7 @@ def compare_shape(
         From `fringedic.open_experiment`, with shape and its uncertainty.
     model
         From `read_model`; a displacement is not used.
-    pairs, pair_sigma
+    pairs, pair_sigma, holes, edges, start
         As in `compare_model`.
     step
         Number of the step; by default the first one with a shape.
@@ -82,7 +84,7 @@ def compare_shape(
     4.1e-05
     """
     chosen = _step_with_shape(experiment, step)
-    placement = place_on_step(chosen, _SHAPE, model, pairs, pair_sigma, None)
+    placement = place_on_step(chosen, _SHAPE, model, Features(pairs, pair_sigma, holes, edges, start), None)
     points = np.stack([chosen[name].values.astype(float) for name in _SHAPE])
     side = seen_side(model, placement)
     found = distances(

@@ -71,17 +71,48 @@ def estimate_shift(
         each[:, ::step, ::step].astype(float) for each in (positions, modelled, difference, sigma)
     )
     # a map f that moves by t becomes f(x - t): its change is minus its gradient
-    basis = np.stack(
-        [*(-each for each in surface_gradient(positions, modelled)), modelled, *_rigid_motions(positions, axes)]
-    )
+    changes = np.stack([-each for each in surface_gradient(positions, modelled)])
+    found = fit_changes(changes, positions, axes, modelled, difference, sigma)
+    if found is None:
+        return Shift()
+    shifts, deviations = found[0], np.sqrt(np.diag(found[1]))
+    size = max(float(np.ptp(each[np.isfinite(each)])) for each in positions[:2])
+    return Shift(*np.where(deviations < _DETERMINED * size, [shifts, deviations], np.nan).ravel().tolist())
+
+
+def fit_changes(
+    changes: np.ndarray,
+    positions: np.ndarray,
+    axes: Sequence[int],
+    modelled: np.ndarray,
+    difference: np.ndarray,
+    sigma: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Fit the difference by changes of the model's maps, beside a multiple of these maps and a rigid motion.
+
+    Parameters
+    ----------
+    changes : (change, map, row, column)
+        Per unit of each change.
+    positions, axes, modelled, difference, sigma
+        As of `estimate_shift`.
+
+    Returns
+    -------
+    tuple or None
+        The changes (change,) and their covariance, with the correlation of the residuals; None where too few points are
+        known or a change is 0.
+    """
+    basis = np.stack([*changes, modelled, *_rigid_motions(positions, axes)])
     known = np.isfinite(difference) & np.isfinite(basis).all(axis=0) & (sigma > 0)
     if np.count_nonzero(known) < 10 * len(basis):
-        return Shift()
+        return None
     weighted = basis[:, known] / sigma[known]
     lengths = np.linalg.norm(weighted, axis=1)
     present = lengths > 0  # a rigid motion out of the plane changes no in-plane map
-    if not present[:2].all():
-        return Shift()
+    number = len(changes)
+    if not present[:number].all():
+        return None
     weighted = weighted[present] / lengths[present, np.newaxis]
     measured = difference[known] / sigma[known]
     covariance = np.linalg.inv(weighted @ weighted.T + _RIDGE * np.eye(len(weighted)))
@@ -89,10 +120,8 @@ def estimate_shift(
     residual = np.full(known.shape, np.nan)
     residual[known] = measured - solution @ weighted
     together = max(correlated_points(each) for each in residual)
-    deviations = np.sqrt(together * np.diag(covariance)) / lengths[present]
-    size = max(float(np.ptp(each[known.any(axis=0)])) for each in positions[:2])
-    shifts = solution[:2] / lengths[:2]
-    return Shift(*np.where(deviations[:2] < _DETERMINED * size, [shifts, deviations[:2]], np.nan).ravel().tolist())
+    scale = 1 / lengths[:number]
+    return solution[:number] * scale, together * covariance[:number, :number] * np.outer(scale, scale)
 
 
 def _rigid_motions(positions: np.ndarray, axes: Sequence[int]) -> np.ndarray:

@@ -183,13 +183,22 @@ def placement_sentences(comparison: xr.Dataset) -> list[str]:
         f"Alignment: {placement['points']} points, residual {number_text(1e6 * placement['residual'])} µm; standard "
         f"uncertainty of the translation {shift} µm along x, y, z, of the rotation {turn} mrad about them."
     ]
+    if placement["alternatives"]:
+        sentences.append(
+            f"{placement['alternatives']} other orientations by principal axes fit the surface as well: check the "
+            "orientation in the maps, or give point pairs."
+        )
     if placement["free"] is not None:
         free = placement["free"]
         directions = [f"translation along {_vector(each)}" for each in free["translations"]]
         directions += [f"rotation about {_vector(each)}" for each in free["rotations"]]
         sentences.append(
-            f"The shape is {free['shape']} and does not determine the {' and the '.join(directions)}: point pairs at "
-            "features such as a hole or a corner determine them."
+            f"The shape is {free['shape']} and does not determine the {' and the '.join(directions)}; "
+            + (
+                f"{placement['undetermined']} of these count as exact: give holes, edges or point pairs."
+                if placement["undetermined"]
+                else "features of the surface or the displacement determine them."
+            )
         )
     return sentences
 

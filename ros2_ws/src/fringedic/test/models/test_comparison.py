@@ -201,6 +201,66 @@ def test_a_modulus_that_is_2_percent_wrong_is_found():
     assert float(found.systematic) == pytest.approx(0.02 * 2e-3 / 1.02, rel=0.2)
 
 
+def plate_with_a_hole() -> tuple[xr.Dataset, Model]:
+    """A flat plate with a hole of 2 mm and a displacement around it, and its model moved by 0.3 and -0.2 mm."""
+    middle = np.array([1e-3, -1e-3])
+
+    def around(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        radius = np.hypot(x - middle[0], y - middle[1])
+        fall = 5e-6 / (1 + (radius / 2e-3) ** 2)
+        return np.stack([2e-3 * x + fall * (x - middle[0]) / 2e-3, -0.6e-3 * y + fall, 0 * x])
+
+    generator = np.random.default_rng(3)
+    hole = np.hypot(X - middle[0], Y - middle[1]) < 2e-3
+    true = LEVELLING.displacement(np.where(hole, np.nan, around(X, Y)))
+    maps = dict(zip("xyz", (X, Y, generator.normal(0, 1e-6, X.shape)), strict=True))
+    maps |= {name: each + generator.normal(0, SIGMA[name], X.shape) for name, each in zip("uvw", true, strict=True)}
+    maps |= {f"sigma_{name}": np.full(X.shape, sigma) for name, sigma in SIGMA.items()}
+    fields = {
+        name: (("step", "row", "column"), np.stack(2 * [np.where(hole, np.nan, each)])) for name, each in maps.items()
+    }
+    data = experiment()
+    coordinates = {"step": [0, 1], "row": ROW[:, 0], "column": COLUMN[0]}
+    extra = {"force": ("step", [0.0, 1000.0]), "reference_step": ("step", [0, 0])}
+    nodes = model_of().nodes @ TURN.T + SHIFT
+    nodes[:, 2] = 0
+    displacement = around(*nodes[:, :2].T).T
+    model = replace(
+        model_of(), nodes=nodes - [0.3e-3, -0.2e-3, 0], displacement=np.array([0 * displacement, displacement])
+    )
+    return xr.Dataset({**fields, **extra}, coordinates, data.attrs), model
+
+
+def translation(comparison: xr.Dataset) -> np.ndarray:
+    return 1e3 * np.array(json.loads(comparison.attrs["placement"])["translation"])
+
+
+def test_a_hole_and_an_edge_place_a_plate():
+    data, model = plate_with_a_hole()
+    centre = (0.7e-3, -0.8e-3, 0.0)  # in the model
+    at_hole = (200 + 1e-3 / PIXEL, 160 + 1e-3 / PIXEL)
+    edge = (((20.0, 40.0), (380.0, 40.0)), ((-9e-3, 6.2e-3, 0.0), (5e-3, 6.2e-3, 0.0)))
+    found = compare_model(data, model, holes=[(at_hole, centre)], edges=[edge], pair_sigma=10e-6)
+    assert translation(found)[:2] == pytest.approx([0.3, -0.2], abs=0.02)
+    assert json.loads(found.attrs["placement"])["undetermined"] == 0
+    assert 0.9 < float(found.normalized_rms.sel(quantity="u", step=1)) < 1.1
+    with pytest.raises(ModelError, match="no hole at the point"):
+        compare_model(data, model, holes=[((40.0, 40.0), centre)])
+    with pytest.raises(ModelError, match="are the same; give two of them"):
+        compare_model(data, model, edges=[(edge[0], 2 * edge[1][:1])])
+
+
+def test_the_displacement_places_a_plate_within_its_uncertainty():
+    data, model = plate_with_a_hole()
+    found = compare_model(data, model, by_displacement=True)
+    placement = json.loads(found.attrs["placement"])
+    error = translation(found)[:2] - [0.3, -0.2]
+    assert np.all(np.abs(error) < 3e3 * np.array(placement["sigma_translation"][:2]))
+    assert max(placement["sigma_translation"][:2]) < 0.05e-3
+    assert 0.9 < float(found.normalized_rms.sel(quantity="u", step=1)) < 1.1
+    assert float(compare_model(data, model).normalized_rms.sel(quantity="u", step=1)) > 1.3
+
+
 def test_loads_can_be_given_for_each_step_and_start_at_the_reference():
     data = experiment().drop_vars("force")
     with pytest.raises(ModelError, match="no force"):

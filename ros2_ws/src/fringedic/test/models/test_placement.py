@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -142,3 +144,40 @@ def test_model_beside_the_surface_and_pairs_on_a_line_are_refused():
     line = [PointPair((x, 0, 0), (x, 0, 0)) for x in (0, 1e-2, 2e-2)]
     with pytest.raises(ModelError, match="not on a line"):
         place_model(seen(hill), sheet(hill), line, spacing=SPACING)
+
+
+def test_principal_axes_find_an_elongated_part_in_any_position_and_count_what_fits_as_well():
+    turn = Rotation.from_euler("xyz", [5.0, -3.0, 160.0], degrees=True).as_matrix()
+    surface = seen(hill, np.eye(3), np.zeros(3))
+    model = sheet(hill, number=161)
+    inside = (np.abs(model.nodes[:, 0]) < 12.2e-3) & (np.abs(model.nodes[:, 1]) < 9.2e-3)
+    triangles = model.triangles[inside[model.triangles].all(axis=1)]
+    moved = replace(model, nodes=(model.nodes - SHIFT) @ turn, triangles=np.ascontiguousarray(triangles))
+    placed = place_model(surface, moved, spacing=SPACING, start="principal axes")
+    assert np.allclose(placed.rotation, turn, atol=1e-3)
+    assert placed.alternatives == 0
+    flat = replace(moved, nodes=(model.nodes * [1, 1, 0] - SHIFT) @ turn)
+    plane = seen(lambda x, y: 0 * x * y, np.eye(3), np.zeros(3))
+    plane[2] += np.random.default_rng(1).normal(0, NOISE, X.shape)
+    assert place_model(plane, flat, spacing=SPACING, start="principal axes").alternatives == 3
+    with pytest.raises(ModelError, match="principal axes; both have to show the same part"):
+        place_model(surface, replace(moved, nodes=1e-3 * moved.nodes), spacing=SPACING, start="principal axes")
+
+
+def test_edges_and_one_pair_place_a_plane():
+    def plane(x, y):
+        return 0 * x * y
+
+    surface = seen(plane, np.eye(3), np.zeros(3))
+    surface[2] += np.random.default_rng(1).normal(0, NOISE, X.shape)
+    shift, along = np.array([0.3e-3, -0.2e-3, 0.0]), (1.0, 0.0, 0.0)
+    corner, on_edge = (-10e-3, 7e-3, 0.0), (-1e-3, 7e-3, 0.0)
+    edge = [PointPair((x, 7e-3, 0.0), tuple(on_edge - shift), None, along) for x in (-8e-3, 9e-3)]
+    one = place_model(surface, sheet(plane), edge, spacing=SPACING)
+    assert one.undetermined.shape == (6, 1)
+    assert np.allclose(np.abs(one.undetermined[:3, 0]), [1, 0, 0], atol=1e-3)
+    assert one.translation[1] == pytest.approx(shift[1], abs=1e-6)
+    both = place_model(surface, sheet(plane), [*edge, PointPair(corner, tuple(corner - shift))], spacing=SPACING)
+    assert both.undetermined.shape == (6, 0)
+    assert both.translation[:2] == pytest.approx(shift[:2], abs=1e-6)
+    assert np.sqrt(both.covariance[0, 0]) == pytest.approx(SPACING, rel=0.3)

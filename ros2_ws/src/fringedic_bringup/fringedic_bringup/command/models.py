@@ -13,7 +13,7 @@ from fringedic.errors import ConfigurationError
 from fringedic_bringup.command.app import Overwrite, Source, app, output_file, say
 
 if TYPE_CHECKING:
-    from fringedic.models.observed import Pair
+    from fringedic.models.observed import Edge, Pair
 
 _MILLI = 1e-3
 
@@ -39,6 +39,27 @@ def compare_model(  # noqa: PLR0913 (options of a command)
             help="A point of the reference image in px and of the mesh in its unit; three or more align the mesh.",
         ),
     ] = None,
+    hole: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="COLUMN,ROW=X,Y,Z",
+            help="A pixel in a round hole, and the centre of the hole in the mesh; may be repeated.",
+        ),
+    ] = None,
+    edge: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="COLUMN,ROW;COLUMN,ROW=X,Y,Z;X,Y,Z",
+            help="Two pixels on a straight edge, and two points of this edge in the mesh; may be repeated.",
+        ),
+    ] = None,
+    principal_axes: Annotated[
+        bool, typer.Option("--principal-axes", help="Start from the principal axes of mesh and surface.")
+    ] = False,
+    by_displacement: Annotated[
+        bool,
+        typer.Option("--by-displacement", help="Fit directions that nothing else determines to the displacement."),
+    ] = False,
     results: Annotated[
         list[Path] | None,
         typer.Option(help="CSV with the results of a load step at the nodes of an Abaqus .inp; may be repeated."),
@@ -67,6 +88,7 @@ def compare_model(  # noqa: PLR0913 (options of a command)
     from fringedic.models import compare_model as compare
     from fringedic.models import compare_shape, on_mesh, read_model
     from fringedic.models.model import UNITS
+    from fringedic.models.observed import Features
     from fringedic.report.model_comparison import (
         agreement_sentences,
         placement_sentences,
@@ -81,15 +103,26 @@ def compare_model(  # noqa: PLR0913 (options of a command)
     if shape and of_mesh is None:
         of_mesh = [1.0]  # a displacement of the mesh is not used, whatever its load
     mesh = read_model(model, unit=unit, displacement=field, strain=strain, results=results or [], loads=of_mesh)
-    pairs = _pairs(pair or [], UNITS[unit])
-    sigma = None if pair_sigma_mm is None else _MILLI * pair_sigma_mm
+    features = Features(
+        pairs=_pairs("pair", pair or [], UNITS[unit]),
+        pair_sigma=None if pair_sigma_mm is None else _MILLI * pair_sigma_mm,
+        holes=_pairs("hole", hole or [], UNITS[unit]),
+        edges=_edges(edge or [], UNITS[unit]),
+        start="principal axes" if principal_axes else "given",
+    )._asdict()
     with open_experiment(source) as experiment:
         if shape:
-            comparison = compare_shape(experiment, mesh, pairs=pairs, pair_sigma=sigma, step=_only(steps))
+            comparison = compare_shape(experiment, mesh, step=_only(steps), **features)
         else:
             loads = None if load_table is None else _load_table(load_table, scale)
             comparison = compare(
-                experiment, mesh, pairs=pairs, pair_sigma=sigma, steps=steps or None, load=by, loads=loads
+                experiment,
+                mesh,
+                by_displacement=by_displacement,
+                steps=steps or None,
+                load=by,
+                loads=loads,
+                **features,
             )
     output.mkdir(parents=True, exist_ok=True)
     sentences = shape_sentences(comparison) if shape else agreement_sentences(comparison.isel(step=-1))
@@ -151,7 +184,7 @@ def _load_table(file: Path, scale: float) -> dict[int, float]:
     return loads
 
 
-def _pairs(texts: list[str], scale: float) -> list[Pair]:
+def _pairs(option: str, texts: list[str], scale: float) -> list[Pair]:
     """Return point pairs from ``["120,80=-5,3,0"]``; the point of the mesh is multiplied by its unit.
 
     Raises
@@ -159,14 +192,25 @@ def _pairs(texts: list[str], scale: float) -> list[Pair]:
     ConfigurationError
         A text has another form.
     """
-    pairs: list[Pair] = []
-    for each in texts:
-        pixel, _, point = each.partition("=")
-        try:
-            (column, row), (x, y, z) = ([float(part) for part in half.split(",")] for half in (pixel, point))
-        except ValueError as error:
-            raise ConfigurationError(f"--pair {each}: give COLUMN,ROW=X,Y,Z, such as 120,80=-5,3,0") from error
-        if not all(map(math.isfinite, (column, row, x, y, z))):
-            raise ConfigurationError(f"--pair {each}: give finite numbers")
-        pairs.append(((column, row), (scale * x, scale * y, scale * z)))
-    return pairs
+    form = f"--{option} {{}}: give COLUMN,ROW=X,Y,Z with finite numbers, such as 120,80=-5,3,0"
+    found = [_points(each, form, scale, 1) for each in texts]
+    return [(pixels[0], points[0]) for pixels, points in found]
+
+
+def _edges(texts: list[str], scale: float) -> list[Edge]:
+    """Return edges from ``["120,80;860,80=-5,3,0;5,3,0"]``, as `_pairs`."""
+    form = "--edge {}: give COLUMN,ROW;COLUMN,ROW=X,Y,Z;X,Y,Z with finite numbers, such as 120,80;860,80=-5,3,0;5,3,0"
+    return [_points(each, form, scale, 2) for each in texts]
+
+
+def _points(given: str, form: str, scale: float, number: int) -> Edge:
+    """Return as many pixels and points of the mesh [m] from a text."""
+    pixels, _, points = given.partition("=")
+    try:
+        found = [[[float(part) for part in each.split(",")] for each in half.split(";")] for half in (pixels, points)]
+    except ValueError as error:
+        raise ConfigurationError(form.format(given)) from error
+    sizes = [[len(each) for each in half] for half in found]
+    if sizes != [[2] * number, [3] * number] or not all(math.isfinite(part) for h in found for e in h for part in e):
+        raise ConfigurationError(form.format(given))
+    return found[0], [[scale * part for part in each] for each in found[1]]
