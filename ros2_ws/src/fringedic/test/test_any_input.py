@@ -202,7 +202,14 @@ CALLS = {
     fringedic.figures.save_pictures: {"dataset": EXPERIMENT.isel(step=[0], row=slice(0, 3)), "folder": NOWHERE},
     fringedic.export.export_dataset: {"dataset": EXPERIMENT, "folder": NOWHERE, "formats": ["csv"], "steps": [1]},
     fringedic.results.compare_with_truth: {"dataset": EXPERIMENT, "truth_path": NOWHERE},
-    fringedic.compare_model: {"experiment": MEASURED, "model": MODEL, "steps": [1], "load": "force", "loads": {1: 2.0}},
+    fringedic.compare_model: {
+        "experiment": MEASURED,
+        "model": MODEL,
+        "steps": [1],
+        "load": "force",
+        "loads": {1: 2.0},
+        "start": "given",
+    },
     fringedic.compare_shape: {"experiment": SHAPED, "model": NOMINAL, "step": 0},
     fringedic.read_model: {
         "file": NOWHERE,

@@ -106,7 +106,14 @@ def commands(folder: Path) -> dict[str, list[str]]:
         "report": ["report", dataset, "--output", str(folder / "report.html")],
         "compare-model": [
             *("compare-model", dataset, str(folder / "plate.vtp"), "--unit", "mm", "--by", "position"),
-            *("--load=100", "--output", str(folder / "compared"), "--load-table", str(folder / "loads.csv")),
+            *(
+                "--load=100",
+                "--step=2",
+                "--output",
+                str(folder / "compared"),
+                "--load-table",
+                str(folder / "loads.csv"),
+            ),
         ],
         "compare-model --shape": [
             *("compare-model", dataset, str(folder / "plate.vtp"), "--unit", "mm", "--shape"),

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -12,14 +14,25 @@ import numpy as np
 import xarray as xr
 
 from fringedic.errors import ModelError
-from fringedic.inputs.arguments import check_arguments, dataset, number, of_type, one_of, optional, several, whole
+from fringedic.inputs.arguments import (
+    array,
+    check_arguments,
+    dataset,
+    number,
+    of_type,
+    one_of,
+    optional,
+    several,
+    whole,
+)
 from fringedic.models.agreement import AGREEMENT, Agreement, assess, assess_curve
 from fringedic.models.levelling import Levelling, levelling_of
 from fringedic.models.model import Model
 from fringedic.models.observed import FEATURE_CHECKS, Edge, Features, Pair, place_on_step, placement_text
 from fringedic.models.placement import Placement
+from fringedic.models.rendering import measure_rendered
 from fringedic.models.sampling import facing, sample
-from fringedic.models.sensitivity import Sensitivity, surface_gradient, tangent_components
+from fringedic.models.sensitivity import Sensitivity, image_jacobian, surface_gradient, tangent_components
 from fringedic.models.shift import SHIFT, Shift, estimate_shift, fit_changes
 from fringedic.results.motion import in_space
 from fringedic.results.quantities import MAP_DIMENSIONS
@@ -49,6 +62,7 @@ def _load_of_each_step(value: object) -> dict[int, float]:
     ModelError,
     experiment=dataset(over=("step", "row", "column")),
     model=of_type(Model),
+    reference_image=optional(array(2)),
     **FEATURE_CHECKS,
     steps=optional(several(whole(), least=1)),
     load=one_of("force", "position"),
@@ -64,6 +78,7 @@ def compare_model(  # noqa: PLR0913 (options of a public function, all by keywor
     edges: Sequence[Edge] = (),
     start: str = "given",
     by_displacement: bool = False,
+    reference_image: np.ndarray | None = None,
     steps: Iterable[int] | None = None,
     load: str = "force",
     loads: Mapping[int, float] | None = None,
@@ -99,6 +114,10 @@ def compare_model(  # noqa: PLR0913 (options of a public function, all by keywor
     by_displacement
         Move the model in directions that remain so that its displacement at the last step fits best. It hides a feature
         in the wrong place.
+    reference_image
+        Image (row, column) of the reference step without fringes, NaN beside the surface. With it the model's in-plane
+        displacement is rendered with the texture of the surface and measured as the test was (full levelling), instead
+        of filtered.
     steps
         Numbers of the steps; by default all with a displacement and a load within those of the model.
     load
@@ -134,6 +153,8 @@ def compare_model(  # noqa: PLR0913 (options of a public function, all by keywor
     if not len(model.loads):
         raise ModelError(f"{model.name}: has no displacement; export it at the nodes, or name its field")
     levelling = levelling_of(experiment)
+    if reference_image is not None:
+        _require_image(reference_image, experiment)
     of_step = _loads(experiment, model, load, loads)
     chosen = _choose(experiment, model, of_step, steps)
     features = Features(pairs, pair_sigma, holes, edges, start)
@@ -151,7 +172,8 @@ def compare_model(  # noqa: PLR0913 (options of a public function, all by keywor
                 placement = _Comparison(
                     last, model, placement, levelling, (reference, of_step[chosen[-1]])
                 ).placed_by_displacement()
-        comparison = _Comparison(step, model, placement, levelling, (reference, of_step[number_of_step]))
+        loads_of_step = reference, of_step[number_of_step]
+        comparison = _Comparison(step, model, placement, levelling, loads_of_step, reference_image)
         compared.append(comparison.result().assign_coords(step=number_of_step))
     assert placement is not None
     joined = xr.concat(compared, "step", coords="minimal", compat="override", join="override")
@@ -195,6 +217,15 @@ def _choose(
     return covered
 
 
+def _require_image(image: np.ndarray, experiment: xr.Dataset) -> None:
+    last = int(experiment["row"][-1]), int(experiment["column"][-1])
+    if image.shape[0] <= last[0] or image.shape[1] <= last[1]:
+        raise ModelError(
+            f"the reference image has {image.shape[1]}x{image.shape[0]} px, the last measured point is at column "
+            f"{last[1]}, row {last[0]}: give the image that the test was measured with"
+        )
+
+
 def _require_maps(step: xr.Dataset) -> None:
     needed = (*_POSITION, *_DISPLACEMENT, "sigma_u", "sigma_v")
     missing = [name for name in needed if name not in step or step[name].dtype.kind != "f"]
@@ -209,8 +240,15 @@ class _Comparison:
     """One step beside the model at its load."""
 
     def __init__(
-        self, step: xr.Dataset, model: Model, placement: Placement, levelling: Levelling, loads: tuple[float, float]
+        self,
+        step: xr.Dataset,
+        model: Model,
+        placement: Placement,
+        levelling: Levelling,
+        loads: tuple[float, float],
+        image: np.ndarray | None = None,
     ) -> None:
+        self._image = image
         self._step, self._placement, self._levelling, self._loads = step, placement, levelling, loads
         self._positions = np.stack([step[name].values.astype(float) for name in _POSITION])
         self._known = np.isfinite(self._positions).all(axis=0) & np.isfinite(step["u"].values)
@@ -222,7 +260,7 @@ class _Comparison:
         """Return the maps of the step and its agreement."""
         measured, sigma = self._measured()
         sampled, height, strain = self._sample()
-        levelled = self._levelling.displacement(sampled)
+        levelled = self._level(sampled)
         modelled = self._fields(levelled, strain)
         moved = self._changes(levelled, height)
         deviation = np.sqrt(sum((change**2 for change in moved), sigma.values**2))
@@ -255,7 +293,7 @@ class _Comparison:
         thin = (..., slice(None, None, self._thinning()), slice(None, None, self._thinning()))
         for _ in range(_DISPLACEMENT_ITERATIONS if free.size else 0):
             sampled, height, _ = self._sample()
-            modelled = self._levelling.displacement(sampled)
+            modelled = self._level(sampled)
             positions = np.stack([*self._positions[:2], height])
             sensitivity = Sensitivity(positions, modelled, placement.centre)
             changes = np.stack([sensitivity.displacement(motion)[axes][thin] for motion in free.T]).astype(float)
@@ -271,6 +309,30 @@ class _Comparison:
         if free.size:
             self._placement = replace(self._placement, covariance=covariance, undetermined=np.empty((6, 0)))
         return self._placement
+
+    def _level(self, sampled: np.ndarray) -> np.ndarray:
+        """Return a displacement of the model (3, row, column) as it would be measured.
+
+        With a reference image the in-plane error that its rendered displacement shows is added, by the derivative of
+        the position by the pixel. A displacement along the line of sight moves nothing in the image.
+        """
+        if self._image is None:
+            return self._levelling.displacement(sampled)
+        *_, w = self._levelling.displacement(sampled)
+        calibration = json.loads(self._step.attrs.get("calibration", "null")) or {}
+        away = float(calibration.get("camera_distance", math.inf)) - self._positions[2]
+        seen = sampled[:2] + sampled[2] * self._positions[:2] / away
+        spacing = self._levelling.spacing
+        jacobian = np.moveaxis(image_jacobian(self._positions), (0, 1), (-2, -1)) / spacing
+        known = np.isfinite(jacobian).all(axis=(-2, -1)) & np.isfinite(seen).all(axis=0)
+        moved = np.full((2, *known.shape), np.nan)
+        moved[:, known] = np.linalg.solve(jacobian[known], seen[:, known].T[..., np.newaxis])[..., 0].T
+        points = self._step["row"].values, self._step["column"].values
+        found = measure_rendered(
+            self._image, points, moved, window=self._levelling.window, method=self._levelling.method
+        )
+        error = np.einsum("rcij,jrc->irc", jacobian, found - moved)
+        return np.stack([*(sampled[:2] + error), w]).astype(np.float32)
 
     def _thinning(self) -> int:
         return max(1, math.ceil(math.sqrt(self._positions[0].size / _FITTED_POINTS)))
@@ -344,7 +406,7 @@ class _Comparison:
         shape = MAP_DIMENSIONS[1:]
         fields: dict[str, object] = {}
         for name, values in maps.items():
-            strain = "e_" in name
+            strain = re.search("(^|_)e_", name) is not None
             units = "sigma" if name.startswith("normalized") else "1" if strain else "m"
             fields[name] = (shape, values.astype(np.float32), {"units": units})
         for name, (units, long_name) in AGREEMENT.items():

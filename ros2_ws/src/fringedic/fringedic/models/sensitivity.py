@@ -32,6 +32,12 @@ def surface_gradient(positions: np.ndarray, maps: np.ndarray) -> tuple[np.ndarra
     return (by_column * y_row - by_row * y_column) / area, (by_row * x_column - by_column * x_row) / area
 
 
+def image_jacobian(positions: np.ndarray) -> np.ndarray:
+    """Return the derivatives (2, 2, row, column) of x and y of the surface by column and by row, per point."""
+    (x_row, y_row), (x_column, y_column) = (_slope(positions[:2], axis) for axis in (-2, -1))
+    return np.array([[x_column, x_row], [y_column, y_row]])
+
+
 def _slope(maps: np.ndarray, axis: int) -> np.ndarray:
     """Return differences per point along an axis: central where both neighbours are known, else one-sided."""
     steps = np.moveaxis(np.diff(maps, axis=axis), axis, -1)

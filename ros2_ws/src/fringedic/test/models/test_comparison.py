@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import pyvista
 import xarray as xr
+from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 import fringedic
@@ -129,6 +130,9 @@ def test_maps_belong_together(right: xr.Dataset):
     assert np.allclose(step.difference_u / step.sigma_difference_u, step.normalized_u, rtol=1e-3, equal_nan=True)
     assert bool((step.sigma_difference_u >= step.sigma_u * (1 - 1e-6)).where(step.normalized_u.notnull(), True).all())
     assert abs(float(step.distance.median())) < 1e-6
+    for prefix in ("", "model_", "difference_", "sigma_difference_"):
+        assert step[f"{prefix}u"].units == "m"
+        assert step[f"{prefix}e_12"].units == "1"
     placement = json.loads(right.attrs["placement"])
     assert np.abs(np.array(placement["rotation"]) - TURN).max() < 1e-3
 
@@ -259,6 +263,20 @@ def test_the_displacement_places_a_plate_within_its_uncertainty():
     assert max(placement["sigma_translation"][:2]) < 0.05e-3
     assert 0.9 < float(found.normalized_rms.sel(quantity="u", step=1)) < 1.1
     assert float(compare_model(data, model).normalized_rms.sel(quantity="u", step=1)) > 1.3
+
+
+def test_a_rendered_model_is_the_measured_one():
+    """The reference image of the test, moved by the model, with the texture of random spots."""
+    texture = gaussian_filter(np.random.default_rng(2).normal(size=(317, 397)), 1.5)
+    image = 128 + 40 * texture / texture.std()
+    rendered = compare_model(experiment(), model_of(), pairs=pairs(), steps=[2], reference_image=image)
+    filtered = compare_model(experiment(), model_of(), pairs=pairs(), steps=[2])
+    for name in ("u", "v"):
+        difference = (rendered[f"model_{name}"] - filtered[f"model_{name}"]).values[..., 4:-4, 4:-4]
+        assert 0 < np.nanmax(np.abs(difference)) < SIGMA[name], name
+        assert float(rendered.normalized_rms.sel(quantity=name, step=2)) < 1.1
+    with pytest.raises(ModelError, match="the last measured point is at column 396, row 316"):
+        compare_model(experiment(), model_of(), pairs=pairs(), reference_image=image[:, :396])
 
 
 def test_loads_can_be_given_for_each_step_and_start_at_the_reference():

@@ -8,6 +8,7 @@ import pytest
 import fringedic
 from fringedic.correlation import shortest_period, transfer_function
 from fringedic.models.levelling import Levelling
+from fringedic.models.rendering import measure_rendered
 
 ROW, COLUMN = np.meshgrid(np.arange(0, 400, 4.0), np.arange(0, 480, 4.0), indexing="ij")
 
@@ -47,5 +48,8 @@ def test_levelled_displacement_is_closer_to_the_measured_one_at_a_hole(speckle):
     true = np.where(np.isfinite(measured), motion(x, y)[0], np.nan)
     levelled = Levelling(32, "dense", 0.0, 0, 4).displacement(np.stack([true] * 3))[0]
     near = (np.hypot(x - 120, y - 120) < 60) & np.isfinite(measured)
-    raw, filtered = (np.sqrt(np.mean((measured - each)[near] ** 2)) for each in (true, levelled))
+    image, points = surface.image(noise=8, seed=1).astype(float), (np.arange(0, 240, 4), np.arange(0, 240, 4))
+    rendered = measure_rendered(image, points, np.stack([true, 0 * true]), window=32, method="dense")[0]
+    raw, filtered, full = (np.sqrt(np.nanmean((measured - each)[near] ** 2)) for each in (true, levelled, rendered))
     assert filtered < 0.7 * raw
+    assert full < 0.75 * filtered

@@ -60,6 +60,10 @@ def compare_model(  # noqa: PLR0913 (options of a command)
         bool,
         typer.Option("--by-displacement", help="Fit directions that nothing else determines to the displacement."),
     ] = False,
+    reference_image: Annotated[
+        Path | None,
+        typer.Option(help="Image of the reference without fringes: the model is rendered with it and measured."),
+    ] = None,
     results: Annotated[
         list[Path] | None,
         typer.Option(help="CSV with the results of a load step at the nodes of an Abaqus .inp; may be repeated."),
@@ -85,6 +89,7 @@ def compare_model(  # noqa: PLR0913 (options of a command)
     """Compare displacement and strain with a finite-element model, or the shape; write page, dataset and VTK files."""
     page = output_file(output / "comparison.html", overwrite)
     from fringedic.export import export_dataset, write_mesh
+    from fringedic.frames.files import read_grey
     from fringedic.models import compare_model as compare
     from fringedic.models import compare_shape, on_mesh, read_model
     from fringedic.models.model import UNITS
@@ -119,6 +124,7 @@ def compare_model(  # noqa: PLR0913 (options of a command)
                 experiment,
                 mesh,
                 by_displacement=by_displacement,
+                reference_image=None if reference_image is None else read_grey(reference_image),
                 steps=steps or None,
                 load=by,
                 loads=loads,
