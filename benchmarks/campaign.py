@@ -18,7 +18,7 @@ import sys
 import tempfile
 import textwrap
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -30,8 +30,11 @@ from fringedic.campaign import (
     Campaign,
     CampaignStore,
     Dask,
+    Failure,
     Plan,
+    Processes,
     Receipt,
+    Serial,
     load_campaign,
     read_plan,
     status_of,
@@ -154,6 +157,28 @@ def engine_figures(folder: Path, recording: Path, count: int, repeats: int) -> d
     }
 
 
+def equal_figures(folder: Path, recording: Path, count: int = 8) -> dict[str, float]:
+    """Digests of the groups by every engine: they contain the SHA-256 of every chunk."""
+    campaign = campaign_of(folder / "equal", count, recording)
+    found = {}
+    engines = {"serial": Serial(), "processes": Processes(2), **{f"dask {n}": Dask(n) for n in (1, 2, 3)}}
+    for name, engine in engines.items():
+        found[name] = digests(engine.outcomes(empty(campaign).units))
+    status = status_of(CampaignStore(campaign.store), empty(campaign))
+    found["shards"] = {
+        name: digest for part in (1, 2, 3) for name, digest in digests(Serial().outcomes(status.share(part, 3))).items()
+    }
+    different = [name for name, each in found.items() if each != found["serial"] or len(each) != count]
+    assert not different, f"other bytes than the serial engine: {different}"
+    return {"engines with equal results": len(found), "recordings": count}
+
+
+def digests(outcomes: Iterable[Receipt | Failure]) -> dict[str, str]:
+    found = list(outcomes)
+    assert all(isinstance(outcome, Receipt) for outcome in found), found
+    return {outcome.name: outcome.digest for outcome in found if isinstance(outcome, Receipt)}
+
+
 def resume_figures(folder: Path, count: int) -> dict[str, float]:
     """Time to plan real recordings, and of a run of a finished campaign, in fresh processes."""
     campaign = campaign_of(folder / "resume", count)
@@ -261,7 +286,7 @@ def kill_one(command: subprocess.Popen[bytes], *, client: bool) -> None:
 @contextmanager
 def place() -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as folder:
-        for name in ("engines", "resume", "killed"):
+        for name in ("engines", "equal", "resume", "killed"):
             Path(folder, name).mkdir()
         yield Path(folder)
 
@@ -273,16 +298,24 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--recording", type=Path, default=RECORDED, help="for the engines, memory and rates")
+    parts = ["memory", "resume", "engines", "equal", "killed"]
+    parser.add_argument("--only", nargs="+", choices=parts, default=parts, help="parts of the measurement")
     options = parser.parse_args()
     with place() as folder:
-        figures = memory_figures(folder, options.recording)
-        report(figures)
-        for line in on_paper(figures):
-            print(line)
-        report(resume_figures(folder, options.units))
-        report(planner_figures(folder, options.units))
-        report(engine_figures(folder, options.recording, options.recordings, options.repeats))
-        report(killed(folder, 6 * options.kills, options.kills, seed=1))
+        if "memory" in options.only:
+            figures = memory_figures(folder, options.recording)
+            report(figures)
+            for line in on_paper(figures):
+                print(line)
+        if "resume" in options.only:
+            report(resume_figures(folder, options.units))
+            report(planner_figures(folder, options.units))
+        if "engines" in options.only:
+            report(engine_figures(folder, options.recording, options.recordings, options.repeats))
+        if "equal" in options.only:
+            report(equal_figures(folder, options.recording))
+        if "killed" in options.only:
+            report(killed(folder, 6 * options.kills, options.kills, seed=1))
 
 
 def report(figures: dict[str, float]) -> None:
