@@ -107,7 +107,8 @@ def compare_model(  # noqa: PLR0913 (options of a command)
     of_mesh = None if load is None else [scale * each for each in load]
     if shape and of_mesh is None:
         of_mesh = [1.0]  # a displacement of the mesh is not used, whatever its load
-    mesh = read_model(model, unit=unit, displacement=field, strain=strain, results=results or [], loads=of_mesh)
+    if unit not in UNITS:
+        raise ConfigurationError(f"--unit {unit}: give one of {', '.join(UNITS)}")
     features = Features(
         pairs=_pairs("pair", pair or [], UNITS[unit]),
         pair_sigma=None if pair_sigma_mm is None else _MILLI * pair_sigma_mm,
@@ -115,11 +116,13 @@ def compare_model(  # noqa: PLR0913 (options of a command)
         edges=_edges(edge or [], UNITS[unit]),
         start="principal axes" if principal_axes else "given",
     )._asdict()
+    only = _only(steps) if shape else None
+    loads = None if load_table is None else _load_table(load_table, scale)
+    mesh = read_model(model, unit=unit, displacement=field, strain=strain, results=results or [], loads=of_mesh)
     with open_experiment(source) as experiment:
         if shape:
-            comparison = compare_shape(experiment, mesh, step=_only(steps), **features)
+            comparison = compare_shape(experiment, mesh, step=only, **features)
         else:
-            loads = None if load_table is None else _load_table(load_table, scale)
             comparison = compare(
                 experiment,
                 mesh,
