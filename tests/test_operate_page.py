@@ -2,78 +2,36 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from browser import NARROW, low_contrasts, opened, page_address
+from browser import NARROW, low_contrasts, opened
+from operated import VIEWS, WAIT_MS, Operated, click_at, driving, finished, live_frame, operating, start_programme, view
 from playwright.sync_api import Browser, Page, expect
-from running_system import CONFIG, free_port
+from rclpy.serialization import deserialize_message
+from running_system import free_port
+from viewer import LAYOUT, Viewer, drawn, viewing
 
 import fringedic
 from fringedic.frames.region import Region
+from fringedic_ros.serialized import message_type
 
 pytestmark = [pytest.mark.browser, pytest.mark.operate]
-WAIT_MS = 90_000  # for a procedure on a busy computer
 FIVE_STEPS = "{experiment: five, ramp: {to_mm: 0.6, steps: 5, speed_mm_per_s: 5}}"
-VIEWS = {
-    "setup": "#item-axes",
-    "live": "canvas.camera",
-    "run": "#run",
-    "maps": "canvas.map",
-    "curves": "#curve-x",
-    "space": "#space",
-    "log": "#nodes",
-}
-
-
-@dataclass
-class Operated:
-    """A running command with its page."""
-
-    process: subprocess.Popen[str]
-    url: str
-    folder: Path
-
-    def page_process(self) -> int:
-        """Return the process of the page's server."""
-        for entry in Path("/proc").glob("[0-9]*"):
-            try:
-                words = (entry / "cmdline").read_bytes().split(b"\0")
-                parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
-            except OSError:
-                continue
-            if parent == self.process.pid and any(word.endswith(b"/operator") for word in words):
-                return int(entry.name)
-        raise AssertionError("the server of the page does not run")
-
-
-@contextmanager
-def operating(folder: Path, *words: str) -> Iterator[Operated]:
-    """Run `fringedic operate` for a copy of the tiny rig."""
-    rig = folder / "tiny.yaml"
-    if not rig.exists():
-        shutil.copyfile(CONFIG / "tiny.yaml", rig)
-    code = "from fringedic_bringup.command.main import main; main()"
-    command = [sys.executable, "-c", code, "operate", str(rig), "--port", str(free_port()), *words]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "COLUMNS": "300"}) as process:
-        assert process.stdout is not None
-        url = page_address(process.stdout)
-        try:
-            yield Operated(process, url, folder)
-        finally:
-            process.send_signal(signal.SIGINT)
-            process.wait(90)
+PANELS: dict[str, set[str]] = {}  # fields of each topic of the layout; the tiny rig has no extensometer
+for _topic, _field in drawn(json.loads(LAYOUT.read_text())):
+    if "/extensometer/" not in _topic:
+        PANELS.setdefault(_topic, set()).update([_field] if _field else [])
 
 
 @pytest.fixture(scope="module")
@@ -85,31 +43,9 @@ def operated(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iter
 
 @pytest.fixture
 def page(browser: Browser, operated: Operated) -> Iterator[Page]:
-    """Return the page of the driver; the one of the test before has handed over."""
-    with opened(browser, operated.url) as page:
-        page.set_default_timeout(WAIT_MS)
-        expect(page.locator("nav a").first).to_be_visible()
-        take_wheel(page)
+    """Return the page of the driver."""
+    with driving(browser, operated) as page:
         yield page
-        page.click("text=Hand over")
-        expect(page.locator("#wheel")).to_contain_text("Ask for the wheel")
-
-
-def take_wheel(page: Page) -> None:
-    if page.locator("#wheel >> text=You drive").count() == 0:
-        page.click("text=Ask for the wheel")
-    expect(page.locator("#wheel")).to_contain_text("You drive")
-
-
-def view(page: Page, name: str) -> None:
-    page.click(f"nav a[href='#{name}']")
-    expect(page.locator(VIEWS[name])).to_be_visible()
-
-
-def live_frame(page: Page) -> str:
-    """Wait for a camera image and return its stamp."""
-    expect(page.locator("canvas.camera")).to_have_attribute("data-stamp", re.compile("[0-9]"), timeout=WAIT_MS)
-    return page.locator("canvas.camera").get_attribute("data-stamp") or ""
 
 
 def test_live_image_moves_and_shows_its_figures(page: Page) -> None:
@@ -158,27 +94,6 @@ def test_region_is_drawn_by_clicks_and_used(page: Page, operated: Operated) -> N
     assert list(operated.folder.glob("tiny.before-*.yaml"))
 
 
-def click_at(page: Page, column: float, row: float) -> None:
-    """Click a pixel of the camera image."""
-    box = page.locator("canvas.camera").bounding_box()
-    assert box is not None
-    page.mouse.click(box["x"] + (column + 0.5) / 160 * box["width"], box["y"] + (row + 0.5) / 120 * box["height"])
-
-
-def start_programme(page: Page, text: str) -> None:
-    view(page, "run")
-    expect(page.locator("#run")).to_be_enabled(timeout=WAIT_MS)
-    page.click("summary:has-text('Another programme')")
-    page.fill("#programme", text)
-    page.click("#run")
-
-
-def finished(page: Page) -> str:
-    """Wait for the result of a programme and return it."""
-    expect(page.locator("#words")).to_be_visible(timeout=WAIT_MS)
-    return page.locator("#words").inner_text()
-
-
 def test_programme_pauses_continues_and_leaves_a_recording_although_the_server_is_killed(
     page: Page, operated: Operated
 ) -> None:
@@ -219,28 +134,145 @@ def test_programme_pauses_continues_and_leaves_a_recording_although_the_server_i
     assert report.headers["content-security-policy"].startswith("sandbox")
 
 
-def test_stop_ends_a_run_with_its_results(page: Page) -> None:
-    start_programme(page, "{experiment: stopped, steps: [{}, {}, {hold_s: 600}]}")
-    expect(page.locator("#steps td.good")).to_have_count(2, timeout=WAIT_MS)
+def test_programme_without_its_driver_pauses_and_another_browser_stops_it(
+    page: Page, browser: Browser, operated: Operated
+) -> None:
+    with opened(browser, operated.url) as lost:
+        page.click("text=Hand over")
+        lost.click("text=Ask for the wheel")
+        expect(lost.locator("#wheel")).to_contain_text("You drive", timeout=WAIT_MS)
+        steps = ", ".join(["{hold_s: 3}"] * 100)
+        start_programme(lost, f"{{experiment: stopped, on_operator_lost: hold, steps: [{steps}]}}")
+        expect(lost.locator("#steps td.good").first).to_be_visible(timeout=WAIT_MS)
+        view(lost, "setup")
+        lost.click("#item-calibrate >> text=Open")
+        expect(lost.locator("#item-calibrate .start")).to_be_disabled()
+        refused = lost.request.post(f"{origin(lost)}/do/start", data={"procedure": "calibrate"}, headers=own(lost))
+        assert "run is running: wait until it has ended, or stop it" in refused.text()
+    view(page, "run")
+    expect(page.locator("#summary")).to_contain_text("is paused", timeout=WAIT_MS)
+    expect(page.locator("#procedure")).to_contain_text("the page of the driver is closed")
     page.click("#hold")
     expect(page.locator("#message")).to_contain_text("hold requested at")
+    page.click("text=Ask for the wheel")
+    expect(page.locator("#wheel")).to_contain_text("You drive")
     page.click("#stop")
     words = finished(page)
-    assert "2 steps in stopped-" in words
+    assert re.search(r"\d+ steps in stopped-", words)
     assert "stopped by the operator" in words
 
 
-def test_steps_are_measured_by_hand(page: Page) -> None:
-    view(page, "run")
-    expect(page.locator("#by-hand")).to_be_enabled(timeout=WAIT_MS)
-    page.click("#by-hand")
-    expect(page.locator("#activity")).to_contain_text("ready to measure", timeout=WAIT_MS)
-    for step in (0, 1):
-        expect(page.locator("#measure")).to_be_enabled(timeout=WAIT_MS)
-        page.click("#measure")
-        expect(page.locator("#hand")).to_have_text(f"step {step} is measured", timeout=WAIT_MS)
-    page.click("#stop")
-    assert finished(page).startswith("dataset and report in by_hand-")
+def origin(page: Page) -> str:
+    return page.url.partition("#")[0].rstrip("/")
+
+
+def own(page: Page) -> dict[str, str]:
+    """Return the header of a request of the page itself."""
+    return {"Origin": origin(page)}
+
+
+def test_steps_are_measured_by_hand_on_a_page_that_joins_and_foxglove_shows_them(
+    page: Page, browser: Browser, operated: Operated
+) -> None:
+    with (
+        foxglove() as viewer,
+        operating(operated.folder, "--attach") as joined,
+        driving(browser, joined) as attached,
+    ):
+        viewer.watch(*(topic for topic in PANELS if topic.startswith("/rig/live_view/")))
+        shown = dict[str, Any]()
+        collect(viewer, shown, 2)
+        view(page, "run")
+        expect(page.locator("#by-hand")).to_be_enabled(timeout=WAIT_MS)
+        page.click("#by-hand")
+        viewer.watch(*(topic for topic in PANELS if not topic.startswith("/rig/live_view/")))
+        expect(page.locator("#activity")).to_contain_text("ready to measure", timeout=WAIT_MS)
+        for step, place in enumerate((page, attached)):
+            view(place, "run")
+            expect(place.locator("#measure")).to_be_enabled(timeout=WAIT_MS)
+            place.click("#measure")
+            expect(place.locator("#hand")).to_have_text(f"step {step} is measured", timeout=WAIT_MS)
+        live_frame(attached)
+        expect(attached.locator("#hold")).to_be_enabled()
+        collect(viewer, shown, len(PANELS))
+        for topic, fields in PANELS.items():
+            assert_drawn(shown[topic], fields)
+        page.click("#stop")
+        assert finished(page).startswith("dataset and report in by_hand-")
+
+
+@contextmanager
+def foxglove() -> Iterator[Viewer]:
+    """Run `fringedic view --foxglove` for the running nodes, and connect a viewer."""
+    code = "from fringedic_bringup.command.main import main; main()"
+    command = [sys.executable, "-c", code, "view", "--foxglove", "--port", str(free_port())]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        url = next(line.split()[-1] for line in process.stdout if line.startswith("foxglove: "))
+        with viewing(url) as viewer:
+            yield viewer
+        process.send_signal(signal.SIGINT)
+        process.wait(90)
+
+
+def collect(viewer: Viewer, shown: dict[str, Any], count: int) -> None:
+    """Wait until messages of so many topics have arrived, and keep the last of each."""
+    while len(shown) < count:
+        for topic, data, _ in viewer.received(1):
+            shown[topic] = deserialize_message(data, message_type(viewer.topics[topic]["schemaName"]))
+
+
+def assert_drawn(message: Any, fields: set[str]) -> None:
+    """Check that a panel finds what it draws in a message."""
+    kind = type(message).__name__
+    if kind == "Image":
+        assert message.height * message.width > 0
+    elif kind == "PointCloud2":
+        assert {"x", "y", "z", "w"} <= {field.name for field in message.fields}
+    else:
+        for field in fields:
+            assert isinstance(getattr(message, field), float), f"{kind}.{field}"
+
+
+def test_a_whole_programme_is_driven_with_the_keyboard_alone(page: Page) -> None:
+    key(page, "nav a[href='#run']")
+    expect(page.locator("#run")).to_be_enabled(timeout=WAIT_MS)
+    if not page.locator("#programme").is_visible():
+        key(page, "#start summary")
+    focus(page, "#programme")
+    page.keyboard.press("Control+a")
+    page.keyboard.type("{experiment: keys, steps: [{}, {}, {hold_s: 600}]}")
+    key(page, "#run")
+    key(page, "#pause")
+    expect(page.locator("#summary")).to_contain_text("is paused", timeout=WAIT_MS)
+    key(page, "#resume")
+    expect(page.locator("#steps td.good")).to_have_count(2, timeout=WAIT_MS)
+    key(page, "#hold")
+    expect(page.locator("#message")).to_contain_text("hold requested at")
+    key(page, "#stop")
+    assert "2 steps in keys-" in finished(page)
+    key(page, "nav a[href='#maps']")
+    expect(page.locator("canvas.map")).to_have_attribute("aria-label", re.compile("step"), timeout=WAIT_MS)
+    focus(page, "canvas.map")
+    page.keyboard.press("Shift+ArrowLeft")
+    expect(page.locator("#readout")).to_contain_text(" at column ")
+
+
+def focus(page: Page, selector: str) -> None:
+    """Press Tab until an element has the focus."""
+    expect(page.locator(selector)).to_be_visible()
+    script = "(selector) => document.activeElement === document.querySelector(selector)"
+    for _ in range(60):
+        if page.evaluate(script, selector):
+            return
+        page.keyboard.press("Tab")
+    raise AssertionError(f"Tab does not reach {selector}")
+
+
+def key(page: Page, selector: str) -> None:
+    """Reach an element with Tab, and press Enter."""
+    focus(page, selector)
+    page.keyboard.press("Enter")
 
 
 def test_wrong_requests_are_answered_by_a_sentence_and_the_next_one_works(page: Page, operated: Operated) -> None:

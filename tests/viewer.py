@@ -12,6 +12,7 @@ from typing import Any
 from websockets.sync.client import ClientConnection, connect
 
 LAYOUT = Path(__file__).parents[1] / "docs" / "foxglove" / "fringedic.json"
+WAIT_S = 90.0  # for a message on a busy computer
 MESSAGE, TIME, PLAYBACK = 1, 2, 5  # opcodes of the server
 CONTROL = 3  # of a client
 
@@ -46,7 +47,7 @@ class Viewer:
         """Subscribe to topics as soon as they are announced."""
         for topic in topics:
             while topic not in self.topics:
-                self.read(20)
+                self.read(WAIT_S)
             number = len(self._watched) + 1
             self._watched[number] = topic
             channel = self.topics[topic]["id"]
@@ -70,7 +71,7 @@ class Viewer:
     def received(self, count: int) -> Iterator[tuple[str, bytes, int]]:
         """Wait until there are so many messages, and return and forget them."""
         while len(self.messages) < count:
-            self.read(20)
+            self.read(WAIT_S)
         found, self.messages = self.messages, []
         yield from found
 

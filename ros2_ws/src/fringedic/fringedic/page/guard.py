@@ -66,9 +66,9 @@ class Guard:
             return PlainTextResponse("This name is not the server's: open the address that it has printed.", 403)
         if not self._is_own_origin(scope, headers):
             return PlainTextResponse("Requests of other sites are refused.", 403)
-        if scope["type"] == "http" and scope["path"] == "/" and "token" in (query := Request(scope).query_params):
-            return self._admit(query["token"])
         session = self._sessions.name_of(HTTPConnection(scope).cookies.get(self._cookie, ""))
+        if scope["type"] == "http" and scope["path"] == "/" and "token" in (query := Request(scope).query_params):
+            return self._admit(query["token"], session)
         if session is None:
             return PlainTextResponse(EXPIRED, 403)
         scope.setdefault("state", {})["session"] = session
@@ -81,12 +81,14 @@ class Guard:
             return True
         return origin == f"{'https' if self._secure else 'http'}://{headers.get('host')}"
 
-    def _admit(self, token: str) -> Response:
+    def _admit(self, token: str, session: str | None) -> Response:
+        """Answer with a cookie; a browser that has one keeps its session, and with it the wheel."""
         cookie = self._sessions.admit(token)
         if cookie is None:
             return PlainTextResponse("The address has a wrong token: copy it completely from the terminal.", 403)
         response = RedirectResponse("/", 303)  # removes the token from the address bar
-        response.set_cookie(self._cookie, cookie, httponly=True, samesite="strict", secure=self._secure)
+        if session is None:
+            response.set_cookie(self._cookie, cookie, httponly=True, samesite="strict", secure=self._secure)
         return response
 
 

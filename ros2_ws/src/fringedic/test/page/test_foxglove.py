@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from served import free_port
-from viewer import Viewer, viewing
+from viewer import WAIT_S, Viewer, viewing
 
 from fringedic.errors import OperatorError, RecordingError
 from fringedic.page.foxglove import RecordingPlayer, TopicServer
@@ -67,7 +67,7 @@ def test_recording_is_played_with_its_definitions_and_times(recording: Path) -> 
         assert forces == [(cdr(number), START + (1 + 100 * number) * MS) for number in range(5)]
         assert ("/calibration", cdr(99), START) in found
         while not viewer.ended:
-            viewer.read(20)
+            viewer.read(WAIT_S)
         assert set(viewer.info["capabilities"]) == {"time", "playbackControl"}, "nothing that changes a rig"
 
 

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import http.client
 import json
 import socket
+import ssl
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-from served import TOKEN, Site, served
+from certificate import write_certificate
+from served import TOKEN, Site, SmallRig, free_port, served
 from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
 
 from fringedic.errors import OperatorError
 from fringedic.page.app import LARGEST_BODY
-from fringedic.page.server import Address, listen
+from fringedic.page.server import Address, PageServer, listen
 
 START = {"procedure": "run"}
 
@@ -50,6 +54,12 @@ def test_token_is_exchanged_for_a_strict_cookie_and_leaves_the_address_bar(quiet
     assert "httponly" in attributes
     assert "samesite=strict" in attributes
     assert str(quiet.port) in attributes.partition("=")[0], "other ports of this computer share the cookies"
+
+
+def test_the_printed_address_opened_again_keeps_the_session(quiet: Site, visitor: str) -> None:
+    again = quiet.request("GET", f"/?token={TOKEN.replace(' ', '%20')}", Cookie=visitor)
+    assert (again.status, "set-cookie" in again.headers) == (303, False)
+    assert quiet.request("GET", "/?token=wrong", Cookie=visitor).status == 403
 
 
 @pytest.mark.parametrize("path", ["/?token=wrong", "/", "/page/main.js", "/maps/0/u", "/files/run/report.html"])
@@ -263,3 +273,35 @@ def test_address_for_people() -> None:
     assert Address("127.0.0.1", 8080, "abc").url == "http://127.0.0.1:8080/?token=abc"
     assert Address("::1", 8080, "abc", Path("c"), Path("k")).url == "https://[::1]:8080/?token=abc"
     assert Address("192.168.1.5", 80, "x").hosts()[0].endswith(":80")
+
+
+def test_page_is_encrypted_with_certificate_files(tmp_path: Path) -> None:
+    certificate, key = write_certificate(tmp_path)
+    trusted = ssl.create_default_context(cafile=certificate)
+    address = Address("127.0.0.1", free_port(), "secret", certificate, key)
+    server = PageServer(SmallRig(tmp_path), address)
+    try:
+        secure = http.client.HTTPSConnection(address.host, address.port, timeout=10, context=trusted)
+        secure.request("GET", "/?token=secret")
+        cookie = secure.getresponse().headers["set-cookie"]
+        secure.close()
+        assert "Secure" in cookie
+        assert address.url.startswith("https://")
+        plain = http.client.HTTPConnection(address.host, address.port, timeout=10)
+        plain.request("GET", "/?token=secret")
+        with pytest.raises((http.client.HTTPException, ConnectionError)):
+            plain.getresponse()
+        plain.close()
+        place, headers = f"{address.host}:{address.port}", {"Cookie": cookie.partition(";")[0]}
+        origin = f"https://{place}"
+        with connect(f"wss://{place}/stream", additional_headers=headers, origin=origin, ssl=trusted) as stream:  # type: ignore[arg-type]
+            assert json.loads(stream.recv(10))["topic"] == "rig"
+    finally:
+        server.close()
+
+
+def test_a_certificate_that_is_none_is_named(tmp_path: Path) -> None:
+    (tmp_path / "page.crt").write_text("nothing")
+    address = Address("127.0.0.1", free_port(), "secret", tmp_path / "page.crt", tmp_path / "page.crt")
+    with pytest.raises(OperatorError, match=r"page.crt.*no TLS certificate with its key"):
+        PageServer(SmallRig(tmp_path), address)

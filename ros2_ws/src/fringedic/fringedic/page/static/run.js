@@ -14,18 +14,20 @@ export function show(place) {
     make("section", {}, start, procedure.element, make("div", { class: "panel scroll" }, table)),
     make("section", {}, facts, image.element)));
   const paint = () => { repaint(start, ...startPanel()); table.replaceChildren(...rows()); facts.replaceChildren(...factList()); };
-  const ends = [() => image.end(), procedure.end, ...["rig", "procedure", "steps", "step", "load", "recorder", "hand"].map((topic) => listen(topic, paint))];
+  const ends = [() => image.end(), procedure.end, ...["rig", "procedure", "steps", "step", "load", "recorder", "hand", "nodes"].map((topic) => listen(topic, paint))];
   return () => ends.forEach((end) => end());
 }
 
-let shown = "", text = null;
+// One text for all states of the page: what is being written outlasts every change of them.
+const text = make("textarea", { id: "programme", "aria-label": "Programme in place of that of the rig file", placeholder: "ramp: {to_mm: 1.0, steps: 11}" });
+const another = make("details", {}, make("summary", {}, "Another programme"), text);
+let shown = "";
 
 function startPanel() {
   const rig = latest("rig") ?? {}, procedure = latest("procedure"), busy = isBusy(procedure);
-  const state = JSON.stringify([rig.operated, rig.measures, rig.file_error, busy, procedure?.procedure, rig.programme, latest("hand"), procedure?.state, rig.load_frame]);
-  if (state === shown && text?.isConnected) return [...text.closest("#start").childNodes]; // a change would take the focus from what is being written
+  const state = JSON.stringify([rig.operated, rig.measures, rig.file_error, busy, procedure?.procedure, rig.programme, latest("hand"), procedure?.state, rig.load_frame, (latest("nodes") ?? []).length > 0]);
+  if (state === shown && text.isConnected) return [...text.closest("#start").childNodes];
   shown = state;
-  text = make("textarea", { id: "programme", "aria-label": "Programme in place of that of the rig file", placeholder: "ramp: {to_mm: 1.0, steps: 11}" });
   const by_hand = busy && procedure.procedure === "by_hand";
   return [
     make("h2", {}, "Test"),
@@ -36,10 +38,15 @@ function startPanel() {
       make("button", { id: "by-hand", disabled: busy || !rig.operated, onclick: () => command("start", { procedure: "by_hand" }) }, "Measure by hand"),
       by_hand || !rig.operated ? make("button", { id: "measure", class: "main", disabled: !rig.measures, onclick: () => command("measure", {}) }, "Measure one step") : null),
     latest("hand") ? make("p", { id: "hand", role: "status" }, latest("hand")) : null,
-    rig.operated ? null : make("p", { class: "soft" }, "This rig was started elsewhere: its procedures run there."),
-    make("details", {}, make("summary", {}, "Another programme"), text),
+    rig.operated ? null : make("p", { class: "soft", id: "elsewhere" }, elsewhere(rig)),
+    another,
     procedure?.folder && !busy ? make("p", {}, make("a", { href: "/files/run/report.html", target: "_blank", rel: "noopener" }, "Report of the last run"), ` in ${procedure.folder}`) : null,
   ].filter(Boolean);
+}
+
+function elsewhere(rig) {
+  return (latest("nodes") ?? []).length || rig.measures ? "This rig was started elsewhere: its procedures run there."
+    : "No node of this rig runs: start it, for example with fringedic run or ros2 launch, or end this page and start it without --attach.";
 }
 
 const STATES = { failed: "bad", measured: "good" };
