@@ -390,6 +390,8 @@ class _Alignment:
             open_ = totals < _UNDETERMINED / self._spacing**2
             kept = motions[:, ~open_] / lengths[:, np.newaxis]
             covariance, undetermined = (kept / totals[~open_]) @ kept.T, motions[:, open_]
+            if not open_.any():  # more exact where the shape is known much better than the pairs
+                covariance = np.linalg.inv(information / np.outer(lengths, lengths)) / np.outer(lengths, lengths)
         return _System(
             fit, gradient, covariance, lengths, _name_free(vectors[:, free]), undetermined / lengths[:, np.newaxis]
         )
