@@ -39,7 +39,7 @@ _TITLES: dict[str, tuple[str, str, float]] = {
     "projector_turn": ("projector turned in the plane of the rig", "degree", math.radians(1)),
     "projector_nod": ("projector turned out of the plane of the rig", "degree", math.radians(1)),
     "projector_roll": ("projector roll", "degree", math.radians(1)),
-    "projector_k1": ("projector distortion k1", "1", 1.0),
+    **{f"projector_{each}": (f"projector distortion {each}", "1", 1.0) for each in ("k1", "k2", "p1", "p2", "k3")},
     "projector_along": ("projector position along the fringes", "mm", 1e-3),
     "projector_principal": ("projector axis relative to the middle of its image", "px", 1.0),
     "axis_across": ("rotation axis: position across the fringes", "mm", 1e-3),

@@ -246,6 +246,7 @@ def parameters_of(
     names += ("projector_principal",) if principal else ()
     names += ("projector_k1",) if variant.has_k1 else ()
     names += ("projector_along",) if variant.has_centre else ()
+    names += ("projector_k2", "projector_p1", "projector_p2", "projector_k3") if variant.has_five else ()
     return (*names, *stage_errors)
 
 

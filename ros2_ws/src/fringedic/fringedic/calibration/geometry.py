@@ -41,6 +41,10 @@ SCALES: dict[str, float] = {
     "axis_skew": _ANGLE,
     "axis_slope": _ANGLE,
     "projector_k1": 0.1,
+    "projector_k2": 1.0,
+    "projector_p1": 1e-3,
+    "projector_p2": 1e-3,
+    "projector_k3": 10.0,
     "projector_along": _LENGTH,
     "projector_principal": 1.0,
     "phase_offset": 1.0,
@@ -171,6 +175,10 @@ def rig_model(camera: Camera, values: Mapping[str, float]) -> RigModel:
         projector_principal_column=columns[0],
         projector_principal_row=columns[1],
         projector_k1=values.get("projector_k1", 0.0),
+        projector_k2=values.get("projector_k2", 0.0),
+        projector_p1=values.get("projector_p1", 0.0),
+        projector_p2=values.get("projector_p2", 0.0),
+        projector_k3=values.get("projector_k3", 0.0),
         model=SIX_PARAMETER if six_parameter else GENERAL_MODEL,
     )
 

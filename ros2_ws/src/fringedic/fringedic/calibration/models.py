@@ -26,7 +26,7 @@ from fringedic.calibration.planes import CalibrationPlanes
 from fringedic.calibration.variants import ModelVariant
 from fringedic.camera.plane_homography import PinHole
 
-_CURVED = 5.0  # standard deviations of k1 above which the centre of the distortion can be fitted
+_CURVED = 5.0  # standard deviations of k1 above which more of the distortion can be fitted
 _ROUGH = 7  # every such block suffices to find an outlier; a prime, so that it selects no column of blocks
 
 
@@ -89,7 +89,8 @@ class ModelFitter:
         index = curved.names.index("projector_k1")
         scatter = max(1.0, curved.reduced_chi_square)
         if abs(curved.values["projector_k1"]) > _CURVED * math.sqrt(curved.covariance[index, index] * scatter):
-            found[ModelVariant.GENERAL_K1_Y] = self._fit(ModelVariant.GENERAL_K1_Y, planes, curved.values)
+            for variant in (ModelVariant.GENERAL_K1_Y, ModelVariant.GENERAL_BROWN):
+                found[variant] = self._fit(variant, planes, curved.values)
         return found
 
     def fit_roughly(self, planes: Sequence[int]) -> Solution:

@@ -53,7 +53,11 @@ class CalibratedProjector(Section):
     focal_length_px: float = Field(gt=0, description="Focal length [px].")
     principal_column_px: float | None = Field(None, description="Principal column [px]; by default the centre.")
     principal_row_px: float | None = Field(None, description="Principal row [px]; by default the centre.")
-    k1: float = Field(0.0, ge=-1, le=1, description="Radial distortion, dimensionless.")
+    k1: float = Field(0.0, ge=-1, le=1, description="Radial distortion (Brown's lens as in OpenCV), dimensionless.")
+    k2: float = Field(0.0, ge=-100, le=100, description="Radial, of the fourth power.")
+    p1: float = Field(0.0, ge=-1, le=1, description="Tangential.")
+    p2: float = Field(0.0, ge=-1, le=1, description="Tangential.")
+    k3: float = Field(0.0, ge=-10_000, le=10_000, description="Radial, of the sixth power.")
 
 
 class CovarianceSection(Section):
@@ -99,6 +103,10 @@ class CalibrationSection(Section):
             projector_principal_column=_centre(projector.principal_column_px, projector.width_px),
             projector_principal_row=_centre(projector.principal_row_px, projector.height_px),
             projector_k1=projector.k1,
+            projector_k2=projector.k2,
+            projector_p1=projector.p1,
+            projector_p2=projector.p2,
+            projector_k3=projector.k3,
             parameter_names=tuple(self.covariance_si.parameters),
             covariance=tuple(self.covariance_si.values),
         )

@@ -112,6 +112,8 @@ def model_choice_sentence(calibration: RigCalibration) -> str:
         words += " The data do not support a distortion of the projector."
     if calibration.variant.has_centre:
         words += f" With a free centre of the distortion it is {_left(found[calibration.variant])}."
+    if calibration.variant.has_five:
+        words += f" With its five coefficients (Brown) it is {_left(found[calibration.variant])}."
     return words
 
 

@@ -11,7 +11,7 @@ import yaml
 from fringedic.camera.distortion import DistortionMap
 from fringedic.errors import CalibrationError
 from fringedic.inputs.yaml_text import load_yaml
-from fringedic.rig.geometry import RigGeometry
+from fringedic.rig.geometry import ADDED, RigGeometry
 
 _MM, _DEGREE, _ONE = 1e-3, math.pi / 180, 1
 
@@ -36,7 +36,7 @@ _SECTIONS: dict[str, dict[str, tuple[str, float]]] = {
         "focal_length_px": ("projector_focal_length", _ONE),
         "principal_column_px": ("projector_principal_column", _ONE),
         "principal_row_px": ("projector_principal_row", _ONE),
-        "k1": ("projector_k1", _ONE),
+        **{name: (f"projector_{name}", _ONE) for name in ("k1", "k2", "p1", "p2", "k3")},
     },
 }
 
@@ -93,6 +93,7 @@ def parse_rig(text: str) -> dict[str, Any]:
             name: _from_people(content[section][key], unit)
             for section, entries in _SECTIONS.items()
             for key, (name, unit) in entries.items()
+            if key in content[section] or name not in ADDED
         }
         covariance = content.get("covariance_si", {"parameters": [], "values": []})
         distortion = content.get("camera_distortion")

@@ -21,8 +21,11 @@ from fringedic.camera.distortion import DistortionMap
 from fringedic.errors import CalibrationError
 from fringedic.inputs.arguments import Check, check_value, several, text
 from fringedic.patterns.pattern import Orientation
+from fringedic.rig.projector_lens import ProjectorLens, distorted
 
 SIX_PARAMETER, GENERAL = "six_parameter", "general"
+ADDED = ("projector_k2", "projector_p1", "projector_p2", "projector_k3")
+"""Fields that files and messages of older versions lack; 0 there."""
 _OLDER_MODEL_NAMES = {"paper": SIX_PARAMETER}  # in files and messages of older versions
 
 # Names of the parameters that a covariance contains, and the field (with its index) of the geometry that each is.
@@ -43,7 +46,7 @@ PARAMETERS: dict[str, tuple[str, int | None]] = {
     "projector_focal_length": ("projector_focal_length", None),
     "projector_principal_column": ("projector_principal_column", None),
     "projector_principal_row": ("projector_principal_row", None),
-    "projector_k1": ("projector_k1", None),
+    **{name: (name, None) for name in (f"projector_{each}" for each in ("k1", "k2", "p1", "p2", "k3"))},
 }
 
 
@@ -75,6 +78,10 @@ class RigGeometry:
     camera_distortion: DistortionMap | None = None
     projector_rotation: tuple[float, float, float] = (0.0, 0.0, 0.0)
     projector_k1: float = 0.0
+    projector_k2: float = 0.0
+    projector_p1: float = 0.0
+    projector_p2: float = 0.0
+    projector_k3: float = 0.0
     identifier: str = ""
     model: str = GENERAL
     source: str = ""
@@ -191,12 +198,20 @@ class RigGeometry:
             Absolute phase [rad] as of `phase`, float64 (...).
         """
         right, up, backward = directions
-        m, n = -right / backward, -up / backward
-        stretch = 1 + self.projector_k1 * (m**2 + n**2)
-        along = m if orientation == Orientation.VERTICAL else n
+        across, along = (right, up) if orientation == Orientation.VERTICAL else (up, right)
+        coordinate = -across / backward
+        lens = self.projector_lens(orientation)
+        if any(lens):
+            coordinate = distorted(coordinate, -along / backward, *lens)[0]
         scale, axis = self.fringe_scale(pitch, orientation)
-        phase: np.ndarray = (along * stretch - axis) / scale
+        phase: np.ndarray = (coordinate - axis) / scale
         return phase
+
+    def projector_lens(self, orientation: Orientation) -> ProjectorLens:
+        """Return the distortion of the projector for fringes of a direction."""
+        return ProjectorLens.of(
+            self.projector_k1, self.projector_k2, self.projector_p1, self.projector_p2, self.projector_k3, orientation
+        )
 
     def fringe_scale(self, pitch: float, orientation: Orientation) -> tuple[float, float]:
         """Return (scale, axis) of fringes of `pitch` [projector px].

@@ -9,7 +9,7 @@ import numpy as np
 
 from fringedic.camera.distortion import DistortionMap
 from fringedic.errors import CalibrationError
-from fringedic.rig.geometry import RigGeometry
+from fringedic.rig.geometry import ADDED, RigGeometry
 
 
 def fields_of_rig(geometry: RigGeometry) -> dict[str, Any]:
@@ -45,7 +45,7 @@ def rig_of_fields(message: Any) -> dict[str, Any]:
     """
     values: dict[str, Any] = {}
     for each in fields(RigGeometry):
-        if each.name != "camera_distortion":
+        if each.name != "camera_distortion" and not (each.name in ADDED and not hasattr(message, each.name)):
             value = getattr(message, each.name)
             has_many = hasattr(value, "__len__") and not isinstance(value, str)
             values[each.name] = tuple(np.asarray(value).tolist()) if has_many else value

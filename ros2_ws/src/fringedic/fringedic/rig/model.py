@@ -55,8 +55,8 @@ class RigModel(RigGeometry):
         F [projector px].
     projector_principal_column, projector_principal_row
         Position of the projector's optical axis in its image [px].
-    projector_k1
-        Radial distortion: normalised coordinates are stretched by 1 + k1 (m^2 + n^2) (Brown 1971).
+    projector_k1, projector_k2, projector_p1, projector_p2, projector_k3
+        Distortion of the projector's lens (Brown 1971) with the signs of OpenCV: radial k, tangential p.
     identifier, model, source
         Name of this calibration, ``"six_parameter"`` or ``"general"``, and its origin. The name ``"paper"`` of older
         files is accepted for the six-parameter model.
@@ -152,7 +152,12 @@ class RigModel(RigGeometry):
             The rig has an attitude, a distortion or a principal point that the closed form does not contain.
         """
         centred = self.projector_principal_column == (self.projector_width - 1) / 2
-        beyond = (self.camera_tilt_x, self.camera_tilt_y, self.projector_k1, self.projector_position[1])
+        beyond = (
+            self.camera_tilt_x,
+            self.camera_tilt_y,
+            *self.projector_lens(Orientation.VERTICAL),
+            self.projector_position[1],
+        )
         if not centred or any(beyond) or any(self.projector_rotation):
             raise CalibrationError(
                 "the six-parameter model contains no camera tilt, projector rotation, y position, distortion or "

@@ -12,10 +12,12 @@ from numba import njit, prange
 from fringedic.errors import ImageError
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.geometry import RigGeometry
+from fringedic.rig.projector_lens import ProjectorLens, distorted
 from fringedic.rig.uncertainty import GRID, HEIGHT_POWERS, variance_map
 
 _NEWTON_STEPS = 6  # from the undistorted intersection; two or three are usually enough
 _NEWTON_ENDS = 1e-7  # relative size of the last step: convergence is quadratic, the next step would be 1e-14
+_distorted = njit(cache=True, nogil=True)(distorted)
 _NO_FIELD = np.empty((2, 0, 0), np.float32)
 _NO_FIELD.setflags(write=False)  # like the field of a lens, so that Numba compiles one variant
 
@@ -38,11 +40,12 @@ class _Sight(NamedTuple):
 
 
 class _Fringes(NamedTuple):
-    """Fringes ``m (1 + k1 (m^2 + n^2)) = scale phi + axis`` in normalised coordinates of the projector."""
+    """Fringes ``distorted(m, n) = scale phi + axis`` in normalised coordinates of the projector; m is across them."""
 
     scale: float
     axis: float
-    k1: float
+    curved: bool
+    lens: ProjectorLens
 
 
 class _Variances(NamedTuple):
@@ -84,12 +87,13 @@ def reconstruct_surface(
     """
     image, sigma = _checked_images(phase, sigma_phase)
     row, column = pixel_positions(phase, image.shape)
+    lens = geometry.projector_lens(orientation)
     result = np.empty((8, *image.shape), image.dtype)
     reconstruct_image(
         image,
         sigma,
         _sight(geometry, row, column, orientation),
-        _Fringes(*geometry.fringe_scale(pitch, orientation), geometry.projector_k1),
+        _Fringes(*geometry.fringe_scale(pitch, orientation), any(lens), lens),
         _variances(geometry, row, column, orientation, image.dtype),
         result,
     )
@@ -166,7 +170,8 @@ def reconstruct_image(
     ray_matrix, ray_in_projector = sight.ray_matrix, sight.ray_in_projector
     camera_distance = sight.camera_distance
     camera_m, camera_n, camera_back = sight.camera_in_projector
-    scale, axis, k1 = fringes.scale, fringes.axis, fringes.k1
+    scale, axis, curved = fringes.scale, fringes.axis, fringes.curved
+    k1, k2, k3, p, q = fringes.lens  # tuples cannot be used inside the parallel loop
     coefficients, height, borders = variances.coefficients, variances.height, variances.borders
     row_places, column_places = variances.row_places, variances.column_places
     distorted = to_ideal.size > 0
@@ -186,15 +191,16 @@ def reconstruct_image(
             denominator = g_m + target * g_back
             t = -(camera_m + target * camera_back) / denominator
             slope = -denominator / (camera_back + t * g_back)
-            if k1 != 0.0:
+            if curved:
                 for _ in range(_NEWTON_STEPS):
                     inverse = -1.0 / (camera_back + t * g_back)
                     m = (camera_m + t * g_m) * inverse
                     n = (camera_n + t * g_n) * inverse
                     m_t = (g_m + m * g_back) * inverse
                     n_t = (g_n + n * g_back) * inverse
-                    slope = m_t * (1.0 + k1 * (3.0 * m * m + n * n)) + 2.0 * k1 * m * n * n_t
-                    step = (m * (1.0 + k1 * (m * m + n * n)) - target) / slope
+                    seen, by_m, by_n = _distorted(m, n, k1, k2, k3, p, q)
+                    slope = by_m * m_t + by_n * n_t
+                    step = (seen - target) / slope
                     t -= step
                     if abs(step) < _NEWTON_ENDS * abs(t):
                         break

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.geometry import RigGeometry, parameter_values, with_parameters
+from fringedic.rig.projector_lens import distorted
 
 # test_sigma_of_float32_images_and_crops: interpolation on this grid reproduces the sigma of every pixel within 2 %
 GRID = 48  # intervals of the variance map along each side of the image
@@ -159,11 +160,11 @@ def _positions(
     scale, axis = geometry.fringe_scale(_PITCH, orientation)
     target = scale * phase + axis
     t = -(camera_m + target * camera_back) / (along_m + target * along_back)
-    for _ in range(_NEWTON_STEPS if geometry.projector_k1 else 0):
+    lens = geometry.projector_lens(orientation)
+    for _ in range(_NEWTON_STEPS if any(lens) else 0):
         back = -1 / (camera_back + t * along_back)
         m, n = (camera_m + t * along_m) * back, (camera_n + t * along_n) * back
         m_t, n_t = (along_m + m * along_back) * back, (along_n + n * along_back) * back
-        stretch = 1 + geometry.projector_k1 * (m * m + n * n)
-        slope = m_t * (stretch + 2 * geometry.projector_k1 * m * m) + 2 * geometry.projector_k1 * m * n * n_t
-        t = t - (m * stretch - target) / slope
+        seen, by_m, by_n = distorted(m, n, *lens)
+        t = t - (seen - target) / (by_m * m_t + by_n * n_t)
     return np.moveaxis(camera + t[..., None] * rays, -1, 0)

@@ -26,6 +26,7 @@ class LensConfiguration(_Section):
     k2: float = Field(default=0.0, ge=-100, le=100, description="Radial, of the fourth power.")
     p1: float = Field(default=0.0, ge=-1, le=1, description="Tangential, as in OpenCV.")
     p2: float = Field(default=0.0, ge=-1, le=1, description="Tangential, as in OpenCV.")
+    k3: float = Field(default=0.0, ge=-10_000, le=10_000, description="Radial, of the sixth power.")
     bump_percent: tuple[float, float] = Field(
         default=(0.0, 0.0), description="Shift along x and y (down) at the bump's centre, of the image's width."
     )
@@ -72,7 +73,11 @@ class ProjectorConfiguration(_Section):
     focal_length_px: float = Field(default=3400.0, gt=0, description="Focal length.")
     principal_column: float | None = Field(default=None, description="Principal point [px]; None is the image centre.")
     principal_row: float | None = Field(default=None, description="Principal point [px]; None is the image centre.")
-    k1: float = Field(default=0.0, ge=-1, le=1, description="Radial distortion, (m, n) *= 1 + k1 (m^2 + n^2).")
+    k1: float = Field(default=0.0, ge=-1, le=1, description="Radial distortion, as of the camera's lens.")
+    k2: float = Field(default=0.0, ge=-100, le=100, description="Radial, of the fourth power.")
+    p1: float = Field(default=0.0, ge=-1, le=1, description="Tangential, as in OpenCV.")
+    p2: float = Field(default=0.0, ge=-1, le=1, description="Tangential, as in OpenCV.")
+    k3: float = Field(default=0.0, ge=-10_000, le=10_000, description="Radial, of the sixth power.")
     gamma: float = Field(
         default=1.0, gt=0, le=5, description="Light = (grey level / 255)^gamma; 1 is a corrected projector."
     )

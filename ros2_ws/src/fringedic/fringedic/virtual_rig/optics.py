@@ -56,7 +56,7 @@ def _camera_lens(camera: CameraConfiguration) -> list[float]:
         0.5 * (size - 1) + width * value
         for size, value in zip((camera.columns, camera.rows), lens.bump_centre_percent, strict=True)
     ]
-    return [lens.k1, lens.k2, lens.p1, lens.p2, *shift, *centre, width * lens.bump_radius_percent]
+    return [lens.k1, lens.k2, lens.p1, lens.p2, lens.k3, *shift, *centre, width * lens.bump_radius_percent]
 
 
 def _centre(value: float | None, size: int) -> float:
@@ -94,7 +94,8 @@ def projector_pin_hole(projector: ProjectorConfiguration) -> Matrix:
         _centre(projector.principal_row, projector.rows),
     )
     focal = projector.focal_length_px
-    return _pin_hole(position, rotation, (focal, focal), principal, [projector.k1, *[0.0] * 7, 1.0])
+    lens = [projector.k1, projector.k2, projector.p1, projector.p2, projector.k3, *[0.0] * 4, 1.0]
+    return _pin_hole(position, rotation, (focal, focal), principal, lens)
 
 
 def camera_optics(camera: CameraConfiguration) -> dict[str, float]:
@@ -125,4 +126,8 @@ def projector_optics(projector: ProjectorConfiguration) -> dict[str, float | lis
         "projector_principal_column": _centre(projector.principal_column, projector.columns),
         "projector_principal_row": _centre(projector.principal_row, projector.rows),
         "projector_k1": projector.k1,
+        "projector_k2": projector.k2,
+        "projector_p1": projector.p1,
+        "projector_p2": projector.p2,
+        "projector_k3": projector.k3,
     }

@@ -317,7 +317,8 @@ def surface_points(surface, X, Y, x, y, z):
 
 # Pin-holes -----------------------------------------------------------------------------------------------------------
 # A pin-hole is a vector: position (3), rotation row-major (9; columns right, up, backwards), scale along columns and
-# rows [px], principal column and row, lens (k1, k2, p1, p2; bump: shift along columns and rows, centre, radius [px]).
+# rows [px], principal column and row, lens (k1, k2, p1, p2, k3; bump: shift along columns and rows, centre, radius, in
+# pixels).
 # The camera and the projector are the same kind of thing.
 
 
@@ -339,22 +340,24 @@ def _through_lens(p, m, n):
     """
     y = -n
     square = m * m + y * y
-    radial = 1.0 + square * (p[16] + square * p[17])
-    growth = 2.0 * p[16] + 4.0 * p[17] * square  # radial changes by growth * (m dm + y dy)
+    radial = 1.0 + square * (p[16] + square * (p[17] + square * p[20]))
+    growth = (
+        2.0 * p[16] + 4.0 * p[17] * square + 6.0 * p[20] * square * square
+    )  # radial changes by growth * (m dm + y dy)
     column = p[14] + p[12] * (m * radial + 2.0 * p[18] * m * y + p[19] * (square + 2.0 * m * m))
     row = p[15] + p[13] * (y * radial + p[18] * (square + 2.0 * y * y) + 2.0 * p[19] * m * y)
     column_m = p[12] * (radial + m * m * growth + 2.0 * p[18] * y + 6.0 * p[19] * m)
     column_y = p[12] * (m * y * growth + 2.0 * p[18] * m + 2.0 * p[19] * y)
     row_m = p[13] * (m * y * growth + 2.0 * p[18] * m + 2.0 * p[19] * y)
     row_y = p[13] * (radial + y * y * growth + 6.0 * p[18] * y + 2.0 * p[19] * m)
-    if p[20] != 0.0 or p[21] != 0.0:
-        dc, dr = (column - p[22]) / p[24], (row - p[23]) / p[24]
+    if p[21] != 0.0 or p[22] != 0.0:
+        dc, dr = (column - p[23]) / p[25], (row - p[24]) / p[25]
         bump = math.exp(-0.5 * (dc * dc + dr * dr))
-        fall_m = -bump * (dc * column_m + dr * row_m) / p[24]
-        fall_y = -bump * (dc * column_y + dr * row_y) / p[24]
-        column, row = column + p[20] * bump, row + p[21] * bump
-        column_m, column_y = column_m + p[20] * fall_m, column_y + p[20] * fall_y
-        row_m, row_y = row_m + p[21] * fall_m, row_y + p[21] * fall_y
+        fall_m = -bump * (dc * column_m + dr * row_m) / p[25]
+        fall_y = -bump * (dc * column_y + dr * row_y) / p[25]
+        column, row = column + p[21] * bump, row + p[22] * bump
+        column_m, column_y = column_m + p[21] * fall_m, column_y + p[21] * fall_y
+        row_m, row_y = row_m + p[22] * fall_m, row_y + p[22] * fall_y
     return column, row, column_m, -column_y, row_m, -row_y
 
 

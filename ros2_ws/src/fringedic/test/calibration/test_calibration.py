@@ -42,7 +42,15 @@ MISALIGNED = {
 DISTORTED = {**MISALIGNED, "projector": {**MISALIGNED["projector"], "k1": 0.1}}
 DECENTRED = {**MISALIGNED, "projector": {**DISTORTED["projector"], "y_mm": 25.0}}
 LEFT = {**MISALIGNED, "projector": {**DISTORTED["projector"], "x_mm": -180.0}}
-RIGS = {"ideal": {}, "misaligned": MISALIGNED, "distorted": DISTORTED, "decentred": DECENTRED, "left": LEFT}
+FIVE = {**MISALIGNED, "projector": {**DISTORTED["projector"], "k2": -2.0, "p1": 2e-3, "p2": -3e-3, "k3": 20.0}}
+RIGS = {
+    "ideal": {},
+    "misaligned": MISALIGNED,
+    "distorted": DISTORTED,
+    "decentred": DECENTRED,
+    "left": LEFT,
+    "five": FIVE,
+}
 
 
 class Bench:
@@ -160,6 +168,7 @@ def test_exact_phases_give_exact_heights(name: str) -> None:
     assert error < 0.05e-6, f"{1e6 * error:.3f} µm"
     assert calibration.go, verdict_sentence(calibration)
     assert calibration.chosen == ("six_parameter" if name == "ideal" else "general")
+    assert calibration.variant.has_five == (name == "five")
     assert calibration.held_out < 0.05e-6
 
 

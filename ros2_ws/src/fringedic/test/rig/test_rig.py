@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 from aligned_rig import aligned_rig
@@ -11,6 +12,7 @@ from numba import get_num_threads, set_num_threads
 
 from fringedic.errors import CalibrationError, ImageError
 from fringedic.patterns.pattern import Orientation
+from fringedic.rig.geometry import ADDED
 from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration, preset
 
@@ -40,7 +42,9 @@ MISALIGNED = dataclasses.replace(
     projector_k1=0.4,
 )
 LEFT = dataclasses.replace(MISALIGNED, projector_position=(-0.2, 0.013, 0.55))
+BROWN = dataclasses.replace(MISALIGNED, projector_k2=-3.0, projector_p1=2e-3, projector_p2=-3e-3, projector_k3=40.0)
 ABOVE = dataclasses.replace(MISALIGNED, projector_position=(0.01, 0.22, 0.55))
+ABOVE_BROWN = dataclasses.replace(BROWN, projector_position=(0.01, 0.22, 0.55))
 
 
 def surface_seen_by(rig: RigModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -53,7 +57,11 @@ def surface_seen_by(rig: RigModel) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("orientation", list(Orientation))
-@pytest.mark.parametrize("rig", [IDEAL, MISALIGNED, LEFT, ABOVE], ids=["ideal", "misaligned", "left", "above"])
+@pytest.mark.parametrize(
+    "rig",
+    [IDEAL, MISALIGNED, LEFT, ABOVE, BROWN, ABOVE_BROWN],
+    ids=["ideal", "misaligned", "left", "above", "five coefficients", "above, five coefficients"],
+)
 def test_reconstruct_inverts_the_forward_model(rig: RigModel, orientation: Orientation) -> None:
     if orientation == Orientation.HORIZONTAL and abs(rig.projector_position[1]) < 0.1:
         rig = dataclasses.replace(rig, projector_position=(0.03, -0.2, 0.55))
@@ -128,7 +136,7 @@ def test_general_model_contains_the_six_parameter_model() -> None:
     assert np.allclose(slope, difference / (2 * step), rtol=1e-6)
 
 
-@pytest.mark.parametrize("rig", [MISALIGNED, LEFT], ids=["misaligned", "left"])
+@pytest.mark.parametrize("rig", [MISALIGNED, LEFT, BROWN], ids=["misaligned", "left", "five coefficients"])
 def test_noise_follows_finite_differences(rig: RigModel) -> None:
     phase = rig.phase(*surface_seen_by(rig), PITCH)
     step, sigma = 1e-4, 0.02
@@ -170,7 +178,7 @@ def test_result_does_not_depend_on_the_number_of_threads() -> None:
 
 def test_yaml_round_trip_in_units_of_people(tmp_path: Path) -> None:
     rig = dataclasses.replace(
-        MISALIGNED,
+        BROWN,
         source="bench",
         parameter_names=("camera_distance", "projector_x"),
         covariance=(1e-8, 1e-9, 1e-9, 4e-8),
@@ -197,6 +205,38 @@ def test_older_files_and_messages_name_the_model_paper(tmp_path: Path) -> None:
     fields = IDEAL.message_fields()
     assert fields["model"] == "six_parameter"
     assert RigModel.from_message(SimpleNamespace(**{**fields, "model": "paper"})) == IDEAL
+
+
+def test_files_and_messages_with_k1_alone_have_no_other_distortion(tmp_path: Path) -> None:
+    path = tmp_path / "rig.yaml"
+    BROWN.to_yaml(path)
+    lines = [line for line in path.read_text().splitlines() if line.strip()[:3] not in ("k2:", "p1:", "p2:", "k3:")]
+    path.write_text("\n".join(lines))
+    assert RigModel.from_yaml(path).phase(0.01, 0.02, 0.0, PITCH) == pytest.approx(
+        MISALIGNED.phase(0.01, 0.02, 0.0, PITCH)
+    )
+    fields = {name: value for name, value in BROWN.message_fields().items() if name not in ADDED}
+    assert RigModel.from_message(SimpleNamespace(**fields)) == MISALIGNED
+
+
+@pytest.mark.parametrize("orientation", list(Orientation))
+def test_distortion_of_the_projector_is_that_of_opencv(orientation: Orientation) -> None:
+    """A camera of OpenCV (y down, z forward) in the projector's place sees points where their fringes leave it."""
+    points = np.stack(surface_seen_by(BROWN), axis=-1)[::8, ::8].reshape(-1, 3)
+    axes = BROWN.projector_axes * (1, -1, -1)  # right, down, forward
+    focal = BROWN.projector_focal_length
+    matrix = np.array(
+        [[focal, 0, BROWN.projector_principal_column], [0, focal, BROWN.projector_principal_row], [0, 0, 1.0]]
+    )
+    lens = np.array([getattr(BROWN, f"projector_{name}") for name in ("k1", "k2", "p1", "p2", "k3")])
+    seen, _ = cv2.projectPoints(points, cv2.Rodrigues(axes.T)[0], -axes.T @ BROWN.projector_position, matrix, lens)
+    column, row = seen[:, 0].T
+    if orientation == Orientation.VERTICAL:
+        coordinate = column - (BROWN.projector_width - 1) / 2
+    else:
+        coordinate = (BROWN.projector_height - 1) / 2 - row
+    error = BROWN.phase(*points.T, PITCH, orientation) - 2 * np.pi * coordinate / PITCH
+    assert float(np.abs(error).max()) < 1e-9
 
 
 def test_bad_models_are_refused(tmp_path: Path) -> None:
@@ -229,6 +269,7 @@ def test_bad_models_are_refused(tmp_path: Path) -> None:
 AGAINST_TWIN = {
     "misaligned": {},
     "distorted": {"projector": {"k1": 0.3}},
+    "five coefficients": {"projector": {"k1": 0.3, "k2": -3.0, "p1": 2e-3, "p2": -3e-3, "k3": 40.0}},
     "skew": {
         "camera": {"tilt_x_degree": -1.0, "tilt_y_degree": 2.0, "principal_column": 70.0, "pixel_aspect": 1.03},
         "projector": {"x_mm": -150.0, "y_mm": 40.0, "yaw_degree": 1.0, "roll_degree": -3.0, "principal_row": 20.0},
