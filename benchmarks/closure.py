@@ -153,7 +153,8 @@ but one.
 The coarser pitch has less resolution: in finest fringes the standard deviation of the closure is that of the coarser
 phase times the ratio of the pitches, here four. It finds wrong orders, not small errors of the finest phase.
 
-The checks run when recordings are processed or images measured; the nodes do not run them.
+The checks run when recordings are processed or images measured. After `fringedic run` they check the displacement of
+each step; the check of the phase needs the frames, hence `fringedic process`.
 """
     )
 

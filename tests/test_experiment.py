@@ -167,7 +167,8 @@ def test_process_without_ros_gives_the_arrays_of_the_nodes(experiment: RunReport
     with fringedic.open_experiment(experiment.folder / "bag") as nodes, fringedic.open_experiment(target) as desk:
         maps = [name for name in nodes.data_vars if nodes[name].dims == ("step", "row", "column")]
         assert len(maps) > 20
-        for name in maps:
+        assert nodes.phase_closure.isnull().all()  # its check needs the frames
+        for name in set(maps) - {"phase_closure"}:
             np.testing.assert_array_equal(
                 nodes[name].values.view(np.uint32), desk[name].values.view(np.uint32), err_msg=str(name)
             )

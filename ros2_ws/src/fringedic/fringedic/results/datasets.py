@@ -17,7 +17,7 @@ from fringedic.recording.frames import RecordedMessage, events
 from fringedic.recording.reader import BagReader
 from fringedic.recording.remote import is_remote, local_copy
 from fringedic.results.derived import Collected
-from fringedic.results.quantities import PHASE_TOPICS, PROCESSED, RECORDING, Layout
+from fringedic.results.quantities import PHASE_TOPICS
 from fringedic.results.rows import Row, in_order_of_steps, row_of
 from fringedic.results.stores import Store, dataset_path
 from fringedic.results.timeline import Timeline
@@ -213,7 +213,7 @@ def process_into(
     measured = in_order_of_steps(rows())
     if segment is not None:
         measured = (row for row in measured if row.step in segment.steps)
-    _write(target, timeline, measured, lambda: pipeline.settings, progress, PROCESSED)
+    _write(target, timeline, measured, lambda: pipeline.settings, progress)
 
 
 @check_arguments(DatasetError, path=file_path, output=optional(file_path))
@@ -225,6 +225,9 @@ def dataset_from_derived(
     overwrite: bool = False,
 ) -> Path:
     """Write the dataset of an experiment from the results that the nodes published, without measuring anything again.
+
+    The displacement of each step is checked independently (`displacement_closure`); the phase is not, since that needs
+    the frames.
 
     Parameters
     ----------
@@ -263,7 +266,7 @@ def dataset_from_derived(
             yield from collected.take(event.topic, event.message)
         yield from collected.finish()
 
-    _write(target, timeline, in_order_of_steps(rows()), collected.settings, None, RECORDING)
+    _write(target, timeline, in_order_of_steps(rows()), collected.settings, None)
     return target
 
 
@@ -273,12 +276,11 @@ def _write(
     rows: Iterator[Row],
     settings: Callable[[], StepSettings],
     progress: Callable[[int, str], None] | None,
-    layout: Layout,
 ) -> None:
     attributes = {"experiment": timeline.experiment, "source": timeline.source}
     if timeline.damage:
         attributes["damage"] = timeline.damage
-    with DatasetWriter(target, attributes, layout) as writer:
+    with DatasetWriter(target, attributes) as writer:
         for row in rows:
             timeline.complete(row)
             writer.add(row, settings())

@@ -9,11 +9,13 @@ import numpy as np
 
 from fringedic.frames.messages import cloud_arrays, image_array
 from fringedic.frames.records import stamp_of
+from fringedic.results.confirmation import confirmed_fraction
 from fringedic.results.quantities import PHASE_TOPICS
 from fringedic.results.rows import Row, displacement_maps
 from fringedic.rig.model import RigModel
+from fringedic.steps.closures import ClosureChecks
 from fringedic.steps.recorded_parameters import RecordedParameters, StepSettings
-from fringedic.steps.step_results import displacement_field
+from fringedic.steps.step_results import DicResult, displacement_field
 
 
 class Collected:
@@ -33,6 +35,7 @@ class Collected:
         self._done: set[int] = set()  # stamps of the rows so far
         self._reference: int | None = None
         self._reference_of: dict[int, int | None] = {}
+        self._checks = ClosureChecks()
 
     def settings(self) -> StepSettings:
         """Return the parameters and the calibration of the next step."""
@@ -110,12 +113,34 @@ class Collected:
             row.reference_step = self._reference if announced is None else announced
             # recordings of older versions lack it
             row.correlated_step = getattr(parts.get("dic/status"), "correlated_step", None)
+            self._check(row, parts)
         if "coupling/shape" in parts:
             row.maps |= {f"shape_{name}": values for name, values in cloud_arrays(parts["coupling/shape"]).items()}
         if "coupling/displacement" in parts:
             row.maps |= cloud_arrays(parts["coupling/displacement"])
             row.rms_displacement = parts["coupling/status"].rms if "coupling/status" in parts else float("nan")
         return row
+
+    def _check(self, row: Row, parts: Mapping[str, Any]) -> None:
+        """Add the independent check of the displacement, if the recording contains all that it needs."""
+        status, dic = parts.get("dic/status"), self._parameters.dic
+        window = getattr(status, "window", 0)  # recordings of older versions lack it
+        if row.stamp is None or row.reference_step is None or row.correlated_step is None:
+            return
+        if status is None or not window or "texture" not in row.maps:
+            return
+        field = displacement_field(
+            image_array(parts["dic/displacement"]),
+            image_array(parts["dic/sigma"]),
+            origin=(0, 0),
+            spacing=dic.spacing,
+            window=window,
+            method=status.method,
+        )
+        result = DicResult(status.experiment, row.step, row.stamp, row.reference_step, row.correlated_step, field)
+        closures = self._checks.displacement(result, row.maps["texture"], dic.kept_steps)
+        row.maps |= closures
+        row.confirmed_fraction = confirmed_fraction(closures, dic.spacing)
 
 
 def _has_maps(status: Any) -> bool:

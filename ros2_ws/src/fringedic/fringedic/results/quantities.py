@@ -79,9 +79,8 @@ class Layout(NamedTuple):
     timed: bool
 
 
-RECORDING = Layout(MAPS, SCALARS, TEXTS, timed=True)
 _CONFIRMED = {"confirmed_fraction": Quantity("1", "part of the checked points with closures within 3 sigma")}
-PROCESSED = Layout({**MAPS, **CLOSURES}, {**SCALARS, **_CONFIRMED}, TEXTS, timed=True)
+RECORDING = Layout({**MAPS, **CLOSURES}, {**SCALARS, **_CONFIRMED}, TEXTS, timed=True)
 _FLAT_STRAIN = {
     "e_xx": Quantity("1", "strain along x (right)"),
     "e_yy": Quantity("1", "strain along y (up)"),

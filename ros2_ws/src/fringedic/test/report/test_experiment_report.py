@@ -205,7 +205,7 @@ def test_the_page_says_everything_and_needs_no_network(page):
     assert "<li>step 5: frame 3 of 8 &lt;never&gt; arrived</li>" in page
     assert "step 4 could not be compared with the reference step; increments were summed" in page
     cells = [re.findall("<td[^>]*>([^<]*)</td>", row) for row in page.split('id="steps"')[1].splitlines()]
-    assert [row[6:8] for row in cells if len(row) == 9] == [["0", "0"]] * 4 + [["0", "3"], ["-", "-"]]
+    assert [row[7:9] for row in cells if len(row) == 10] == [["0", "0"]] * 4 + [["0", "3"], ["-", "-"]]
     assert "10.58720/idics/gpg.ed2" in page
     assert "Conformity is not claimed" in page
     assert "simulated" not in page.split("</style>")[1].split("<script")[0]

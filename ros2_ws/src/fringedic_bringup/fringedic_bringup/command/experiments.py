@@ -144,6 +144,8 @@ def _tell(report: RunReport) -> None:
         say(f"{report.folder}: complete recording (bag), no dataset: {report.unmeasured}")
         return
     say(f"{report.folder}: report.html, recording (bag), dataset (results.nc), {len(report.pictures)} pictures")
+    if report.verdict:
+        say(report.verdict)
     if report.pictures:
         say(f"picture of the last step: {_last_picture(report)}")
 

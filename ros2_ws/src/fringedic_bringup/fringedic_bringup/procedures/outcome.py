@@ -87,6 +87,8 @@ class RunReport:
         Why there is no dataset of what was recorded; empty when there is one.
     no_errors
         Why the steps have no errors although there is a ground truth; empty when they have.
+    verdict
+        How many points an independent check confirms, in words; empty without a check.
     ended_early
         Why the programme ended before its last step; empty when it did not.
     interrupted
@@ -99,6 +101,7 @@ class RunReport:
     pictures: list[Path]
     unmeasured: str = ""
     no_errors: str = ""
+    verdict: str = ""
     ended_early: str = ""
     interrupted: bool = False
 

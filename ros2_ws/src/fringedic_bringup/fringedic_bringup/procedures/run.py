@@ -26,6 +26,7 @@ from fringedic.recording.repair import join
 from fringedic.recording.writer import Split
 from fringedic.report import write_report
 from fringedic.report.calibration_sentences import in_force_words
+from fringedic.report.confirmation import confirmation_sentence
 from fringedic.report.experiment import TRUTH
 from fringedic.report.forecast import forecast_sentence
 from fringedic.report.recordings import content_sentences
@@ -249,10 +250,11 @@ def write_results(
         return RunReport(experiment, folder, steps, [], unmeasured=str(error))
     with open_experiment(target) as dataset:
         pictures, errors, no_errors = _compare(dataset, folder, exact)
+        verdict = confirmation_sentence(dataset)
     write_report(bag if measure_again is None else target, folder / "report.html", overwrite=True)
     for report in steps:
         report.errors = errors.get(report.step, {})
-    return RunReport(experiment, folder, steps, pictures, no_errors=no_errors)
+    return RunReport(experiment, folder, steps, pictures, no_errors=no_errors, verdict=verdict)
 
 
 def _compare(
