@@ -14,6 +14,7 @@ from fringedic.correlation import measure_displacement
 from fringedic.frames.noise import CameraNoise
 from fringedic.patterns.sequences import fringe_sequence
 from fringedic.phase import absolute_phase
+from fringedic.phase.limit import phase_limit
 from fringedic.virtual_rig import FringeScene
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "validation" / "limits.md"
@@ -24,11 +25,7 @@ SEEDS = (1, 2, 3)
 
 
 def phase_ratio(shifts: int, shot: float) -> float:
-    """Return the RMS error of the finest phase over its Cramer-Rao bound.
-
-    The bound is that of mean, modulation and phase of each pixel from the frames of the finest pitch, with the noise of
-    each grey level: the inverse of the Fisher matrix, sum of g g^T / sigma^2 over the frames, g being the derivatives.
-    """
+    """Return the RMS error of the finest phase over its Cramer-Rao bound (`phase_limit`)."""
     scene = FringeScene(
         rows=200,
         columns=400,
@@ -46,13 +43,9 @@ def phase_ratio(shifts: int, shot: float) -> float:
     frames, exact = (np.array([each.expose(image, k) for k, image in enumerate(shown)]) for each in (scene, silent))
     noise = CameraNoise(1.0, shot)
     measured, true = (absolute_phase(each, shown.patterns, noise=noise) for each in (frames, exact))
-    away = true.phase.values - (2 * np.pi * np.arange(1, shifts + 1) / shifts)[:, None, None]
-    parts = np.stack([np.ones_like(away), np.cos(away), -true.modulation.values * np.sin(away)])
-    variance = noise.variance(exact[-shifts:])
-    fisher = np.einsum("ifrc,jfrc,frc->rcij", parts, parts, 1 / variance)
-    bound = np.linalg.inv(fisher)[..., 2, 2]
+    maps = (true[name].values.astype(float) for name in ("texture", "modulation", "phase"))
     error = measured.phase.values - true.phase.values
-    return float(np.sqrt(np.nanmean(error**2 / bound)))
+    return float(np.sqrt(np.nanmean((error / phase_limit(*maps, shifts, noise)) ** 2)))
 
 
 def texture(seed: int, width: float, shift: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:

@@ -6,6 +6,7 @@ They are entered once in the rig file or the programme, recorded with the parame
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -106,7 +107,7 @@ class CalibrationMetadata(_Entries):
     checks: list[CheckMetadata] = Field([], description="The latest checks of the calibration, the oldest first.")
 
 
-NOISE_COLUMNS = ("over points", "over steps", "mean", "as stated")
+NOISE_COLUMNS = ("over points", "over steps", "mean", "as stated", "Cramer-Rao")
 
 
 class NoiseQuantity(NamedTuple):
@@ -124,6 +125,7 @@ NOISE_QUANTITIES = {
     "u": NoiseQuantity("u_um", "displacement u", "µm", 1e-6),
     "v": NoiseQuantity("v_um", "displacement v", "µm", 1e-6),
     "w": NoiseQuantity("w_um", "displacement w", "µm", 1e-6),
+    "phase": NoiseQuantity("phase_fringe", "phase of one step", "fringe", 2 * math.pi),
     "shape_z": NoiseQuantity("z_um", "height z of one step", "µm", 1e-6),
     "e_11": NoiseQuantity("e_11_ustrain", "strain e_11", "µstrain", 1e-6),
     "e_22": NoiseQuantity("e_22_ustrain", "strain e_22", "µstrain", 1e-6),
@@ -154,10 +156,13 @@ class NoiseFloorMetadata(_Entries):
     temporal: dict[str, float] = Field({}, description="Standard deviation over the steps, RMS over the points.")
     bias: dict[str, float] = Field({}, description="Mean over points and steps.")
     predicted: dict[str, float] = Field({}, description="RMS of the stated standard deviations.")
+    limit: dict[str, float] = Field(
+        {}, description="RMS of the Cramer-Rao bound, which no unbiased estimate goes below."
+    )
 
     def table(self) -> list[tuple[NoiseQuantity, list[str]]]:
         """Return the noise floors as rows of a table with the columns `NOISE_COLUMNS`; "-" where not known."""
-        columns = (self.spatial, self.temporal, self.bias, self.predicted)
+        columns = (self.spatial, self.temporal, self.bias, self.predicted, self.limit)
         return [
             (quantity, [f"{column[quantity.name]:.4g}" if quantity.name in column else "-" for column in columns])
             for quantity in NOISE_QUANTITIES.values()

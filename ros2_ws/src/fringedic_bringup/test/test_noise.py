@@ -40,6 +40,8 @@ def test_steps_at_rest_of_the_virtual_rig(tmp_path: Path) -> None:
     for name in ("displacement_x_px", "u_um", "v_um", "w_um"):
         assert metadata.spatial[name] == pytest.approx(metadata.predicted[name], rel=0.25), name
     assert metadata.temporal["z_um"] == pytest.approx(metadata.predicted["z_um"], rel=0.25)
+    for name, found in (("displacement_x_px", metadata.spatial), ("phase_fringe", metadata.temporal)):
+        assert 0.8 < found[name] / metadata.limit[name] < 1.4, name
     assert (metadata.window_px, metadata.spacing_px, metadata.strain_window_px) == (32, 1, 85)
 
 

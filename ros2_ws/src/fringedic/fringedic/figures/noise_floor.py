@@ -33,7 +33,7 @@ def noise_figure(measured: NoiseMeasurement) -> Figure:
     table.axis("off")
     table.set_title("Displacement, height and strain: standard deviations")
     drawn = table.table(
-        rows, colLabels=["", *NOISE_COLUMNS], loc="upper center", colWidths=[0.42, *[0.145] * len(NOISE_COLUMNS)]
+        rows, colLabels=["", *NOISE_COLUMNS], loc="upper center", colWidths=[0.4, *[0.12] * len(NOISE_COLUMNS)]
     )
     drawn.auto_set_font_size(False)
     drawn.set_fontsize(10)

@@ -10,6 +10,7 @@ Digital Image Correlation Society, doi 10.32720/idics/gpg.ed1; edition 2: doi 10
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -46,6 +47,8 @@ class NoiseFloor:
         Root mean square of the stated standard deviations; NaN if there are none.
     points
         Number of points.
+    limit
+        Root mean square of the Cramer-Rao bound; NaN where it is not known.
     """
 
     name: str
@@ -54,6 +57,7 @@ class NoiseFloor:
     bias: float
     predicted: float
     points: int
+    limit: float = math.nan
 
 
 def noise_floor(name: str, maps: np.ndarray, sigmas: np.ndarray | None = None) -> NoiseFloor | None:
@@ -125,10 +129,10 @@ def noise_floors(dataset: xr.Dataset, steps: Sequence[int]) -> list[NoiseFloor]:
     return [floor for floor in floors if floor is not None]
 
 
-def height_noise_floor(dataset: xr.Dataset, steps: Sequence[int]) -> NoiseFloor | None:
-    """Return the noise floor of the height of single steps, with the reference among them.
+def single_step_noise_floors(dataset: xr.Dataset, steps: Sequence[int]) -> list[NoiseFloor]:
+    """Return the noise floors of phase and height of single steps, with the reference among them.
 
-    Only its temporal part and its prediction are known: over the points the surface is not flat.
+    Only their temporal part and their prediction are known: over the points the surface is not flat.
 
     Parameters
     ----------
@@ -136,18 +140,14 @@ def height_noise_floor(dataset: xr.Dataset, steps: Sequence[int]) -> NoiseFloor 
         From `fringedic.open_experiment`.
     steps
         Numbers of all steps at rest.
-
-    Returns
-    -------
-    NoiseFloor or None
-        None if fewer than two points are measured in all steps.
     """
-    if "shape_z" not in dataset:
-        return None
     static = dataset.sel(step=list(steps))
-    sigmas = static["shape_sigma_z"].values if "shape_sigma_z" in static else None
-    floor = noise_floor("shape_z", static["shape_z"].values, sigmas)
-    return None if floor is None else replace(floor, spatial=np.nan, bias=np.nan)
+    floors = (
+        noise_floor(name, static[name].values, static[sigma].values if sigma in static else None)
+        for name, sigma in (("phase", "phase_sigma"), ("shape_z", "shape_sigma_z"))
+        if name in static
+    )
+    return [replace(floor, spatial=np.nan, bias=np.nan) for floor in floors if floor is not None]
 
 
 def static_steps(dataset: xr.Dataset) -> list[int]:

@@ -7,7 +7,7 @@ import math
 import os
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -16,12 +16,16 @@ import xarray as xr
 import yaml
 
 from fringedic.correlation import Reference, measure_displacement
+from fringedic.correlation.limit import displacement_limit
 from fringedic.errors import RigSetupError
+from fringedic.frames.noise import CameraNoise
 from fringedic.metadata import NOISE_QUANTITIES, NoiseFloorMetadata
-from fringedic.recording.frames import frames
+from fringedic.patterns.pattern import PatternKind
+from fringedic.phase.limit import phase_limit
+from fringedic.recording.frames import RecordedFrame, frames
 from fringedic.recording.reader import BagReader
 from fringedic.results import open_experiment
-from fringedic.results.noise_floor import NoiseFloor, height_noise_floor, noise_floors
+from fringedic.results.noise_floor import NoiseFloor, noise_floors, single_step_noise_floors
 from fringedic.rig_setup.camera_noise import FEWEST_STEPS, EstimatedCameraNoise, estimate_camera_noise, thinned
 from fringedic.rig_setup.recommended_settings import strain_noise
 
@@ -83,12 +87,13 @@ def noise_of_recording(path: str | os.PathLike[str]) -> NoiseMeasurement:
             )
         reference = int(dataset["reference_step"].sel(step=measured[-1]))
         static = [step for step in measured if step != reference]
-        floors = noise_floors(dataset, static)
-        height = height_noise_floor(dataset, measured)
-        if height is not None:
-            floors.append(height)
-        camera = estimate_camera_noise(_frames_at_rest(Path(path), str(dataset.attrs["experiment"]), set(measured)))
+        recorded = _recorded_at_rest(Path(path), str(dataset.attrs["experiment"]), set(measured), reference)
+        camera = estimate_camera_noise(recorded.thinned)
         settings = _settings(dataset)
+        limits = recorded.displacement_limits(camera.noise, settings)
+        limits |= recorded.phase_limits(camera.noise, dataset.sel(step=reference))
+        floors = noise_floors(dataset, static) + single_step_noise_floors(dataset, measured)
+        floors = [replace(floor, limit=limits.get(floor.name, math.nan)) for floor in floors]
     return NoiseMeasurement(camera, tuple(floors), _metadata(camera, floors, len(measured), settings))
 
 
@@ -129,7 +134,11 @@ def noise_of_images(images: Sequence[np.ndarray], *, window: int, spacing: int) 
     fields = [measure_displacement(reference, image) for image in images[1:]]
     dataset = xr.concat(fields, dim=xr.DataArray(np.arange(1, len(images)), dims="step", name="step"))
     dataset = dataset.rename(sigma_x="displacement_sigma_x", sigma_y="displacement_sigma_y")
-    floors = noise_floors(dataset, [int(step) for step in dataset["step"].values])
+    limits = _displacement_limits(images[0].astype(float), camera.noise.variance(images[0]), window)
+    floors = [
+        replace(floor, limit=limits[floor.name])
+        for floor in noise_floors(dataset, [int(step) for step in dataset["step"].values])
+    ]
     points = dataset.sizes["row"] * dataset.sizes["column"]
     for name, spatial in zip(("e_11", "e_22", "e_12"), strain_noise(fields, spacing, STRAIN_POINTS), strict=True):
         floors.append(NoiseFloor(name, spatial, math.nan, math.nan, math.nan, points))
@@ -141,13 +150,67 @@ def noise_of_images(images: Sequence[np.ndarray], *, window: int, spacing: int) 
     return NoiseMeasurement(camera, tuple(floors), _metadata(camera, floors, len(images), settings))
 
 
-def _frames_at_rest(path: Path, experiment: str, steps: set[int]) -> list[list[np.ndarray]]:
-    """Return the thinned frames of each pattern of a sequence over the steps."""
+@dataclass
+class _RecordedAtRest:
+    """What the noise is compared with: thinned frames of each pattern over the steps, and the texture of one step.
+
+    ``texture`` is the mean of the fringe frames of the reference step, as of the phase, or its white frame;
+    ``averaged`` is their number, and ``shifts`` that of the finest fringes (0 in white light).
+    """
+
+    thinned: list[list[np.ndarray]] = field(default_factory=list)
+    texture: np.ndarray | None = None
+    averaged: int = 0
+    shifts: int = 0
+
+    def add(self, frame: RecordedFrame) -> None:
+        """Take the next frame of the reference step."""
+        pattern, image = frame.record.pattern, frame.image.astype(float)
+        if pattern.kind == PatternKind.FRINGES:
+            before, count = (self.texture, self.averaged) if self.shifts and self.texture is not None else (0.0, 0)
+            self.texture = (count * before + image) / (count + 1)
+            self.averaged, self.shifts = count + 1, pattern.shifts
+        elif pattern.kind == PatternKind.WHITE and not self.shifts:
+            self.texture, self.averaged = image, 1
+
+    def displacement_limits(self, noise: CameraNoise, settings: dict[str, int]) -> dict[str, float]:
+        """Return the Cramer-Rao bounds of the displacement, RMS over the image [px]."""
+        if self.texture is None or "window_px" not in settings:
+            return {}
+        variance = noise.variance(self.texture) / self.averaged
+        return _displacement_limits(self.texture, variance, settings["window_px"])
+
+    def phase_limits(self, noise: CameraNoise, step: xr.Dataset) -> dict[str, float]:
+        """Return the Cramer-Rao bound of the phase, RMS over the points where it is measured [rad]."""
+        if not self.shifts:
+            return {}
+        texture, modulation, phase = (step[name].values.astype(float) for name in ("texture", "modulation", "phase"))
+        return {"phase": _rms(phase_limit(texture, modulation, phase, self.shifts, noise))}
+
+
+def _displacement_limits(texture: np.ndarray, variance: np.ndarray, window: int) -> dict[str, float]:
+    # a window at the border is cut off
+    inside = displacement_limit(texture, variance, window)[:, window // 2 : -window // 2, window // 2 : -window // 2]
+    return dict(zip(("displacement_x", "displacement_y"), map(_rms, inside), strict=True))
+
+
+def _rms(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return math.sqrt(np.mean(known**2)) if known.size else math.nan
+
+
+def _recorded_at_rest(path: Path, experiment: str, steps: set[int], reference: int) -> _RecordedAtRest:
     found: defaultdict[int, list[np.ndarray]] = defaultdict(list)
+    kept = _RecordedAtRest()
     for frame in frames(BagReader(path), experiment):
-        if frame.record.step in steps:
-            found[frame.record.index].append(thinned(frame.image).copy())
-    return [found[index] for index in sorted(found)]
+        record = frame.record
+        if record.step not in steps:
+            continue
+        found[record.index].append(thinned(frame.image).copy())
+        if record.step == reference:
+            kept.add(frame)
+    kept.thinned = [found[index] for index in sorted(found)]
+    return kept
 
 
 def _settings(dataset: xr.Dataset) -> dict[str, int]:
@@ -181,4 +244,5 @@ def _metadata(
         temporal=of("temporal"),
         bias=of("bias"),
         predicted=of("predicted"),
+        limit=of("limit"),
     )

@@ -64,6 +64,7 @@ def test_displacement_and_strain_of_images_at_rest(images: list[np.ndarray], tmp
         assert metadata.spatial[name] == pytest.approx(metadata.predicted[name], rel=0.15)
         assert metadata.temporal[name] == pytest.approx(metadata.spatial[name] / math.sqrt(2), rel=0.15)
         assert abs(metadata.bias[name]) < metadata.spatial[name]
+        assert 0.9 < metadata.spatial[name] / metadata.limit[name] < 1.4
     assert 1e-6 * metadata.spatial["e_11_ustrain"] == pytest.approx(slope_noise(images, 24, 4), rel=0.01)
     file, picture = measured.save(tmp_path), tmp_path / "noise_floor.png"
     noise_figure(measured).savefig(picture)
