@@ -125,6 +125,7 @@ _MODELS = {
     ModelVariant.GENERAL: "general: free direction and roll of the projector, free rotation axis",
     ModelVariant.GENERAL_K1: "... and the projector's radial distortion",
     ModelVariant.GENERAL_K1_Y: "... and the centre of this distortion along the fringes",
+    ModelVariant.GENERAL_BROWN: "... or the five coefficients of this distortion (Brown)",
 }
 _COLOURS = {Verdict.GO: "green", Verdict.GO_WITH_CARE: "yellow", Verdict.NO_GO: "red"}
 
