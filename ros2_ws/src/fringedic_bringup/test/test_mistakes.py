@@ -48,7 +48,7 @@ MISTAKES = [
     Mistake("measure a.tif b.tif --spacing 0", MISWRITTEN, "1"),
     Mistake("measure a.tif b.tif --window", MISWRITTEN, "--window"),
     Mistake("target", MISWRITTEN, "pitch"),
-    Mistake("process", MISWRITTEN, "bags"),
+    Mistake("process", MISWRITTEN, "BAGS"),
     Mistake("live plate --pattern stripes", MISWRITTEN, "'stripes'"),
     Mistake("report run --static first", MISWRITTEN, "integer"),
     Mistake("info run bag", MISWRITTEN, "unexpected extra argument"),

@@ -122,10 +122,17 @@ def _checked_images(
         raise ImageError(f"phase of shape {image.shape}: an image (row, column) is needed")
     if image.dtype != np.float32:
         image = image.astype(float)
-    sigma = np.full((1, 1), np.nan, image.dtype) if sigma_phase is None else np.asarray(sigma_phase, image.dtype)
-    if sigma_phase is not None and sigma.shape != image.shape:
+    sigma = np.full(image.shape, np.nan, image.dtype) if sigma_phase is None else np.asarray(sigma_phase, image.dtype)
+    if sigma.shape != image.shape:
         raise ImageError(f"sigma of shape {sigma.shape} for a phase of shape {image.shape}")
-    return np.ascontiguousarray(image), np.broadcast_to(sigma, image.shape)
+    return _read_only(image), _read_only(sigma)
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    """Return an array as Numba compiles one variant for: those of messages are read-only, those of a fit are not."""
+    view = np.ascontiguousarray(array).view()
+    view.setflags(write=False)
+    return view
 
 
 def _sight(geometry: RigGeometry, row: np.ndarray, column: np.ndarray, orientation: Orientation) -> _Sight:
@@ -133,8 +140,8 @@ def _sight(geometry: RigGeometry, row: np.ndarray, column: np.ndarray, orientati
     axes = geometry.projector_axes.T[[0, 1, 2] if orientation == Orientation.VERTICAL else [1, 0, 2]]
     distortion = geometry.camera_distortion
     return _Sight(
-        row,
-        column,
+        _read_only(row),
+        _read_only(column),
         _NO_FIELD if distortion is None else distortion.field(row, column),
         geometry.ray_matrix,
         axes @ geometry.ray_matrix,

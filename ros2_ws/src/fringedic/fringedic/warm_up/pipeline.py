@@ -20,6 +20,7 @@ from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseP
 from fringedic.steps.phase import phase_step
 from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.surface.planes import fit_planes
+from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration, preset
 
 SIZE = 96  # [px]: enough for every stage, and negligible against the compilation
 
@@ -88,6 +89,11 @@ def warm_up() -> None:
             measure_displacement(white_texture(white), white_texture(white), spacing=2, initial=_still(2))
     with _Part("strain beside a discontinuity"):
         _discontinuous_surface()
+    with _Part("virtual rig"):
+        for name in ("plate", "skin", "leather", "sphere"):
+            virtual = VirtualRig(VirtualRigConfiguration.from_dict(preset(name, size="tiny")))
+            virtual.expose(np.full(virtual.projector_shape, 128, np.uint8), 0.0, 0)
+            virtual.truth(0.0)
     with _Part("comparison with a model"):
         triangle = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
         sample(triangle, np.array([[0, 1, 2]]), triangle).interpolate(triangle)
