@@ -10,6 +10,7 @@ import os
 import resource
 import shutil
 import signal
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -109,6 +110,7 @@ def test_load_frame_that_is_stopped(rig: Rig) -> None:
     """Its last sample said HOLD, and nobody knows what the machine does since."""
     pid = rig.running.pid("load_frame")
     os.kill(pid, signal.SIGSTOP)
+    time.sleep(2.0)  # right after a sample the step would begin, and end without one during its exposures
     try:
         rig.fails("the latest sample of the load frame is")
     finally:

@@ -17,8 +17,9 @@ from rclpy.signals import SignalHandlerOptions
 
 from fringedic.errors import FringedicError
 from fringedic_ros.parameters import report_unknown_parameters
+from fringedic_ros.rig_node import RigNode
 
-# Fast DDS may block a process after its node is closed (decision 0033); SIGALRM ends it after this time.
+# Fast DDS may block a process whose node has closed what it owns (decision 0033); SIGALRM ends it after this time.
 LONGEST_END_S = 5
 ENDING = (signal.SIGINT, signal.SIGTERM)
 CLEAN_ENDS = (0, -signal.SIGALRM)  # exit codes of a process whose node is closed
@@ -43,6 +44,8 @@ def run(make_node: Callable[[], Node]) -> int:
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         node = make_node()
+        if isinstance(node, RigNode):
+            node.before_end = _end_soon
         report_unknown_parameters(node)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
@@ -60,9 +63,13 @@ def run(make_node: Callable[[], Node]) -> int:
         if node is not None:
             with node.handle:  # keeps the participant until the node is closed
                 node.destroy_node()
-                signal.alarm(LONGEST_END_S)
+                _end_soon()
         rclpy.try_shutdown()
     return 0
+
+
+def _end_soon() -> None:
+    signal.alarm(LONGEST_END_S)
 
 
 def _collect_signals() -> int:

@@ -214,6 +214,7 @@ from rclpy.node import Node
 from std_msgs.msg import Empty
 from fringedic.errors import ProcessError
 from fringedic_ros.main import run
+from fringedic_ros.rig_node import RigNode
 
 class Minding(Node):
     def __init__(self):
@@ -247,11 +248,16 @@ class Kept(Node):
         super().__init__("kept")
         rclpy.try_shutdown = lambda: ctypes.PyDLL(None).sleep(60)
 
+class Blocked(RigNode):
+    def __init__(self):
+        super().__init__("blocked")
+        Node.destroy_node = lambda _: ctypes.PyDLL(None).sleep(60)
+
 def refuse():
     raise ProcessError("there is no camera")
 
 print("ready", flush=True)
-classes = {"failing": Failing, "kept": Kept, "minding": Minding, "slow": Slow}
+classes = {"blocked": Blocked, "failing": Failing, "kept": Kept, "minding": Minding, "slow": Slow}
 nodes = {"good": lambda: Node("good"), "refused": refuse, **classes}
 sys.exit(run(nodes[sys.argv[1]]))
 """
@@ -274,6 +280,7 @@ def node_program(which: str) -> Iterator[tuple[subprocess.Popen[str], IO[str]]]:
         ("good", signal.SIGINT, 0, ""),
         ("good", signal.SIGTERM, 0, ""),
         ("kept", signal.SIGINT, -signal.SIGALRM, ""),
+        ("blocked", signal.SIGINT, -signal.SIGALRM, ""),
         ("failing", None, 1, "ZeroDivisionError: a bug"),
         ("refused", None, 1, "ProcessError: there is no camera"),
     ],
