@@ -75,10 +75,9 @@ def write_model_comparison(comparison: xr.Dataset, output: Path, *, overwrite: b
     """
     require_new(output, overwrite)
     last = comparison.isel(step=-1)
-    page = render_page(
-        "model_comparison.html.j2",
-        title=f"{comparison.attrs.get('experiment', 'experiment')} and {comparison.attrs['model']}",
-        sentences=[*agreement_sentences(last), *placement_sentences(comparison)],
+    page = _page(
+        comparison,
+        agreement_sentences(last),
         columns=COLUMNS,
         rows=[row for step in comparison["step"].values for row in _rows(comparison.sel(step=step))],
         shown=int(last["step"]),
@@ -114,10 +113,9 @@ def write_shape_comparison(comparison: xr.Dataset, output: Path, *, overwrite: b
         Panel("normalized_deviation", "deviation over its uncertainty", symmetric=True),
     )
     lengths = {name: _length(step[name]) for name in _SHAPE_COLUMNS}
-    page = render_page(
-        "model_comparison.html.j2",
-        title=f"{comparison.attrs.get('experiment', 'experiment')} and {comparison.attrs['model']}",
-        sentences=[*shape_sentences(comparison), *placement_sentences(comparison)],
+    page = _page(
+        comparison,
+        shape_sentences(comparison),
         columns=list(_SHAPE_COLUMNS.values()),
         rows=[list(lengths.values())],
         shown=int(step["step"]),
@@ -126,6 +124,15 @@ def write_shape_comparison(comparison: xr.Dataset, output: Path, *, overwrite: b
         maps={"the deviation": base64_png(maps_figure(step, panels, title=f"step {int(step['step'])}"))},
     )
     return write_page(page, output)
+
+
+def _page(comparison: xr.Dataset, sentences: list[str], **content: Any) -> str:
+    return render_page(
+        "model_comparison.html.j2",
+        title=f"{comparison.attrs.get('experiment', 'experiment')} and {comparison.attrs['model']}",
+        sentences=[*sentences, *placement_sentences(comparison)],
+        **content,
+    )
 
 
 def shape_sentences(comparison: xr.Dataset) -> list[str]:
