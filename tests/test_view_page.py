@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import numpy as np
@@ -32,14 +33,22 @@ def dataset(recorded: RecordedExperiment) -> Iterator[xr.Dataset]:
 
 @pytest.fixture(scope="module")
 def url(recorded: RecordedExperiment) -> Iterator[str]:
-    """Start the command where ROS cannot be imported, and return the address that it prints."""
-    words = ["view", str(recorded.report.folder / "bag"), "--port", str(free_port())]
+    with shown(recorded, free_port()) as address:
+        yield address
+
+
+@contextmanager
+def shown(recorded: RecordedExperiment, port: int) -> Iterator[str]:
+    """Start the command where ROS cannot be imported, and yield the address that it prints."""
+    words = ["view", str(recorded.report.folder / "bag"), "--port", str(port)]
     command = [sys.executable, "-c", "from fringedic_bringup.command.main import main; main()", *words]
     environment = {**os.environ, "PYTHONPATH": without_ros(), "PYTHONUNBUFFERED": "1"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
         assert process.stdout is not None
-        yield page_address(process.stdout)
-        process.terminate()
+        try:
+            yield page_address(process.stdout)
+        finally:
+            process.terminate()
 
 
 @pytest.fixture
@@ -119,6 +128,14 @@ def test_profile_and_extensometer_follow_clicks(page: Page, dataset: xr.Dataset)
     assert strain.startswith(
         f"Step 2: {1e6 * float(expected.strain):.0f} ± {1e6 * float(expected.sigma_strain):.0f} µstrain"
     )
+    page.click("text=Curves")
+    page.select_option("#curve-x", "strain")
+    expect(page.locator("circle.dot")).to_have_count(dataset.sizes["step"])
+    page.click("summary")
+    last = [float(text) for text in page.locator("tr:last-child td").all_inner_texts()]
+    assert last == pytest.approx([1e6 * float(expected.strain), float(dataset.force.sel(step=2))], rel=1e-5)
+    page.click("text=Maps")
+    expect(page.locator("#strain")).to_have_text(strain)
     page.select_option("#tool", "profile")
     click_at(page, dataset, (10, 15), (30, 15))
     expect(page.locator("#probe h2")).to_have_text("Profile of v")
@@ -157,6 +174,20 @@ def test_map_is_read_with_the_keyboard_alone(page: Page, dataset: xr.Dataset) ->
     middle = dataset.sizes["column"] // 2 + 1, dataset.sizes["row"] // 2
     column, row = int(dataset.column[middle[0]]), int(dataset.row[middle[1]])
     assert page.locator("#readout").inner_text().endswith(f"at column {column}, row {row}")
+
+
+def test_page_that_was_left_open_says_that_the_address_is_another_one(
+    browser: Browser, recorded: RecordedExperiment
+) -> None:
+    port = free_port()
+    with ExitStack() as yesterday:
+        address = yesterday.enter_context(shown(recorded, port))
+        with opened(browser, address) as page:
+            expect(page.locator("canvas.map")).to_have_attribute("aria-label", re.compile("step"))
+            yesterday.close()
+            expect(page.locator("#message")).to_contain_text("has lost its server")
+            with shown(recorded, port):
+                expect(page.locator("#message")).to_contain_text("open the address that fringedic has printed")
 
 
 @pytest.mark.parametrize("view", VIEWS)

@@ -46,7 +46,7 @@ PREVIEWS = QoSProfile(
     reliability=ReliabilityPolicy.BEST_EFFORT,
     durability=DurabilityPolicy.VOLATILE,
 )
-"""Frames for people who watch: a reader that is slow, or ends, has no effect on the camera."""
+"""The newest frame or sample for people who watch: a reader that is slow, or ends, has no effect on the publisher."""
 
 DIAGNOSTICS = _reliable(10)
 """`/diagnostics`."""

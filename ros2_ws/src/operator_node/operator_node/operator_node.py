@@ -18,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import BaseModel, Field
 from rcl_interfaces.msg import Log
 from rclpy.action import ActionClient
+from rclpy.callback_groups import CallbackGroup
 from rclpy.client import Client
 from rclpy.qos import QoSProfile
 from rclpy.task import Future
@@ -89,7 +90,8 @@ class OperatorNode(RigNode):
         self._starts = self.create_client(StartProcedure, "procedures/start")
         self._controls = self.create_client(ControlProcedure, "procedures/control")
         self._holds = self.create_client(Trigger, "load_frame/hold")
-        self._measure = ActionClient(self, MeasureStep, "measure_step")
+        self._by_hand = _FromFirstUse()
+        self._measure = ActionClient(self, MeasureStep, "measure_step", callback_group=self._by_hand)
         self._present = self.create_publisher(Bool, "operator/driver_present", LATEST)
         self.create_timer(PRESENCE_S, self._publish_presence)
         self.create_timer(1 / parameters.maximum_rate_hz, self._poll)
@@ -113,7 +115,7 @@ class OperatorNode(RigNode):
             (ProcedureStatus, "procedures/live", partial(state.take_procedure, topic="live"), LATCHED),
             (SetupState, "procedures/setup", self._take_setup, LATCHED),
             (LiveView, "live_view/figures", state.take_figures, DERIVED),
-            (LoadState, "load_frame/state", state.take_load, LATEST),
+            (LoadState, "load_frame/state", state.take_load, PREVIEWS),
             *((Image, topic, partial(self._join, topic), DERIVED) for topic in IN_PLANE),
             (CameraInfo, "dic/camera_info", partial(self._join, "dic/camera_info"), DERIVED),
             (PointCloud2, "coupling/displacement", partial(self._join, "coupling/displacement"), DERIVED),
@@ -179,6 +181,7 @@ class OperatorNode(RigNode):
     async def _measure_by_hand(self, command: Measure) -> str:
         if not self._measure.server_is_ready():
             raise OperatorError("no experiment node is running: start measuring by hand, or a programme")
+        self._by_hand.used = True
         goal = MeasureStep.Goal(mode=MODES[command.mode], set_reference=command.set_reference, controller="operator")
         handle = await _answer(self._measure.send_goal_async(goal), "measure_step")
         if not handle.accepted:
@@ -253,6 +256,21 @@ class OperatorNode(RigNode):
 
     def _publish_presence(self) -> None:
         self._present.publish(Bool(data=self._page.wheel.present))
+
+
+class _FromFirstUse(CallbackGroup):
+    """Keeps the executor from waking for the feedback of every step while nobody has measured by hand."""
+
+    used = False
+
+    def can_execute(self, *_: Any) -> bool:
+        return self.used
+
+    def beginning_execution(self, *_: Any) -> bool:
+        return self.used
+
+    def ending_execution(self, *_: Any) -> None:
+        pass
 
 
 async def _answer(future: Future, what: str) -> Any:

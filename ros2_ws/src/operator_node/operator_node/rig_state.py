@@ -54,7 +54,7 @@ class RigState:
         self._parts |= {"recorder": None, "step": None, "hand": ""}
         self._experiment = ""
         self._is_busy, self._begun = False, 0.0  # of the procedure: whether it runs, and since when
-        self._first_step = 0.0  # when its first step began
+        self._remaining = RemainingTime()
 
     def snapshot(self, mapped: Mapping[int, int]) -> dict[str, Any]:
         """Return topics of the page and their data.
@@ -181,7 +181,7 @@ class RigState:
             "settings",
         )
         data = {name: getattr(message, name) for name in names}
-        remaining = self._remaining(message, len(reports)) if topic == "procedure" else None
+        remaining = self._remaining_s(message) if topic == "procedure" else None
         data |= {
             "title": PROCEDURE_TITLES.get(message.procedure, message.procedure),
             "remaining_s": None if remaining is None else round(remaining),
@@ -197,15 +197,15 @@ class RigState:
                 if report["step"] in self._steps:
                     self._steps[report["step"]] |= report
 
-    def _remaining(self, message: Any, done: int) -> float | None:
-        """Return the estimated time until the last step is measured [s], None when it is not known."""
+    def _remaining_s(self, message: Any) -> float | None:
+        """Return the estimated time until the last step or part is done [s], None when it is not known."""
         now, busy = self._clock(), message.state in BUSY
         if busy and not self._is_busy:
-            self._begun, self._first_step = now, math.nan
+            self._begun = now
         self._is_busy = busy
-        if message.steps and math.isnan(self._first_step):
-            self._first_step = now
-        return (now - self._first_step) / done * (message.steps - done) if busy and done and message.steps else None
+        return self._remaining.update(
+            now, _done(message) if busy else math.nan, paused=message.state == ProcedureStatus.PAUSED
+        )
 
     def take_setup(self, message: Any) -> None:
         """Take the check list of the set-up."""
@@ -218,6 +218,7 @@ class RigState:
                 "words": list(each.words),
                 "next": each.next,
                 "picture": f"/files/{each.item}/{each.picture}" if each.picture else "",
+                "report": _report(each.item, each.folder),
             }
             for each in message.items
         ]
@@ -238,6 +239,49 @@ class RigState:
     def _set(self, topic: str, data: Any) -> None:
         with self._lock:
             self._parts[topic] = data
+
+
+class RemainingTime:
+    """Time that a procedure still takes, from the time that its parts have taken so far; pauses do not count."""
+
+    def __init__(self) -> None:
+        self._first, self._done = math.nan, math.nan
+        self._spent, self._seen = 0.0, 0.0
+        self._was_paused = False
+
+    def update(self, now: float, done: float, *, paused: bool) -> float | None:
+        """Return the remaining time [s], None while nothing has been done.
+
+        Parameters
+        ----------
+        now
+            Present time [s].
+        done
+            Fraction of the parts that are done; NaN where there are none. A smaller one than before is that of
+            another procedure, or of another series of parts.
+        paused
+            Whether it pauses.
+        """
+        if not done >= self._done:
+            self._first, self._spent = done, 0.0
+        elif not self._was_paused:
+            self._spent += now - self._seen
+        self._done, self._seen, self._was_paused = done, now, paused
+        passed = done - self._first
+        return self._spent / passed * (1 - done) if passed > 0 else None
+
+
+def _done(message: Any) -> float:
+    """Return the fraction of a procedure's steps that are done, or of the frames where there is one step only."""
+    if message.steps > 1:
+        return float(max(message.step, 0) / message.steps)
+    return float(message.frame / message.frames) if message.steps and message.frames else math.nan
+
+
+def _report(item: str, folder: str) -> str:
+    """Return the address of the page in the folder of a result, empty without one."""
+    pages = sorted(Path(folder).glob("*.html")) if folder else []
+    return f"/files/{item}/{pages[0].name}" if pages else ""
 
 
 def _level(level: bytes | int) -> int:

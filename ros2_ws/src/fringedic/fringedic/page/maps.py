@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import shutil
@@ -91,9 +92,12 @@ class SpooledMaps:
     def __init__(self, folder: Path, most_bytes: int = MOST_BYTES) -> None:
         self._folder, self._most = folder, most_bytes
         folder.mkdir(parents=True, exist_ok=True)
+        # kept, because the page asks for them several times a second, and a step has some 40 files
+        self._names = {int(place.name): _names_in(place) for place in sorted(folder.iterdir())}
 
     def clear(self) -> None:
         """Remove all maps: another experiment begins."""
+        self._names = {}
         shutil.rmtree(self._folder, ignore_errors=True)
         self._folder.mkdir(parents=True, exist_ok=True)
 
@@ -109,7 +113,9 @@ class SpooledMaps:
             np.save(place / f".{name}.npy", np.ascontiguousarray(sampled, np.float32))
         for name in kept:  # all together when they are complete, because a browser may ask for them meanwhile
             (place / f".{name}.npy").rename(place / f"{name}.npy")
-        self._forget_oldest()
+        forgotten = self._forget_oldest()
+        names = {**self._names, step: _names_in(place)}
+        self._names = {each: names[each] for each in sorted(names) if each not in forgotten}  # at once, for all threads
 
     def complete(self, recorded: StepMaps) -> None:
         """Keep the maps of steps of a recording during which no server ran, or which it heard in part."""
@@ -121,10 +127,7 @@ class SpooledMaps:
 
     def names(self) -> dict[int, list[str]]:
         """Return the names of the maps of each step."""
-        return {
-            int(place.name): [name for name in MAPS if (place / f"{name}.npy").exists()]
-            for place in sorted(self._folder.iterdir())
-        }
+        return self._names
 
     def dataset(self, step: int, names: Sequence[str]) -> xr.Dataset:
         """Return maps of one step."""
@@ -136,12 +139,20 @@ class SpooledMaps:
         fields = {name: (("row", "column"), values) for name, values in maps.items()}
         return xr.Dataset(fields, {"row": spacing * np.arange(rows), "column": spacing * np.arange(columns)})
 
-    def _forget_oldest(self) -> None:
+    def _forget_oldest(self) -> set[int]:
+        """Remove the oldest steps when all maps are too large; return their numbers."""
         places = sorted(self._folder.iterdir())
         sizes = [sum(file.stat().st_size for file in place.iterdir()) for place in places]
+        forgotten = set()
         while sum(sizes) > self._most and len(places) > 1:
+            forgotten.add(int(places[0].name))
             shutil.rmtree(places.pop(0))
             sizes.pop(0)
+        return forgotten
+
+
+def _names_in(place: Path) -> list[str]:
+    return [name for name in MAPS if (place / f"{name}.npy").exists()]
 
 
 def _spacing(maps: xr.Dataset) -> int:
@@ -250,6 +261,7 @@ def gauge(maps: StepMaps, first: Point, second: Point, subset: float) -> list[di
     return readings
 
 
+@functools.cache
 def described(name: str) -> dict[str, Any]:
     """Return name, meaning, unit for people and standard deviation of a map, for the page.
 

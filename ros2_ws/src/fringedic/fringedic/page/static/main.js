@@ -56,4 +56,5 @@ listen("rig", takeRig);
 listen("wheel", takeWheel);
 listen("procedure", takeProcedure);
 listen("connected", (is) => say(is ? "" : "The page has lost its server. The measurement goes on without it; the page connects again by itself."));
+listen("refused", say);
 connect();

@@ -2,12 +2,13 @@
 
 import { chart } from "./chart.js";
 import { make, number, options, withSigma } from "./elements.js";
+import { extensometer, strains } from "./extensometer.js";
 import { MapCanvas, usualRange, valueAt } from "./map_canvas.js";
-import { gauge, line, palettes, tile, tried } from "./server.js";
+import { line, palettes, tile, tried } from "./server.js";
 import { listen } from "./stream.js";
 
 const PREFERRED = ["v", "displacement_y", "shape_z"];
-const kept = { quantity: "", palette: "viridis", tool: "look", follow: true, subset: 9 };
+const kept = { quantity: "", palette: "viridis", tool: "look", follow: true };
 
 export function show(place) {
   const view = new MapsView();
@@ -29,15 +30,18 @@ class MapsView {
     const fix = () => { this.fixed = true; this.paint(); }; // the range then stays for the next steps
     this.low = make("input", { type: "number", step: "any", id: "low", onchange: fix });
     this.high = make("input", { type: "number", step: "any", id: "high", onchange: fix });
-    this.tool = make("select", { id: "tool", onchange: () => { kept.tool = this.tool.value; this.choosePoints([]); } });
+    this.tool = make("select", { id: "tool", onchange: () => { kept.tool = this.tool.value; this.choosePoints(this.earlier()); } });
     options(this.tool, [["look", "read values"], ["profile", "profile along a line"], ["gauge", "extensometer between two points"]], kept.tool);
     this.readout = make("p", { class: "readout", id: "readout", role: "status" });
     this.bar = make("canvas", { width: 256, height: 1 });
     this.result = make("div", { class: "panel", id: "probe" });
     this.element = make("div", { class: "columns" },
       make("section", { class: "panel" }, this.controls(), this.map.element, this.readout, this.scale()), this.result);
-    this.choosePoints([]);
+    this.choosePoints(this.earlier());
   }
+
+  // The gauge points that were chosen before.
+  earlier() { return this.tool.value === "gauge" ? extensometer.points : []; }
 
   controls() {
     return make("div", { class: "row" },
@@ -127,6 +131,7 @@ class MapsView {
 
   choosePoints(points) {
     this.points = points;
+    if (this.tool.value === "gauge") extensometer.points = points;
     this.map.mark(points);
     const asked = { look: "Choose a tool to draw a profile or an extensometer.", profile: "Click both ends of the line.", gauge: "Click both gauge points." };
     if (points.length === 2) this.probe();
@@ -146,7 +151,7 @@ class MapsView {
   }
 
   async extensometer() {
-    const found = await gauge(...this.points, kept.subset);
+    const found = await strains();
     const points = found.map((each) => [each.step, 1e6 * each.strain, 1e6 * (each.sigma_strain ?? 0)]), last = found.at(-1);
     return [make("h2", {}, "Extensometer"),
       make("p", { id: "strain" }, `Step ${last.step}: ${withSigma(1e6 * last.strain, 1e6 * last.sigma_strain, "µstrain")}, length ${number(1e3 * last.length, 5)} mm`),

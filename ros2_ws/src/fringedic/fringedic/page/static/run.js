@@ -40,7 +40,8 @@ function startPanel() {
     latest("hand") ? make("p", { id: "hand", role: "status" }, latest("hand")) : null,
     rig.operated ? null : make("p", { class: "soft", id: "elsewhere" }, elsewhere(rig)),
     another,
-    procedure?.folder && !busy ? make("p", {}, make("a", { href: "/files/run/report.html", target: "_blank", rel: "noopener" }, "Report of the last run"), ` in ${procedure.folder}`) : null,
+    procedure?.folder && !busy ? make("p", {}, make("a", { href: "/files/run/report.html", target: "_blank", rel: "noopener" }, "Report of the last run"), ` in ${procedure.folder}, `,
+      make("a", { href: "/files/run/report.html", download: `${procedure.folder}.html` }, "save it as a file")) : null,
   ].filter(Boolean);
 }
 

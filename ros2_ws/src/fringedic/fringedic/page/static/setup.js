@@ -9,6 +9,11 @@ import { command } from "./server.js";
 import { latest, listen } from "./stream.js";
 
 const LIVE = { axes: "crosshair", camera_focus: "white", projector_focus: "focus" }; // adjusted by hand with the live view
+const NUMBERS = {
+  check: { label: "Gauge block [mm]", key: "distance_mm", min: 0.1, max: 1000, step: "any", value: 5 },
+  noise: { label: "Steps at rest", key: "steps", min: 3, max: 1000, value: 10 },
+};
+const entered = {}; // numbers of the operator, which outlast every change of the list
 const STATES = [["", "not done"], ["good", "done"], ["care", "out of date"]];
 const MEASURED = ["timing", "response", "calibrate", "check", "region", "noise", "advise", "settings"];
 let open = "";
@@ -37,6 +42,7 @@ function entry(item, choose) {
       chosen ? null : make("button", { onclick: () => choose(item.item), "aria-label": `Open ${item.title}` }, "Open")),
     make("p", { class: "soft" }, item.next),
     chosen ? make("div", {}, ...buttons(item.item), item.words.length ? make("pre", {}, item.words.join("\n")) : null,
+      item.report ? make("p", {}, make("a", { href: item.report, target: "_blank", rel: "noopener" }, "Report")) : null,
       item.picture ? make("img", { src: `${item.picture}?${item.done}`, alt: `Result: ${item.title}` }) : null) : null);
 }
 
@@ -46,10 +52,10 @@ function buttons(item) {
   if (item in LIVE) return [make("div", { class: "row" }, start("Show the pattern", { procedure: "live", pattern: LIVE[item] }),
     make("button", { class: "done", onclick: () => command("start", { procedure: "confirm", pattern: item }) }, "It is adjusted"))];
   if (item === "region") return [make("p", {}, "Draw on the image, then use the region.")];
-  if (item !== "check") return [start("Measure", { procedure: item })];
-  const distance = make("input", { type: "number", min: 0.1, max: 1000, step: "any", value: 5, id: "distance" });
-  return [make("div", { class: "row" }, make("label", {}, "Gauge block [mm]", distance),
-    make("button", { class: "main start", disabled, onclick: () => command("start", { procedure: item, distance_mm: Number(distance.value) }) }, "Measure"))];
+  if (!(item in NUMBERS)) return [start("Measure", { procedure: item })];
+  const { label, key, ...limits } = NUMBERS[item], input = make("input", { type: "number", id: key, ...limits, value: entered[key] ?? limits.value, oninput: () => { entered[key] = input.value; } });
+  return [make("div", { class: "row" }, make("label", {}, label, input),
+    make("button", { class: "main start", disabled, onclick: () => input.reportValidity() && command("start", { procedure: item, [key]: Number(input.value) }) }, "Measure"))];
 }
 
 // The image beside an item: live with its figures, or with the editor of the region.

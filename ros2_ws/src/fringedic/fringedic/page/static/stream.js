@@ -40,6 +40,13 @@ export function connect() {
   };
   socket.onclose = () => {
     publish("connected", false);
-    setTimeout(connect, 1000);
+    setTimeout(connectAgain, 1000);
   };
+}
+
+// A server of another start refuses this session for ever: its sentence says what to do.
+async function connectAgain() {
+  const answer = await fetch("/").catch(() => null);
+  if (answer?.status === 403) publish("refused", await answer.text());
+  else connect();
 }

@@ -1,0 +1,100 @@
+"""What the page shows of the messages of a rig."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from fringedic_msgs.msg import ProcedureStatus, RecorderStatus, SetupItem, SetupState
+from operator_node.rig_state import RigState
+
+
+class Clock:
+    """A time that a test sets [s]."""
+
+    now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def state(clock: Clock) -> RigState:
+    return RigState(clock)
+
+
+def after(state: RigState, clock: Clock, passed: float, /, **fields: int) -> float | None:
+    """Return the remaining time that is shown after a message that arrives so many seconds later."""
+    clock.now += passed
+    fields = {"state": ProcedureStatus.RUNNING, **fields}
+    state.take_procedure(ProcedureStatus(procedure="noise", **fields), "procedure")
+    remaining: float | None = state.snapshot({})["procedure"]["remaining_s"]
+    return remaining
+
+
+def test_remaining_time_follows_the_steps_that_are_done(state: RigState, clock: Clock) -> None:
+    assert after(state, clock, 0, step=-1, steps=0) is None, "the nodes are started"
+    assert after(state, clock, 20, step=0, steps=10) is None, "no step is done"
+    assert after(state, clock, 4, step=0, steps=10, frame=8, frames=12) is None
+    assert after(state, clock, 2, step=1, steps=10) == 9 * 6
+    assert after(state, clock, 10, step=2, steps=10) == 8 * 8
+    assert after(state, clock, 1, step=-1, steps=0) is None, "the results are computed"
+
+
+def test_remaining_time_of_a_single_part_follows_its_frames(state: RigState, clock: Clock) -> None:
+    assert after(state, clock, 0, step=0, steps=1, frame=1, frames=60) is None
+    assert after(state, clock, 3, step=0, steps=1, frame=11, frames=60) == pytest.approx(0.3 * 49, abs=0.5)
+
+
+def test_another_series_of_parts_begins_anew(state: RigState, clock: Clock) -> None:
+    after(state, clock, 0, step=0, steps=3)
+    after(state, clock, 9, step=2, steps=3)
+    assert after(state, clock, 1, step=0, steps=7) is None
+    assert after(state, clock, 2, step=1, steps=7) == 12
+
+
+def test_a_pause_does_not_count(state: RigState, clock: Clock) -> None:
+    after(state, clock, 0, step=0, steps=4)
+    assert after(state, clock, 5, step=1, steps=4) == 15
+    after(state, clock, 0, step=1, steps=4, state=ProcedureStatus.PAUSED)
+    assert after(state, clock, 1000, step=1, steps=4) == 15
+    assert after(state, clock, 5, step=2, steps=4) == 10
+
+
+def test_what_has_ended_has_no_remaining_time(state: RigState, clock: Clock) -> None:
+    after(state, clock, 0, step=0, steps=4)
+    after(state, clock, 5, step=1, steps=4)
+    assert after(state, clock, 5, step=3, steps=4, state=ProcedureStatus.FAILED) is None
+    assert after(state, clock, 5, step=2, steps=4) is None, "the next one"
+
+
+def test_minutes_until_the_disk_is_full(
+    state: RigState, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = shutil.disk_usage(tmp_path)._replace(free=60 * 10**9)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage)
+
+    def minutes(written: int) -> int | None:
+        state.take_recorder(RecorderStatus(state=RecorderStatus.RECORDING, path=str(tmp_path), bytes=written))
+        found: int | None = state.snapshot({})["recorder"]["minutes_left"]
+        return found
+
+    assert minutes(0) is None, "the rate is not known yet"
+    clock.now += 10
+    assert minutes(10**9) == 10, "at 100 MB/s"
+    clock.now += 10
+    assert minutes(4 * 10**9) == 5, "at 200 MB/s"
+
+
+def test_an_item_shows_the_report_in_its_folder(state: RigState, tmp_path: Path) -> None:
+    (tmp_path / "check.html").write_text("plane and gauge block")
+    items = [SetupItem(item="check", folder=str(tmp_path)), SetupItem(item="region", folder=str(tmp_path / "none"))]
+    state.take_setup(SetupState(items=items))
+    assert [each["report"] for each in state.snapshot({})["setup"]] == ["/files/check/check.html", ""]
