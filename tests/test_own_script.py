@@ -1,33 +1,81 @@
-"""The script of the page on the command, with the nodes of the tiny rig."""
+"""The script of the page on the command, with the nodes of the tiny rig, and a campaign that follows its recording."""
 
 from __future__ import annotations
 
 import re
+import subprocess
+from contextlib import ExitStack, redirect_stdout
+from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 
 import pytest
-from running_system import CONFIG, ROOT
+from running_system import CONFIG, ROOT, wait_until
 
+from fringedic.campaign import CampaignStore, load_campaign, process_unit, status_of, update_plan
 from fringedic.recording.reader import BagReader
 from fringedic_bringup.launch.graph import rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.run import load_rig
 
+pytestmark = pytest.mark.slow
+STEPS = 3
 
-@pytest.mark.slow
-def test_the_printed_script_moves_and_measures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+
+@dataclass(frozen=True)
+class ScriptRun:
+    """Folder of the campaign with the recording, and what the script printed."""
+
+    folder: Path
+    printed: str
+
+
+@pytest.fixture(scope="module")
+def script_run(domain: str, tmp_path_factory: pytest.TempPathFactory) -> ScriptRun:
+    """Run the script while a campaign measures its steps; the recorder ends when all are measured."""
+    assert domain
+    folder, printed = tmp_path_factory.mktemp("script"), StringIO()
+    (folder / "campaign.yaml").write_text("recordings: [{path: plate}]")
     page = (ROOT / "docs" / "command.md").read_text()
     (script,) = re.findall(r"```python\n(from fringedic_bringup\.client import RigClient.*?)```", page, re.DOTALL)
     rig, _ = load_rig(CONFIG / "tiny.yaml", None, None)
-    with RunningGraph(rig_graph(rig, CONFIG / "tiny.yaml", tmp_path, experiment="script"), tmp_path / "logs"):
-        exec(script, {})
-    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    graph = rig_graph(rig, CONFIG / "tiny.yaml", folder / "plate", experiment="script")
+    with ExitStack() as ended:
+        with RunningGraph(graph, folder / "logs"):
+            wait_until((folder / "plate" / "bag" / "metadata.yaml").exists, "the recording")
+            follow = ["fringedic", "campaign", "run", str(folder), "--follow"]
+            campaign = ended.enter_context(subprocess.Popen(follow, stdout=subprocess.DEVNULL))
+            with redirect_stdout(printed):
+                exec(script, {})
+            wait_until(lambda: measured(folder) == STEPS, "the campaign's last step")
+            assert not (folder / "plate" / "bag" / "manifest.sha256").exists(), "the recorder goes on"
+        assert campaign.wait(120) == 0
+    return ScriptRun(folder, printed.getvalue())
+
+
+def measured(folder: Path) -> int:
+    """Number of steps that the campaign has measured of the recording that is being made."""
+    marker = CampaignStore(str(folder / "store")).read("followed/plate.json")
+    return 0 if marker is None else int(marker["steps"])
+
+
+def test_the_printed_script_moves_and_measures(script_run: ScriptRun) -> None:
+    lines = [line.split() for line in script_run.printed.splitlines()]
     assert [line[0] for line in lines] == ["0", "1", "2"]
     forces = [float(line[1]) for line in lines]
     assert forces == pytest.approx([0, 200, 400], abs=60), "the plate's grips are 2000 N/mm stiff, with some play"
     assert float(lines[2][3]) > float(lines[1][3]) > 0
-    recorded = BagReader(tmp_path / "bag")
+    recorded = BagReader(script_run.folder / "plate" / "bag")
     (states,) = recorded.find("load_frame/state").values()
     last = [message for _, message, _ in recorded.messages([states])][-1]
     assert 500 < last.force < 650
     assert last.position < 0.45e-3, "the move to a force ended before its position"
+
+
+def test_a_campaign_measures_while_the_recorder_goes_on(script_run: ScriptRun) -> None:
+    campaign = load_campaign(script_run.folder)
+    store, plan = CampaignStore(campaign.store), update_plan(campaign)
+    followed = status_of(store, plan).done["plate"]
+    assert (followed.figures["steps"], followed.figures["failed_steps"]) == (STEPS, 0)
+    store.remove("receipts")
+    assert process_unit(plan.units[0]).digest == followed.digest

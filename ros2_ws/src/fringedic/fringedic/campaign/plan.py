@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from fringedic.campaign.recordings import Found, Summary, summarise
+from fringedic.campaign.recordings import Found, Summary, is_growing, summarise, summarise_growing
 from fringedic.campaign.settings import Campaign, Elasticity, Labels
 from fringedic.campaign.software import software_identity
 from fringedic.errors import FringedicError
@@ -44,15 +44,15 @@ class Unit:
     software
         Of `software_identity`.
     fingerprint
-        Of `Summary`.
+        Of `Summary`; empty for a recording that is being made.
     labels
         Of the catalogue.
     steps
-        Estimated number of steps.
+        Estimated number of steps; 0 for a recording that is being made.
     size
         Of the recording [byte].
     memory
-        Predicted need of memory [byte].
+        Predicted need of memory [byte]; 0 before the first step of a recording is written.
     part
         Number of the part of the recording, from 0; None for the whole recording.
     """
@@ -69,6 +69,22 @@ class Unit:
     size: int
     memory: float
     part: int | None = None
+
+    @property
+    def growing(self) -> bool:
+        """Whether the recording is being made, so that its steps are processed one by one."""
+        return not self.fingerprint
+
+    def completed(self, summary: Summary) -> Unit:
+        """Return the unit of the recording when it is complete."""
+        return replace(
+            self,
+            key=_hash([self.processing, self.software, summary.fingerprint]),
+            fingerprint=summary.fingerprint,
+            steps=summary.steps,
+            size=summary.size,
+            memory=predicted_memory(summary, self.processing["overrides"]),
+        )
 
     @property
     def parts(self) -> list[Unit]:
@@ -143,7 +159,7 @@ class Plan:
         return cls(**{**own, "units": units, "unusual_shapes": shapes})
 
 
-def make_plan(campaign: Campaign, recordings: Iterable[Found]) -> Plan:
+def make_plan(campaign: Campaign, recordings: Iterable[Found], *, follow: bool = False) -> Plan:
     """Make the plan of a campaign; recordings that cannot be processed are listed with the reason.
 
     Parameters
@@ -152,8 +168,10 @@ def make_plan(campaign: Campaign, recordings: Iterable[Found]) -> Plan:
         From `fringedic.campaign.settings.load_campaign`.
     recordings
         From `fringedic.campaign.recordings.find_recordings`.
+    follow
+        Plan recordings without an index as such that are being made, instead of refusing them.
     """
-    return plan_of(campaign, ((each, _summary_or_reason(each, campaign)) for each in recordings))
+    return plan_of(campaign, ((each, _summary_or_reason(each, campaign, follow)) for each in recordings))
 
 
 def plan_of(campaign: Campaign, summaries: Iterable[tuple[Found, Summary | str]]) -> Plan:
@@ -166,7 +184,8 @@ def plan_of(campaign: Campaign, summaries: Iterable[tuple[Found, Summary | str]]
         if isinstance(summary, str):
             refused[found.name] = summary
             continue
-        shapes[found.name] = summary.image_shape
+        if summary.frames:
+            shapes[found.name] = summary.image_shape
         units.append(_unit(campaign.store, found, summary, processing, software))
     return Plan(
         title=campaign.content.title,
@@ -210,13 +229,14 @@ def _unit(store: str, found: Found, summary: Summary, processing: dict[str, Any]
         labels=_labels(found.labels),
         steps=summary.steps,
         size=summary.size,
-        memory=predicted_memory(summary, processing["overrides"]),
+        memory=predicted_memory(summary, processing["overrides"]) if summary.frames else 0.0,
     )
 
 
-def _summary_or_reason(found: Found, campaign: Campaign) -> Summary | str:
+def _summary_or_reason(found: Found, campaign: Campaign, follow: bool) -> Summary | str:
     try:
-        summary = summarise(found.path)
+        growing = follow and is_growing(found.path)
+        summary = summarise_growing(found.path) if growing else summarise(found.path)
     except FringedicError as error:
         return str(error)
     except OSError as error:

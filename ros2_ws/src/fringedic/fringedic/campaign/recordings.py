@@ -18,6 +18,7 @@ from fringedic.errors import CampaignError, RecordingError
 from fringedic.frames.messages import image_array
 from fringedic.recording.bag_files import METADATA, find_files, recording_of
 from fringedic.recording.frames import EXPOSURE, IMAGE
+from fringedic.recording.growing import GrowingRecording
 from fringedic.recording.mcap_file import index_bytes
 from fringedic.recording.reader import BagReader
 from fringedic.recording.remote import RemoteRecording, find_remote, is_remote
@@ -41,11 +42,12 @@ class Summary:
     Attributes
     ----------
     fingerprint
-        Size [byte] and CRC-32 of the index of each file, by its name: another recording has another one.
+        Size [byte] and CRC-32 of the index of each file, by its name: another recording has another one. Empty for one
+        that is being made.
     size
         Of all files [byte].
     frames
-        Images.
+        Images; of a recording that is being made those of its first step, 0 before it.
     frames_per_step
         Images of the first step.
     image_shape, image_type
@@ -64,7 +66,9 @@ class Summary:
 
     @property
     def steps(self) -> int:
-        """Estimated number of steps: exact if all have as many frames as the first one."""
+        """Estimated number of steps: exact if all have as many frames as the first one; 0 while it is made."""
+        if not self.fingerprint:
+            return 0
         return max(1, round(self.frames / max(1, self.frames_per_step)))
 
 
@@ -151,8 +155,8 @@ def fingerprint(path: str) -> dict[str, tuple[int, int]]:
         index = index_bytes(file)
         if index is None:
             raise RecordingError(
-                f"{path}: {file.name} has no index because its recording was cut off; 'fringedic recover {path}' "
-                "writes a complete one"
+                f"{path}: {file.name} has no index because it is still recorded or was cut off; 'fringedic campaign "
+                f"run --follow' processes it while it is recorded, 'fringedic recover {path}' writes a complete one"
             )
         found[file.name] = (file.stat().st_size, zlib.crc32(index))
     return found
@@ -188,6 +192,27 @@ def _summary(path: str, nearby: Path) -> Summary:
         image_shape=(pixels.shape[0], pixels.shape[1]),
         image_type=np.dtype(pixels.dtype).name,
         calibrated=bool(reader.find_optional("calibration")),
+    )
+
+
+def is_growing(path: str) -> bool:
+    """Return whether a recording is being made, or was cut off; objects of an object store are always complete."""
+    return not is_remote(path) and not GrowingRecording(Path(path)).is_complete()
+
+
+def summarise_growing(path: str) -> Summary:
+    """Return what is known of a recording that is being made."""
+    recording = GrowingRecording(Path(path))
+    image, exposure = recording.first(IMAGE), recording.first(EXPOSURE)
+    pixels = np.empty((0, 0), np.uint8) if image is None or exposure is None else image_array(image)
+    return Summary(
+        fingerprint={},
+        size=recording.size,
+        frames=int(exposure.count) if pixels.size else 0,
+        frames_per_step=int(exposure.count) if pixels.size else 0,
+        image_shape=(pixels.shape[0], pixels.shape[1]),
+        image_type=np.dtype(pixels.dtype).name,
+        calibrated=not pixels.size or recording.first("calibration") is not None,
     )
 
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from fringedic.campaign.plan import Plan, Unit, make_plan
 from fringedic.campaign.recordings import find_recordings
 from fringedic.campaign.settings import Campaign
 from fringedic.campaign.software import software_identity
-from fringedic.campaign.store import FAILURES, PARTS, PLAN, RECEIPTS, RECORDINGS, CampaignStore
+from fringedic.campaign.store import FAILURES, FOLLOWED, PARTS, PLAN, RECEIPTS, RECORDINGS, CampaignStore
 from fringedic.campaign.unit import Failure, Receipt, other_results
 from fringedic.errors import CampaignError
 
@@ -26,11 +26,14 @@ class Status:
         Receipts by the names of their recordings.
     failed
         Failures by the names of their recordings.
+    followed
+        Steps that are measured so far of each recording that is processed while it is made, by its name.
     """
 
     plan: Plan
     done: dict[str, Receipt]
     failed: dict[str, Failure]
+    followed: dict[str, int] = field(default_factory=dict)
 
     @property
     def waiting(self) -> list[Unit]:
@@ -80,7 +83,10 @@ def status_of(store: CampaignStore, plan: Plan) -> Status:
     """
     keys = {unit.name: unit.key for unit in plan.units}
     receipts, failures = store.documents(RECEIPTS), store.documents(FAILURES)
-    other = [name for name, receipt in receipts.items() if name in keys and receipt["key"] != keys[name]]
+    growing = {unit.name for unit in plan.units if unit.growing}  # their receipts have the keys of complete recordings
+    other = [
+        name for name, receipt in receipts.items() if name in keys.keys() - growing and receipt["key"] != keys[name]
+    ]
     if other:
         raise other_results(store.address, other)
     done = {name: Receipt(**receipt) for name, receipt in receipts.items() if name in keys}
@@ -89,10 +95,11 @@ def status_of(store: CampaignStore, plan: Plan) -> Status:
         for name, failure in failures.items()
         if failure["key"] == keys.get(name) and name not in done
     }
-    return Status(plan, done, failed)
+    followed = {name: int(each["steps"]) for name, each in store.documents(FOLLOWED).items() if name not in done}
+    return Status(plan, done, failed, followed)
 
 
-def update_plan(campaign: Campaign, *, recompute: bool = False) -> Plan:
+def update_plan(campaign: Campaign, *, recompute: bool = False, follow: bool = False) -> Plan:
     """Make the plan of a campaign and write it to the store.
 
     Parameters
@@ -101,6 +108,8 @@ def update_plan(campaign: Campaign, *, recompute: bool = False) -> Plan:
         From `load_campaign`.
     recompute
         Remove results of other settings, recordings or software instead of refusing them.
+    follow
+        Plan recordings that are being made, too.
 
     Raises
     ------
@@ -108,23 +117,29 @@ def update_plan(campaign: Campaign, *, recompute: bool = False) -> Plan:
         The store contains results of other settings, recordings or software.
     """
     store = CampaignStore(campaign.store)
-    plan = make_plan(campaign, find_recordings(campaign))
+    plan = make_plan(campaign, find_recordings(campaign), follow=follow)
     if recompute:
         _remove_other(store, plan)
+    growing = {unit.name for unit in plan.units if unit.growing}
+    if old := sorted(growing & store.documents(RECEIPTS).keys()):
+        raise other_results(store.address, old)
     status_of(store, plan)
     store.write(PLAN, plan.to_document())
     return plan
 
 
-def current_plan(campaign: Campaign, *, recompute: bool = False) -> Plan:
-    """Return the plan of the store if it is that of the campaign and of this software, otherwise a new one."""
+def current_plan(campaign: Campaign, *, recompute: bool = False, follow: bool = False) -> Plan:
+    """Return the plan of the store if it is that of the campaign and of this software, otherwise a new one.
+
+    With recordings that are being made (`follow`) it is always a new one.
+    """
     store = CampaignStore(campaign.store)
-    document: dict[str, Any] | None = None if recompute else store.read(PLAN)
+    document: dict[str, Any] | None = None if recompute or follow else store.read(PLAN)
     if document is not None:
         plan = Plan.from_document(document)
         if _fits(plan, campaign):
             return plan
-    return update_plan(campaign, recompute=recompute)
+    return update_plan(campaign, recompute=recompute, follow=follow)
 
 
 def forget_failures(store: CampaignStore) -> None:
@@ -143,6 +158,7 @@ def _fits(plan: Plan, campaign: Campaign) -> bool:
         and bool(units)
         and units[0].processing == campaign.processing
         and units[0].software == software_identity()
+        and not any(unit.growing for unit in units)
         and plan.title == campaign.content.title
     )
 

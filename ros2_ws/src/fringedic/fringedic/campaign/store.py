@@ -6,6 +6,7 @@
     recordings/NAME/       one Zarr group (format 3) per recording, one chunk per step and map
     receipts/NAME.json     written last: the recording is complete
     failures/NAME.json     why it could not be processed
+    followed/NAME.json     steps of a recording that is processed while it is made
     parts/NAME~0.json      receipt of a part of a recording, recordings/NAME~0 its group; both end with the recording
 
 Nothing is renamed, appended to or resized in place, so that the same rules hold for object stores.
@@ -35,6 +36,7 @@ with optional_import("campaign"):
 
 PLAN = "plan.json"
 RECORDINGS, RECEIPTS, FAILURES = "recordings", "receipts", "failures"
+FOLLOWED = "followed"  # recordings that are processed while they are made
 PARTS = "parts"  # receipts of parts of recordings
 _METADATA = "zarr.json"
 _STEPS_PER_CHUNK = 1024  # of values per step
@@ -158,7 +160,7 @@ class GroupStore:
         self._group = zarr.create_group(self._target)
         self._arrays: dict[str, Any] = {}
         self._growing: list[str] = []
-        self._values: dict[str, list[Any]] = {}
+        self._values: dict[str, dict[Any, Any]] = {}
         self._steps = 0
 
     @property
@@ -211,7 +213,7 @@ class GroupStore:
         if dimensions[0] == "step":
             self._growing.append(name)
         if dimensions == ("step",):
-            self._values[name] = []
+            self._values[name] = {}
 
     def grow(self, steps: int) -> None:
         """Make room for as many steps; only the metadata, which are not written yet, contain their number."""
@@ -221,9 +223,9 @@ class GroupStore:
                 self._resize(name)
 
     def put(self, name: str, index: int | slice, value: Any) -> None:
-        """Write one map, or a whole coordinate; keep a value of a step."""
+        """Write one map, or a whole coordinate; keep a value of a step, which replaces an earlier one."""
         if name in self._values:
-            self._values[name].append(value)
+            self._values[name][index] = value
             return
         self._arrays[name][index] = value
 
@@ -232,7 +234,8 @@ class GroupStore:
 
     def finish(self, attributes: Mapping[str, str]) -> None:
         """Write the values of the steps, and the metadata."""
-        for name, values in self._values.items():
+        for name, by_step in self._values.items():
+            values = [by_step[index] for index in range(self._steps)]
             self._resize(name)
             self._arrays[name][:] = np.array(values, dtype=object if isinstance(values[0], str) else None)
         self._group.attrs.update(dict(attributes))

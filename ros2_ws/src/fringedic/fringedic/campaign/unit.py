@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import time
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,12 +15,22 @@ import numpy as np
 from fringedic.campaign.key_figures import key_figures
 from fringedic.campaign.opening import open_group
 from fringedic.campaign.plan import Unit
-from fringedic.campaign.recordings import fingerprint
+from fringedic.campaign.recordings import fingerprint, summarise
 from fringedic.campaign.software import differences, processor, software_identity, worker_name
-from fringedic.campaign.store import FAILURES, PARTS, RECEIPTS, RECORDINGS, CampaignStore, GroupStore, join_parts
+from fringedic.campaign.store import (
+    FAILURES,
+    FOLLOWED,
+    PARTS,
+    RECEIPTS,
+    RECORDINGS,
+    CampaignStore,
+    GroupStore,
+    join_parts,
+)
 from fringedic.errors import CampaignError, FringedicError
+from fringedic.recording.growing import PATIENCE_S, FollowError, GrowingRecording
 from fringedic.recording.remote import local_copy
-from fringedic.results.datasets import PROCESSED_TOPICS, process_into
+from fringedic.results.datasets import PROCESSED_TOPICS, follow_into, process_into
 from fringedic.results.elasticity import constants_of, strain_curve
 
 
@@ -72,7 +85,8 @@ class Failure:
 def process_unit(unit: Unit) -> Receipt:
     """Process one recording; a unit that is complete already is not processed again.
 
-    A recording with parts is joined from them; parts that are not complete yet are processed first.
+    A recording with parts is joined from them; parts that are not complete yet are processed first. A recording that is
+    being made is processed step by step until it is complete.
 
     The results are those of `fringedic.process_bag`, bit by bit on the same kind of processor. The function can be
     repeated at any time, also by several workers at once: all write the same objects.
@@ -95,6 +109,8 @@ def process_unit(unit: Unit) -> Receipt:
     FringedicError
         The recording cannot be processed; see `fringedic.process_bag`.
     """
+    if unit.growing:
+        return _follow(unit)
     store = CampaignStore(unit.store)
     done = read_receipt(store, unit)
     if done is not None:
@@ -110,6 +126,41 @@ def process_unit(unit: Unit) -> Receipt:
     else:
         with local_copy(unit.path, PROCESSED_TOPICS) as path:
             process_into(group, path, unit.settings)
+    return _commit(unit, group, time.perf_counter() - started)
+
+
+def _follow(unit: Unit) -> Receipt:
+    """Process a recording while it is made, and return the receipt of the complete one.
+
+    With a reference of the campaign, or in segments, it is processed when it is complete.
+    """
+    store, recording = CampaignStore(unit.store), GrowingRecording(Path(unit.path), patience_s=PATIENCE_S)
+    started = time.perf_counter()
+    if not recording.is_complete() and unit.settings.reference is None and unit.processing["segments"] == 1:
+        _require_software(unit)
+        recording.wait_for_writer()
+        group = GroupStore(store, unit.name)
+        with suppress(FollowError), _progress(store, unit) as progress:
+            follow_into(group, recording, unit.settings, progress)
+            return _commit(unit.completed(summarise(unit.path)), group, time.perf_counter() - started)
+    recording.wait()
+    return process_unit(unit.completed(summarise(unit.path)))
+
+
+@contextmanager
+def _progress(store: CampaignStore, unit: Unit) -> Iterator[Callable[[int, str], None]]:
+    """Keep the number of steps in the store that are measured while a recording is made."""
+    name = f"{FOLLOWED}/{unit.name}.json"
+    steps = itertools.count(1)
+    try:
+        yield lambda *_: store.write(name, {"steps": next(steps), "worker": worker_name()})
+    finally:
+        store.remove(name)
+
+
+def _commit(unit: Unit, group: GroupStore, seconds: float) -> Receipt:
+    """Write the receipt of a recording whose group is complete."""
+    store = CampaignStore(unit.store)
     _require_recording(unit)
     with open_group(store, unit.name) as dataset:
         curve = strain_curve(dataset, unit.elasticity.region)
@@ -126,7 +177,7 @@ def process_unit(unit: Unit) -> Receipt:
         size=group.size,
         figures=figures,
         curve={str(name): _known(values.values) for name, values in curve.data_vars.items()},
-        seconds=time.perf_counter() - started,
+        seconds=seconds,
         worker=worker_name(),
         processor=processor(),
         input_size=unit.size,

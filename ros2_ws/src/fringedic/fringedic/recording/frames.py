@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -113,10 +113,25 @@ def events(
     RecordingError
         The recording is damaged.
     """
-    pairs: FramePairs[Any, FrameRecord] = FramePairs(_CAPACITY)
     relative = {full: name for name, full in names.items()}
-    for raw in bag.published(relative):
-        topic, message = relative[raw.topic], bag.decode(raw.topic, raw.data)
+    decoded = ((relative[raw.topic], bag.decode(raw.topic, raw.data)) for raw in bag.published(relative))
+    yield from paired(decoded, experiment)
+
+
+def paired(
+    messages: Iterable[tuple[str, Any]], experiment: str | None = None
+) -> Iterator[RecordedFrame | RecordedMessage]:
+    """Pair the images among decoded messages with their exposure records.
+
+    Parameters
+    ----------
+    messages
+        (relative name of the topic, message) in the order of publishing.
+    experiment
+        Messages that name another experiment are left out.
+    """
+    pairs: FramePairs[Any, FrameRecord] = FramePairs(_CAPACITY)
+    for topic, message in messages:
         if experiment is not None and getattr(message, "experiment", experiment) != experiment:
             continue
         if topic == IMAGE:

@@ -86,9 +86,10 @@ class McapOutput:
         self._start_time, self._end_time = min(self._start_time, log_time), max(self._end_time, log_time)
 
     def flush(self) -> None:
-        """Pass all messages to the operating system."""
+        """Pass all messages to the operating system, and touch the file: readers see that its writer is alive."""
         self._writer.flush()  # type: ignore[no-untyped-call]
         self._waiting = 0
+        os.utime(self._path)
 
     def sync(self) -> None:
         """Write all messages to the disk."""

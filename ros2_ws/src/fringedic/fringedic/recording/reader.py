@@ -76,7 +76,7 @@ class BagReader:
         indexed: Counter[str] = Counter()
         for file in self._files:
             for number, channel in file.channels.items():
-                self.topics[channel.topic] = _topic(channel, file.schemas.get(channel.schema_id))
+                self.topics[channel.topic] = topic_of(channel, file.schemas.get(channel.schema_id))
                 self.counts[channel.topic] = self.counts.get(channel.topic, 0) + file.counts[number]
                 indexed[channel.topic] += file.indexed[number]
         missing = (indexed | Counter(found.counts)) - Counter(self.counts)
@@ -236,19 +236,29 @@ class BagReader:
         RecordingError
             The bytes do not fit the definition, or the definition is not in the language ``ros2msg``.
         """
-        known = self.topics[topic]
-        if known.encoding != "ros2msg":
-            raise RecordingError(f"{self.path}: {topic} is defined in {known.encoding}, only ros2msg is supported")
-        types = _types(known.definition, known.type_name)
-        try:
-            return types.deserialize_cdr(data, known.type_name)
-        except Exception as error:
-            raise RecordingError(f"{self.path}: a message of {topic} is not a {known.type_name}: {error}") from error
+        return decode(self.topics[topic], data, self.path)
 
     def _full_names(self, name: str) -> list[str]:
         return sorted(
             topic for topic, count in self.counts.items() if count and (topic == name or topic.endswith(f"/{name}"))
         )
+
+
+def decode(topic: Topic, data: bytes, path: Path) -> Any:
+    """Return a message of a topic, decoded by its recorded definition; its arrays are NumPy arrays.
+
+    Raises
+    ------
+    RecordingError
+        See `BagReader.decode`; the message names the recording `path`.
+    """
+    if topic.encoding != "ros2msg":
+        raise RecordingError(f"{path}: {topic.name} is defined in {topic.encoding}, only ros2msg is supported")
+    types = _types(topic.definition, topic.type_name)
+    try:
+        return types.deserialize_cdr(data, topic.type_name)
+    except Exception as error:
+        raise RecordingError(f"{path}: a message of {topic.name} is not a {topic.type_name}: {error}") from error
 
 
 @lru_cache(maxsize=256)
@@ -264,7 +274,8 @@ def _raw(file: McapFile, message: Message) -> RawMessage:
     return RawMessage(topic, message.data, message.log_time, message.publish_time, message.sequence)
 
 
-def _topic(channel: Channel, schema: Schema | None) -> Topic:
+def topic_of(channel: Channel, schema: Schema | None) -> Topic:
+    """Return the topic of a channel."""
     return Topic(
         channel.topic,
         schema.name if schema else "",

@@ -23,6 +23,7 @@ def plan_sentences(plan: Plan) -> list[str]:
             f"odd: {name} has images of {columns}x{rows} px, unlike most recordings"
             for name, (rows, columns) in plan.unusual_shapes.items()
         ),
+        *(f"being recorded: {unit.name}" for unit in plan.units if unit.growing),
         *(f"refused: {reason}" for reason in plan.refused.values()),
     ]
 
@@ -32,6 +33,7 @@ def status_sentences(status: Status) -> list[str]:
     counts = f"{len(status.done)} of {_count(len(status.plan.units), 'recording')} complete"
     return [
         f"{counts}, {len(status.failed)} failed, {len(status.waiting)} waiting, {len(status.plan.refused)} refused",
+        *(f"being recorded: {name}: {_count(steps, 'step')} measured" for name, steps in status.followed.items()),
         *_listed("refused", list(status.plan.refused.values())),
         *_listed("failed", [failure.reason for failure in status.failed.values()]),
     ]

@@ -5,15 +5,18 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from fringedic.errors import DatasetError
+from fringedic.frames.records import frame_record
 from fringedic.inputs.arguments import check_arguments, optional
 from fringedic.inputs.arguments import path as file_path
+from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.bag_files import BAG, recording_of
-from fringedic.recording.frames import RecordedMessage, events
+from fringedic.recording.frames import RecordedMessage, events, paired
+from fringedic.recording.growing import FollowError, GrowingRecording
 from fringedic.recording.reader import BagReader
 from fringedic.recording.remote import is_remote, local_copy
 from fringedic.results.derived import Collected
@@ -214,6 +217,78 @@ def process_into(
     if segment is not None:
         measured = (row for row in measured if row.step in segment.steps)
     _write(target, timeline, measured, lambda: pipeline.settings, progress)
+
+
+def follow_into(
+    target: Store,
+    recording: GrowingRecording,
+    settings: ProcessingSettings,
+    progress: Callable[[int, str], None] | None = None,
+) -> None:
+    """Measure a recorded experiment while it is recorded, each step as soon as it has ended.
+
+    The results are those of `process_into` with the complete recording: steps pass through the same functions in the
+    same order, and values that depend on later messages (force, position) are entered at the end.
+
+    Parameters
+    ----------
+    target
+        Store that takes the steps.
+    recording, settings, progress
+        The recording, what it is processed with (all steps, with the recorded references), and the call after each
+        step, as of `process_bag`.
+
+    Raises
+    ------
+    FollowError
+        The recording has to be processed when it is complete.
+    FringedicError
+        See `process_bag`.
+    """
+    experiment = _followed_experiment(recording)
+    pipeline = OfflinePipeline(settings.overrides, experiment, None, settings.calibration)
+    attributes = {"experiment": experiment, "source": recording.path.name}
+    topics = [name for name in PROCESSED_TOPICS if name != "load_frame/state"]
+
+    def rows() -> Iterator[Row]:
+        for event in paired(recording.published(topics), experiment):
+            for each in pipeline.take(event):
+                if progress is not None:
+                    progress(each.step, each.error)
+                yield row_of(each, pipeline.settings.spacing)
+        yield from (row_of(each, pipeline.settings.spacing) for each in pipeline.finish())
+
+    kept: list[Row] = []
+    with DatasetWriter(target, attributes) as writer:
+        for row in in_order_of_steps(rows()):
+            writer.add(replace(row, stamp=row.stamp or 0), pipeline.settings)
+            kept.append(replace(row, maps={}))
+        timeline = _final_timeline(recording, attributes, settings)
+        for index, row in enumerate(kept):
+            timeline.complete(row)
+            writer.enter_values(index, row)
+
+
+def _followed_experiment(recording: GrowingRecording) -> str:
+    """Return the experiment of the first measured step, as soon as that has ended."""
+    for topic, message in recording.published(["camera/exposure", "experiment/step"]):
+        if topic == "camera/exposure" and frame_record(message).pattern.kind != PatternKind.OTHER:
+            return str(message.experiment)
+    raise FollowError(f"{recording.path}: contains no frame of a step")
+
+
+def _final_timeline(
+    recording: GrowingRecording, attributes: Mapping[str, str], settings: ProcessingSettings
+) -> Timeline:
+    """Return the timeline of a recording that is complete, if it is what was assumed while it was made."""
+    reader = BagReader(recording.path)
+    names = reader.find(*PROCESSED_TOPICS[:2]) | reader.find_optional(*PROCESSED_TOPICS[2:])
+    timeline = Timeline(reader, names, None)
+    if settings.calibration is not None:
+        check_calibration(settings.calibration, recorded_setup(reader))
+    if timeline.damage or {"experiment": timeline.experiment, "source": timeline.source} != attributes:
+        raise FollowError(f"{recording.path}: is not what was read while it was made")
+    return timeline
 
 
 @check_arguments(DatasetError, path=file_path, output=optional(file_path))

@@ -77,6 +77,13 @@ class DatasetWriter:
         index = self._count
         self._count += 1
         self._store.grow(self._count)
+        self.enter_values(index, row)
+        if row.maps:
+            self._write_maps(index, row, settings.spacing)
+        self._store.flush()
+
+    def enter_values(self, index: int, row: Row) -> None:
+        """Write the values of a step without its maps; those of a step that was added before are replaced."""
         values: dict[str, Any] = {
             "step": row.step,
             **({"time": row.stamp} if self._layout.timed else {}),
@@ -88,9 +95,6 @@ class DatasetWriter:
         values |= {name: getattr(row, name) for name in (*self._layout.texts, *self._layout.scalars)}
         for name, value in values.items():
             self._store.put(name, index, value)
-        if row.maps:
-            self._write_maps(index, row, settings.spacing)
-        self._store.flush()
 
     def _require_room(self, row: Row) -> None:
         """Refuse a step that the disk has no room for: HDF5 ends the process when it cannot write."""

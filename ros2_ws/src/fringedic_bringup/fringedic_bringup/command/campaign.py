@@ -14,7 +14,7 @@ from fringedic.errors import CampaignError, ConfigurationError
 from fringedic_bringup.command.app import app, begin, console, output_file, say
 
 if TYPE_CHECKING:
-    from fringedic.campaign import Engine, Status
+    from fringedic.campaign import Engine, Status, Unit
     from fringedic.campaign.unit import Failure, Receipt
 
 campaigns = typer.Typer(
@@ -80,9 +80,13 @@ def run(
     scheduler: Scheduler = None,
     shard: Shard = "1/1",
     recompute: Recompute = False,
+    follow: Annotated[
+        bool, typer.Option("--follow", help="Process recordings that are being made, too, each step when it has ended.")
+    ] = False,
 ) -> None:
     """Process all recordings that are not complete; after any interruption the command continues."""
-    _run(folder, _engine(engine, workers, scheduler), _shard(shard), recompute=recompute)
+    chosen = _engine(engine, workers, scheduler)
+    _run(folder, chosen, _shard(shard), recompute=recompute, follow=follow)
 
 
 @campaigns.command(epilog="Example: fringedic campaign retry batch-7")
@@ -144,24 +148,40 @@ def _cell(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _run(folder: Path, engine: Engine, shard: tuple[int, int], *, recompute: bool = False) -> None:
-    from fringedic.campaign import CampaignStore, current_plan, load_campaign, status_of
-    from fringedic.report.campaign import CampaignProgress, plan_sentences, status_sentences
+def _run(
+    folder: Path, engine: Engine, shard: tuple[int, int], *, recompute: bool = False, follow: bool = False
+) -> None:
+    from fringedic.campaign import CampaignStore, current_plan, load_campaign, status_of, update_plan
+    from fringedic.report.campaign import plan_sentences, status_sentences
 
     campaign = load_campaign(folder)
-    made = current_plan(campaign, recompute=recompute)
-    say(*plan_sentences(made))
     store = CampaignStore(campaign.store)
-    units = status_of(store, made).share(*shard)
-    parts = [part for unit in units for part in unit.parts]
-    outcome: Receipt | Failure
-    for batch in (parts, units) if parts else (units,):
-        progress, started = CampaignProgress(batch), time.monotonic()
-        for outcome in engine.outcomes(batch):
-            say(progress.sentence(outcome, time.monotonic() - started))
+    made = (
+        update_plan(campaign, recompute=recompute, follow=True)
+        if follow
+        else current_plan(campaign, recompute=recompute)
+    )
+    say(*plan_sentences(made))
+    while units := status_of(store, made).share(*shard):
+        _process(units, engine)
+        if not follow:
+            break
+        made = update_plan(campaign, follow=True)  # recordings that were followed are complete, others have begun
     found = status_of(store, made)
     say(*status_sentences(found), f"next: `fringedic campaign open {folder}`")
     _end(found)
+
+
+def _process(units: list[Unit], engine: Engine) -> None:
+    from fringedic.report.campaign import CampaignProgress
+
+    outcome: Receipt | Failure
+    parts = [part for unit in units if not unit.growing for part in unit.parts]
+    first = sorted(units, key=lambda unit: not unit.growing)  # that are being made: their steps come now
+    for batch in (parts, first) if parts else (first,):
+        progress, started = CampaignProgress(batch), time.monotonic()
+        for outcome in engine.outcomes(batch):
+            say(progress.sentence(outcome, time.monotonic() - started))
 
 
 def _end(found: Status) -> None:
