@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import threading
+import time
 from collections.abc import Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -38,7 +39,8 @@ class Proxy(ThreadingHTTPServer):
     Attributes
     ----------
     faults
-        Whether every 40th request is answered by 503, and the answer to every 25th one is cut in its middle.
+        Whether every 40th request is answered by 503, the answer to every 25th one is cut in its middle, and that to
+        every 15th one comes in pieces.
     fetched
         Bytes of the answers to requests for ranges of objects.
     ranges
@@ -95,10 +97,18 @@ class Handler(BaseHTTPRequestHandler):
         if self.command == "GET" and status == 206:
             self.server.fetched += len(data)
             self.server.ranges += 1
-        self.wfile.write(data)
+        slow = self.server.faults and self.server.requests % 15 == 0
+        for piece in in_pieces(data, 4 if slow else 1):
+            time.sleep(0.05 if slow else 0.0)
+            self.wfile.write(piece)
 
     def log_message(self, *_: object) -> None:
         """Nothing is printed."""
+
+
+def in_pieces(data: bytes, count: int) -> list[bytes]:
+    size = -(-len(data) // count)
+    return [data[start : start + size] for start in range(0, len(data), size or 1)]
 
 
 @pytest.fixture(scope="module")

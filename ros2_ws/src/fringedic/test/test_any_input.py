@@ -220,6 +220,7 @@ CALLS = {
         "loads": [1.0],
     },
     fringedic.compare_experiments: {"one": MEASURED, "other": MEASURED},
+    fringedic.results.compare_specimens: {"experiments": [MEASURED, MEASURED]},
     fringedic.open_campaign: {"place": NOWHERE},
     fringedic.open_experiment: {"path": NOWHERE},
     fringedic.measure_images: {
@@ -411,6 +412,7 @@ MADE_UP = {
     | {
         fringedic.calibrate_rig,
         fringedic.compare_experiments,
+        fringedic.results.compare_specimens,
         fringedic.figures.save_pictures,
         fringedic.results.remove_rigid_motion,
         fringedic.results.strain_curve,

@@ -63,6 +63,19 @@ def test_a_campaign_from_its_file_to_its_catalogue(tmp_path: Path) -> None:
     test = summary["CampaignDescription"]["plate-2"]
     assert (folder / "store" / test["Directories"]["Tests"]["Results"]).is_dir()
     assert test["Files"]["Recording"] == str(folder / "recordings" / "plate-2")
+    compared(folder)
+
+
+def compared(campaign: Path) -> None:
+    """The datasets in a store are compared as a group."""
+    recordings = sorted(str(each) for each in (campaign / "store" / "recordings").iterdir())
+    words = ["compare", *recordings, recordings[0], "--output", str(campaign / "group.html")]
+    done = CliRunner().invoke(main.app, words, catch_exceptions=False)
+    assert "e_22: the spread of the specimens at a point is 0.00 times the uncertainty" in " ".join(done.output.split())
+    assert (campaign / "group.html").is_file()
+    for wrong, sentence in (([str(campaign), recordings[0]], "is a campaign"), (recordings[:1], "two or more")):
+        with pytest.raises(ConfigurationError, match=sentence):
+            CliRunner().invoke(main.app, ["compare", *wrong], catch_exceptions=False)
 
 
 def test_recordings_in_an_object_store_have_addresses(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -93,7 +93,7 @@ def find_recordings(campaign: Campaign) -> list[Found]:
             if path in places:
                 raise CampaignError(f"{path}: is named by two entries of the campaign; remove it from one of them")
             places[path] = labels
-    names = _names(list(places))
+    names = distinguishing_names(list(places))
     return sorted((Found(names[path], path, labels) for path, labels in places.items()), key=lambda each: each.name)
 
 
@@ -119,8 +119,19 @@ def _inside(path: Path) -> Iterator[Path]:
             yield from _inside(inner)
 
 
-def _names(paths: list[str]) -> dict[str, str]:
-    """Return the shortest name of each recording that distinguishes it: the end of its path."""
+def distinguishing_names(paths: list[str]) -> dict[str, str]:
+    """Return the shortest name of each recording that distinguishes it: the end of its path.
+
+    Raises
+    ------
+    CampaignError
+        Two names cannot be distinguished.
+
+    Examples
+    --------
+    >>> distinguishing_names(["/a/plate-7/bag", "/a/plate-8/bag"])
+    {'/a/plate-7/bag': 'plate-7', '/a/plate-8/bag': 'plate-8'}
+    """
     parts = {path: _name_parts(path) for path in paths}
     names: dict[str, str] = {}
     for depth in range(1, 1 + max(map(len, parts.values()))):

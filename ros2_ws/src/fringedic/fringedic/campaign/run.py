@@ -9,7 +9,7 @@ from fringedic.campaign.plan import Plan, Unit, make_plan
 from fringedic.campaign.recordings import find_recordings
 from fringedic.campaign.settings import Campaign
 from fringedic.campaign.software import software_identity
-from fringedic.campaign.store import FAILURES, FOLLOWED, PARTS, PLAN, RECEIPTS, RECORDINGS, CampaignStore
+from fringedic.campaign.store import BEGUN, FAILURES, PARTS, PLAN, RECEIPTS, RECORDINGS, CampaignStore
 from fringedic.campaign.unit import Failure, Receipt, other_results
 from fringedic.errors import CampaignError
 
@@ -26,14 +26,15 @@ class Status:
         Receipts by the names of their recordings.
     failed
         Failures by the names of their recordings.
-    followed
-        Steps that are measured so far of each recording that is processed while it is made, by its name.
+    begun
+        Of each recording that a worker processes, or was processing when it died, by its name: ``worker``, ``attempts``
+        and, while the recording is made, the ``steps`` that are measured.
     """
 
     plan: Plan
     done: dict[str, Receipt]
     failed: dict[str, Failure]
-    followed: dict[str, int] = field(default_factory=dict)
+    begun: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
     def waiting(self) -> list[Unit]:
@@ -95,8 +96,8 @@ def status_of(store: CampaignStore, plan: Plan) -> Status:
         for name, failure in failures.items()
         if failure["key"] == keys.get(name) and name not in done
     }
-    followed = {name: int(each["steps"]) for name, each in store.documents(FOLLOWED).items() if name not in done}
-    return Status(plan, done, failed, followed)
+    begun = {name: each for name, each in store.documents(BEGUN).items() if name in keys.keys() - done.keys()}
+    return Status(plan, done, failed, begun)
 
 
 def update_plan(campaign: Campaign, *, recompute: bool = False, follow: bool = False) -> Plan:

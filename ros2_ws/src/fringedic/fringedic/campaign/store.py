@@ -6,7 +6,7 @@
     recordings/NAME/       one Zarr group (format 3) per recording, one chunk per step and map
     receipts/NAME.json     written last: the recording is complete
     failures/NAME.json     why it could not be processed
-    followed/NAME.json     steps of a recording that is processed while it is made
+    begun/NAME.json        a worker processes it, or died meanwhile; removed with its receipt or failure
     parts/NAME~0.json      receipt of a part of a recording, recordings/NAME~0 its group; both end with the recording
 
 Nothing is renamed, appended to or resized in place, so that the same rules hold for object stores.
@@ -36,7 +36,7 @@ with optional_import("campaign"):
 
 PLAN = "plan.json"
 RECORDINGS, RECEIPTS, FAILURES = "recordings", "receipts", "failures"
-FOLLOWED = "followed"  # recordings that are processed while they are made
+BEGUN = "begun"  # recordings that a worker has begun, with the number of the attempt
 PARTS = "parts"  # receipts of parts of recordings
 _METADATA = "zarr.json"
 _STEPS_PER_CHUNK = 1024  # of values per step

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,8 +16,8 @@ from fringedic.campaign.plan import Unit
 from fringedic.campaign.recordings import fingerprint, summarise
 from fringedic.campaign.software import differences, processor, software_identity, worker_name
 from fringedic.campaign.store import (
+    BEGUN,
     FAILURES,
-    FOLLOWED,
     PARTS,
     RECEIPTS,
     RECORDINGS,
@@ -54,6 +52,8 @@ class Receipt:
         Duration, and where it was processed.
     input_size
         Of the recording [byte].
+    attempts
+        How often it was begun: more than once after an interruption.
     """
 
     name: str
@@ -70,6 +70,7 @@ class Receipt:
     worker: str
     processor: str
     input_size: int
+    attempts: int = 1
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ def process_unit(unit: Unit) -> Receipt:
         return done
     _require_software(unit)
     _require_recording(unit)
-    started = time.perf_counter()
+    begun = _begin(store, unit)
     group = GroupStore(store, unit.name)
     if unit.parts:
         for part in unit.parts:
@@ -126,7 +127,7 @@ def process_unit(unit: Unit) -> Receipt:
     else:
         with local_copy(unit.path, PROCESSED_TOPICS) as path:
             process_into(group, path, unit.settings)
-    return _commit(unit, group, time.perf_counter() - started)
+    return _commit(unit, group, begun)
 
 
 def _follow(unit: Unit) -> Receipt:
@@ -135,30 +136,55 @@ def _follow(unit: Unit) -> Receipt:
     With a reference of the campaign, or in segments, it is processed when it is complete.
     """
     store, recording = CampaignStore(unit.store), GrowingRecording(Path(unit.path), patience_s=PATIENCE_S)
-    started = time.perf_counter()
     if not recording.is_complete() and unit.settings.reference is None and unit.processing["segments"] == 1:
         _require_software(unit)
         recording.wait_for_writer()
+        begun = _begin(store, unit)
         group = GroupStore(store, unit.name)
-        with suppress(FollowError), _progress(store, unit) as progress:
-            follow_into(group, recording, unit.settings, progress)
-            return _commit(unit.completed(summarise(unit.path)), group, time.perf_counter() - started)
+        with suppress(FollowError):
+            follow_into(group, recording, unit.settings, lambda *_: begun.count_step())
+            return _commit(unit.completed(summarise(unit.path)), group, begun)
+        begun.remove()
     recording.wait()
     return process_unit(unit.completed(summarise(unit.path)))
 
 
-@contextmanager
-def _progress(store: CampaignStore, unit: Unit) -> Iterator[Callable[[int, str], None]]:
-    """Keep the number of steps in the store that are measured while a recording is made."""
-    name = f"{FOLLOWED}/{unit.name}.json"
-    steps = itertools.count(1)
-    try:
-        yield lambda *_: store.write(name, {"steps": next(steps), "worker": worker_name()})
-    finally:
-        store.remove(name)
+@dataclass
+class _Begun:
+    """The marker of a unit that is being processed."""
+
+    store: CampaignStore
+    name: str
+    key: str
+    attempts: int
+    started: float
+    steps: int = 0
+
+    def write(self) -> None:
+        """Write the marker."""
+        document = {"key": self.key, "attempts": self.attempts, "steps": self.steps, "worker": worker_name()}
+        self.store.write(f"{BEGUN}/{self.name}.json", document)
+
+    def remove(self) -> None:
+        """Remove the marker."""
+        self.store.remove(f"{BEGUN}/{self.name}.json")
+
+    def count_step(self) -> None:
+        """Enter one more step of a recording that is being made."""
+        self.steps += 1
+        self.write()
 
 
-def _commit(unit: Unit, group: GroupStore, seconds: float) -> Receipt:
+def _begin(store: CampaignStore, unit: Unit) -> _Begun:
+    """Write that a unit is begun; a marker that is there already is that of an interrupted attempt."""
+    earlier = store.read(f"{BEGUN}/{unit.name}.json")
+    attempts = int(earlier["attempts"]) if earlier is not None and earlier["key"] == unit.key else 0
+    begun = _Begun(store, unit.name, unit.key, attempts + 1, time.perf_counter())
+    begun.write()
+    return begun
+
+
+def _commit(unit: Unit, group: GroupStore, begun: _Begun) -> Receipt:
     """Write the receipt of a recording whose group is complete."""
     store = CampaignStore(unit.store)
     _require_recording(unit)
@@ -177,12 +203,14 @@ def _commit(unit: Unit, group: GroupStore, seconds: float) -> Receipt:
         size=group.size,
         figures=figures,
         curve={str(name): _known(values.values) for name, values in curve.data_vars.items()},
-        seconds=seconds,
+        seconds=time.perf_counter() - begun.started,
         worker=worker_name(),
         processor=processor(),
         input_size=unit.size,
+        attempts=begun.attempts,
     )
     store.write(_receipt_name(unit), asdict(receipt))
+    begun.remove()
     for part in unit.parts:
         store.remove(_receipt_name(part))
         store.remove(f"{RECORDINGS}/{part.name}")
@@ -211,8 +239,10 @@ def record_failure(unit: Unit, reason: str) -> Failure:
     failure = Failure(unit.name, unit.key, " ".join(reason.split())[:500])
     if unit.part is not None:
         return failure
+    store = CampaignStore(unit.store)
     with suppress(CampaignError):  # a full disk has no room for the reason either
-        CampaignStore(unit.store).write(f"{FAILURES}/{unit.name}.json", asdict(failure))
+        store.write(f"{FAILURES}/{unit.name}.json", asdict(failure))
+        store.remove(f"{BEGUN}/{unit.name}.json")
     return failure
 
 

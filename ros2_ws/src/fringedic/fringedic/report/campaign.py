@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 from fringedic.campaign.plan import Plan, Unit
 from fringedic.campaign.run import Status
@@ -33,10 +34,16 @@ def status_sentences(status: Status) -> list[str]:
     counts = f"{len(status.done)} of {_count(len(status.plan.units), 'recording')} complete"
     return [
         f"{counts}, {len(status.failed)} failed, {len(status.waiting)} waiting, {len(status.plan.refused)} refused",
-        *(f"being recorded: {name}: {_count(steps, 'step')} measured" for name, steps in status.followed.items()),
+        *_listed("begun", [_begun_words(name, begun) for name, begun in status.begun.items()]),
         *_listed("refused", list(status.plan.refused.values())),
         *_listed("failed", [failure.reason for failure in status.failed.values()]),
     ]
+
+
+def _begun_words(name: str, begun: dict[str, Any]) -> str:
+    steps, attempts = begun["steps"], begun["attempts"]
+    measured = f", {_count(steps, 'step')} measured while it is recorded" if steps else ""
+    return f"{name} by {begun['worker']}{measured}" + (f", attempt {attempts}" if attempts > 1 else "")
 
 
 def _listed(what: str, reasons: list[str]) -> Iterator[str]:
@@ -76,7 +83,13 @@ class CampaignProgress:
             return f"{place} failed: {outcome.reason}"
         failed = outcome.figures["failed_steps"]
         words = f"{place}: {_count(outcome.figures['steps'], 'step')}" + (f", {failed} failed" if failed else "")
-        return f"{words}, {outcome.seconds:.1f} s; {self._rates(seconds)}"
+        return f"{words}, {outcome.seconds:.1f} s; {self._rates(seconds)}{self._trouble()}"
+
+    def _trouble(self) -> str:
+        """Return how many units have failed, and how many were begun again because their worker had died."""
+        failed = sum(isinstance(outcome, Failure) for outcome in self.finished)
+        retried = sum(isinstance(outcome, Receipt) and outcome.attempts > 1 for outcome in self.finished)
+        return (f", {failed} failed" if failed else "") + (f", {retried} retried" if retried else "")
 
     def _rates(self, seconds: float) -> str:
         done = [outcome for outcome in self.finished if isinstance(outcome, Receipt)]

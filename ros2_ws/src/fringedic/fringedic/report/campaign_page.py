@@ -19,6 +19,7 @@ from fringedic.figures.charts import SpecimenCurve, specimen_charts
 from fringedic.figures.thumbnails import thumbnail_png
 from fringedic.report.campaign import status_sentences
 from fringedic.report.embedding import base64_text, chart_html, chart_script
+from fringedic.report.specimens import specimen_curve
 from fringedic.report.templates import render_page
 from fringedic.results.quantities import number_text, people_unit
 
@@ -108,15 +109,8 @@ def _charts(receipts: Iterable[Receipt]) -> Iterator[go.Figure]:
     """Yield the curves of each group."""
     groups: dict[str, dict[str, SpecimenCurve]] = {}
     for receipt in receipts:
-        curve = receipt.curve
-        axial = receipt.figures["axial_strain"]
-        load, values = ("stress [MPa]", _array(curve["stress"]) / 1e6) if "stress" in curve else ("force [N]", None)
-        known = SpecimenCurve(
-            strain=_array(curve[axial]),
-            sigma=_array(curve[f"sigma_{axial}"]),
-            load=_array(curve["force"]) if values is None else values,
-            label=load,
-        )
+        curve = {name: _array(values) for name, values in receipt.curve.items()}
+        known = specimen_curve(curve, receipt.figures["axial_strain"])
         groups.setdefault(receipt.labels["group"], {})[receipt.name] = known
     for group, curves in groups.items():
         yield from specimen_charts(group or "Recordings without a group", curves)
@@ -150,7 +144,7 @@ def _number(value: float | None, unit: float) -> str:
 
 def _with_uncertainty(figures: dict[str, Any], name: str) -> str:
     value, sigma, unit = figures[name], figures[f"sigma_{name}"], _FIGURES[name][1]
-    return "-" if value is None else f"{_number(value, unit)} ± {_number(sigma, unit)}"
+    return "-" if value is None else f"{_number(value, unit)} ± {number_text(float(f'{sigma / unit:.2g}'))}"
 
 
 def _picture(store: CampaignStore, recording: str) -> dict[str, Any]:

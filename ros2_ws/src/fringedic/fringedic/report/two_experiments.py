@@ -27,8 +27,9 @@ COLUMNS = (
     "RMS over sigma",
     "within 2 sigma [%]",
 )
-_DRAWN = ("u", "v", "w", "e_11", "e_22", "displacement_x", "displacement_y")
-_MOST_DRAWN = 4
+DRAWN = ("u", "v", "w", "e_11", "e_22", "displacement_x", "displacement_y")
+"""Maps that are drawn, as far as they are measured."""
+_MOSTDRAWN = 4
 _LONGEST = 80  # characters of an entry
 
 
@@ -55,10 +56,10 @@ def write_comparison(one: xr.Dataset, other: xr.Dataset, output: Path, *, overwr
     found = compare_experiments(one, other)
     step = _last_compared(found)
     maps = difference_maps(one, other, step)
-    drawn = [name for name in _DRAWN if name in maps][:_MOST_DRAWN]
+    drawn = [name for name in DRAWN if name in maps][:_MOSTDRAWN]
     page = render_page(
         "two_experiments.html.j2",
-        titles=[_title(each) for each in (one, other)],
+        titles=[experiment_title(each) for each in (one, other)],
         sentences=comparison_sentences(found),
         columns=COLUMNS,
         rows=[
@@ -66,7 +67,7 @@ def write_comparison(one: xr.Dataset, other: xr.Dataset, output: Path, *, overwr
             for number in found["step"].values
             for name in found["quantity"].values.tolist()
         ],
-        differences=[(name, *map(_entry, values)) for name, *values in differing_attributes(one, other)],
+        differences=[(name, *map(entry_text, values)) for name, *values in differing_attributes(one, other)],
         shown=step,
         pictures={name: base64_png(maps_figure(maps, _panels(name), title=f"step {step}, {name}")) for name in drawn},
         charts=[chart_html(chart) for chart in comparison_charts(found, ("A", "B"))],
@@ -99,7 +100,8 @@ def _last_compared(found: xr.Dataset) -> int:
     return int(compared[-1])
 
 
-def _title(dataset: xr.Dataset) -> str:
+def experiment_title(dataset: xr.Dataset) -> str:
+    """Return the name of an experiment and its recording."""
     return f"{dataset.attrs.get('experiment', 'experiment')} ({dataset.attrs.get('source', 'no recording')})"
 
 
@@ -117,7 +119,8 @@ def _row(found: xr.Dataset, variable: xr.DataArray) -> list[str]:
     ]
 
 
-def _entry(value: object) -> str:
+def entry_text(value: object) -> str:
+    """Return a setting as a text of limited length."""
     text = "-" if value is None else str(value)
     return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
 

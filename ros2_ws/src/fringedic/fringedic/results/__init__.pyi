@@ -17,6 +17,8 @@ from .quantities import MAPS as MAPS
 from .quantities import SCALARS as SCALARS
 from .quantities import Quantity as Quantity
 from .rigid_motion import remove_rigid_motion as remove_rigid_motion
+from .specimens import compare_specimens as compare_specimens
+from .specimens import specimen_maps as specimen_maps
 from .truth import compare_with_truth as compare_with_truth
 from .truth import open_truth as open_truth
 from .truth import truth_errors as truth_errors

@@ -19,6 +19,7 @@ from fringedic.results.millimetres import with_millimetres
 from fringedic.results.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE
 from fringedic.results.stores import SUFFIXES, dataset_path
 
+_GROUP = "zarr.json"  # in the group of a recording in the store of a campaign
 _OF_EVERY_EXPERIMENT = ("step", "error")  # variables
 _OF_A_RUN = ("results.nc", "results.zarr")
 _OF_A_FOLDER = (*_OF_A_RUN, "displacement.nc")  # of a run, or of measured images
@@ -34,7 +35,8 @@ def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
     Parameters
     ----------
     path
-        A NetCDF file or Zarr folder, the folder of a run or of measured images, or a recording. For a recording the
+        A NetCDF file or Zarr folder, also one in the store of a campaign, the folder of a run or of measured images, or
+        a recording. For a recording the
         dataset beside it is opened: the one with its name, or the ``results`` of the run that recorded it. If there is
         none, it is made from the derived topics. Also the address of a dataset, a run or a recording in an object store
         (``s3://...`` or another one that fsspec knows), whose maps are fetched when they are used.
@@ -60,7 +62,8 @@ def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
     if is_remote(path):
         return _open_remote(str(path).rstrip("/"))
     path = Path(path) if Path(path).name else Path(path).absolute()
-    file = path if path.suffix in SUFFIXES else _dataset_in(path)
+    named = path.suffix in SUFFIXES or (path / _GROUP).is_file()
+    file = path if named else _dataset_in(path)
     if file is None:
         path = recording_of(path)
         file = find_dataset(path)

@@ -69,7 +69,7 @@ def compare_experiments(one: xr.Dataset, other: xr.Dataset) -> xr.Dataset:
     >>> int(found.points), float(found.rms_difference), round(float(found.rms_sigma), 3)
     (2, 1.0, 1.0)
     """
-    names = _common_names(one, other)
+    names = common_maps(one, other)
     steps = [int(step) for step in one["step"].values if step in other["step"].values]
     if not steps:
         raise DatasetError("the two experiments have no step in common: compare experiments of the same programme")
@@ -110,7 +110,7 @@ def difference_maps(one: xr.Dataset, other: xr.Dataset, step: int) -> xr.Dataset
     DatasetError
         The experiments have no point or no map in common.
     """
-    return next(_each_step(one, other, [step], _common_names(one, other)))
+    return next(_each_step(one, other, [step], common_maps(one, other)))
 
 
 def differing_attributes(one: xr.Dataset, other: xr.Dataset) -> list[Difference]:
@@ -129,7 +129,14 @@ def differing_attributes(one: xr.Dataset, other: xr.Dataset) -> list[Difference]
     ]
 
 
-def _common_names(one: xr.Dataset, other: xr.Dataset) -> list[str]:
+def common_maps(one: xr.Dataset, other: xr.Dataset) -> list[str]:
+    """Return the names of the `COMPARED` maps that both experiments have with their standard deviation.
+
+    Raises
+    ------
+    DatasetError
+        There is none, or they have no point in common.
+    """
     names = [
         name
         for name in COMPARED

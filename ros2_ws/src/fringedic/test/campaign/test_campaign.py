@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import tracemalloc
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -27,6 +28,7 @@ from fringedic.campaign import (
     load_campaign,
     process_unit,
     status_of,
+    unit,
     update_plan,
 )
 from fringedic.campaign.plan import plan_of, predicted_memory
@@ -34,7 +36,8 @@ from fringedic.campaign.recordings import Found, summarise
 from fringedic.campaign.settings import Labels
 from fringedic.errors import CampaignError, ConfigurationError
 from fringedic.recording import BagReader, BagWriter
-from fringedic.report.campaign import plan_sentences
+from fringedic.report.campaign import CampaignProgress, plan_sentences, status_sentences
+from fringedic.results.datasets import process_into
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 NAMES = ["plate-1", "plate-2"]
@@ -228,6 +231,51 @@ def without(topic: str, bag: Path) -> None:
                 writer.write(*message)
     shutil.rmtree(bag)
     bag.with_name("new").rename(bag)
+
+
+def test_a_recording_that_changes_while_it_is_read_is_not_committed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    campaign = written(copied(tmp_path, "plate"))
+    (planned,) = update_plan(campaign).units
+
+    def process_and_change(*arguments: Any) -> None:
+        process_into(*arguments)
+        with (Path(planned.path) / "bag_0.mcap").open("ab") as file:
+            file.write(b"more")
+
+    monkeypatch.setattr(unit, "process_into", process_and_change)
+    (failure,) = Serial().outcomes([planned])
+    assert isinstance(failure, Failure)
+    assert "bag_0.mcap has no index" in failure.reason
+    assert not list(Path(campaign.store).glob("receipts/*"))
+
+
+def test_the_plan_of_a_thousand_recordings_takes_little_memory(done: Campaign) -> None:
+    summary = summarise(str(RECORDED))
+
+    def peak(count: int) -> int:
+        found = ((Found(f"plate-{number}", str(RECORDED), Labels()), summary) for number in range(count))
+        tracemalloc.start()
+        plan = plan_of(done, found)
+        _, largest = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert len(plan.units) == count
+        return largest
+
+    assert peak(1000) - peak(100) < 900 * 3000  # [byte]
+
+
+def test_an_interrupted_recording_is_begun_again_and_says_so(done: Campaign) -> None:
+    store, plan = CampaignStore(done.store), current_plan(done)
+    store.remove("receipts/plate-2.json")
+    store.write("begun/plate-2.json", {"key": plan.units[1].key, "attempts": 1, "steps": 0, "worker": "computer:1"})
+    assert "begun: plate-2 by computer:1" in status_sentences(status_of(store, plan))
+    receipt = run(done)["plate-2"]
+    assert isinstance(receipt, Receipt)
+    assert receipt.attempts == 2
+    assert CampaignProgress([]).sentence(receipt, 1.0).endswith(", 1 retried")
+    assert status_of(store, plan).begun == {}
 
 
 def test_changed_settings_are_refused_or_computed_again(done: Campaign, tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ from fringedic.campaign import (
     update_plan,
 )
 from fringedic.campaign import unit as units
+from fringedic.campaign.software import worker_name
 from fringedic.errors import CampaignError
 from fringedic.recording import BagReader, BagWriter, RawMessage, Split
 from fringedic.report.campaign import plan_sentences, status_sentences
@@ -86,7 +87,7 @@ def followed(unit: Unit) -> Iterator[Callable[[], Receipt]]:
 
 def state(campaign: Campaign) -> dict[str, int]:
     store = CampaignStore(campaign.store)
-    return status_of(store, read_plan(store)).followed
+    return {name: begun["steps"] for name, begun in status_of(store, read_plan(store)).begun.items()}
 
 
 def test_each_step_is_measured_when_it_has_ended_and_the_results_are_those_of_the_complete_recording(
@@ -103,7 +104,8 @@ def test_each_step_is_measured_when_it_has_ended_and_the_results_are_those_of_th
     store = CampaignStore(campaign.store)
     with followed(unit) as result:
         wait_with(writer, lambda: state(campaign) == {"plate": 1})
-        assert "being recorded: plate: 1 step measured" in status_sentences(status_of(store, plan))
+        words = f"begun: plate by {worker_name()}, 1 step measured while it is recorded"
+        assert words in status_sentences(status_of(store, plan))
         write(writer, second)
         wait_with(writer, lambda: state(campaign) == {"plate": 2})
         write(writer, third)

@@ -61,6 +61,12 @@ def _places(texts: list[str]) -> list[str]:
     return [_place(text) for text in texts]
 
 
+def _begun(paths: list[Path]) -> list[Path]:
+    for path in paths:
+        begin(path)
+    return paths
+
+
 def _recordings(paths: list[Path]) -> list[Path]:
     return [_recording(path) for path in paths]
 
@@ -70,6 +76,11 @@ Rig = Annotated[
 ]
 Source = Annotated[
     Path, typer.Argument(metavar="BAG|DATASET", help="Recording, folder of a run, or dataset.", callback=begin)
+]
+
+Sources = Annotated[
+    list[Path],
+    typer.Argument(metavar="BAG|DATASET...", help="Recordings, folders of runs, or datasets.", callback=_begun),
 ]
 
 Bag = Annotated[Path, typer.Argument(help="Folder of a recording, or of a run.", callback=_recording)]

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import csv
 import math
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import Overwrite, Source, app, output_file, say
+from fringedic_bringup.command.app import Overwrite, Source, Sources, app, output_file, say
 
 if TYPE_CHECKING:
     from fringedic.models.observed import Edge, Pair
@@ -147,19 +148,37 @@ def compare_model(  # noqa: PLR0913 (options of a command)
 
 @app.command(epilog="Example: fringedic compare recordings/plate-7/bag recordings/plate-8/bag --output plates.html")
 def compare(
-    one: Source,
-    other: Source,
+    sources: Sources,
     output: Annotated[Path, typer.Option(help="HTML file.")] = Path("comparison.html"),
     overwrite: Overwrite = False,
 ) -> None:
-    """Compare two experiments, or one recording processed with two settings, and write a page."""
+    """Compare two experiments, one recording processed with two settings, or a group of specimens; write a page."""
+    from fringedic.campaign.recordings import distinguishing_names
+    from fringedic.campaign.settings import FILE as CAMPAIGN
+    from fringedic.report.specimens import specimen_sentences, write_specimens
     from fringedic.report.two_experiments import comparison_sentences, write_comparison
-    from fringedic.results import compare_experiments, open_experiment
+    from fringedic.results import compare_experiments, compare_specimens, open_experiment
 
+    if len(sources) < 2:
+        raise ConfigurationError("compare takes two or more recordings or datasets; name another one")
+    for each in sources:
+        if (each / CAMPAIGN).is_file():
+            raise ConfigurationError(
+                f"{each}: is a campaign; 'fringedic campaign open {each}' shows its groups, and 'compare' takes "
+                f"its recordings, such as {each}/store/recordings/*"
+            )
     page = output_file(output, overwrite)
-    with open_experiment(one) as first, open_experiment(other) as second:
-        say(*comparison_sentences(compare_experiments(first, second)))
-        say(f"page: {write_comparison(first, second, page, overwrite=overwrite)}")
+    with ExitStack() as opened:
+        found = [opened.enter_context(open_experiment(each)) for each in sources]
+        first, second, *others = found
+        if not others:
+            say(*comparison_sentences(compare_experiments(first, second)))
+            say(f"page: {write_comparison(first, second, page, overwrite=overwrite)}")
+            return
+        say(*specimen_sentences(compare_specimens(found)))
+        names = distinguishing_names([str(each.absolute()) for each in sources])
+        specimens = {names[str(path.absolute())]: each for path, each in zip(sources, found, strict=True)}
+        say(f"page: {write_specimens(specimens, page, overwrite=overwrite)}")
 
 
 def _only(steps: list[int] | None) -> int | None:

@@ -1,0 +1,159 @@
+"""The page of a comparison of several specimens."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from fringedic.errors import DatasetError
+from fringedic.figures.charts import SpecimenCurve, specimen_charts
+from fringedic.figures.maps import maps_figure
+from fringedic.figures.panels import Panel
+from fringedic.report.embedding import base64_png, chart_html, chart_script
+from fringedic.report.templates import render_page, require_new, write_page
+from fringedic.report.two_experiments import DRAWN, entry_text, experiment_title
+from fringedic.results.elasticity import elastic_constants, strain_curve
+from fringedic.results.quantities import number_text, people_unit
+from fringedic.results.specimens import compare_specimens, specimen_maps
+from fringedic.results.two_experiments import differing_attributes
+
+COLUMNS = (
+    "step",
+    "quantity",
+    "points",
+    "mean",
+    "spread of means",
+    "spread at a point",
+    "uncertainty of one",
+    "spread over uncertainty",
+)
+_OF_EACH = ("experiment", "source")  # attributes that differ between specimens anyway
+
+
+def write_specimens(experiments: Mapping[str, xr.Dataset], output: Path, *, overwrite: bool = False) -> Path:
+    """Write the page of several specimens: mean, spread between them beside the measurement uncertainty, and curves.
+
+    Parameters
+    ----------
+    experiments
+        By the names of the specimens, from `fringedic.open_experiment`.
+    output
+        HTML file.
+    overwrite
+        Replace an existing file.
+
+    Raises
+    ------
+    DatasetError
+        The file exists or cannot be written, or the experiments have nothing in common.
+    FringedicError
+        A package of the extra ``report`` is not installed.
+    """
+    require_new(output, overwrite)
+    group = list(experiments.values())
+    found = compare_specimens(group)
+    step = _last_compared(found)
+    maps = specimen_maps(group, step)
+    drawn = [name for name in DRAWN if name in maps][:4]
+    page = render_page(
+        "specimens.html.j2",
+        titles={name: experiment_title(each) for name, each in experiments.items()},
+        sentences=specimen_sentences(found),
+        columns=COLUMNS,
+        rows=[
+            _row(found.sel(step=number, quantity=name), group[0][name])
+            for number in found["step"].values
+            for name in found["quantity"].values.tolist()
+        ],
+        differences=_differences(group),
+        shown=step,
+        pictures={name: base64_png(maps_figure(maps, _panels(name), title=f"step {step}, {name}")) for name in drawn},
+        charts=[chart_html(chart) for chart in specimen_charts("Load over strain", _curves(experiments))],
+        script=chart_script(),
+    )
+    return write_page(page, output)
+
+
+def specimen_sentences(found: xr.Dataset) -> list[str]:
+    """Return one sentence for each quantity of the last compared step.
+
+    Parameters
+    ----------
+    found
+        From `fringedic.results.compare_specimens`.
+    """
+    last = found.sel(step=_last_compared(found))
+    return [
+        f"{name}: the spread of the specimens at a point is {float(each['spread_over_uncertainty']):.2f} times the "
+        f"uncertainty of one measurement ({int(each['points'])} points)"
+        for name in last["quantity"].values.tolist()
+        if int((each := last.sel(quantity=name))["points"])
+    ]
+
+
+def specimen_curve(curve: Mapping[str, np.ndarray], axial: str) -> SpecimenCurve:
+    """Return stress, or force, over axial strain.
+
+    Parameters
+    ----------
+    curve
+        Values of `fringedic.results.strain_curve` by their names.
+    axial
+        Name of the strain along the load.
+    """
+    label, load = ("stress [MPa]", curve["stress"] / 1e6) if "stress" in curve else ("force [N]", curve["force"])
+    return SpecimenCurve(strain=curve[axial], sigma=curve[f"sigma_{axial}"], load=load, label=label)
+
+
+def _curves(experiments: Mapping[str, xr.Dataset]) -> dict[str, SpecimenCurve]:
+    """Return the curves of the specimens whose strain and force are known."""
+    curves = {}
+    for name, dataset in experiments.items():
+        if {"e_11", "e_22", "force"} <= set(dataset.data_vars):
+            curve = strain_curve(dataset)
+            values = {str(key): each.values for key, each in curve.data_vars.items()}
+            curves[name] = specimen_curve(values, elastic_constants(dataset).axial)
+    return curves
+
+
+def _differences(group: Sequence[xr.Dataset]) -> list[tuple[str, str]]:
+    """Return the settings, parts of calibration and rig and the software that differ, with all their values."""
+    values: dict[str, list[str]] = {}
+    for other in group[1:]:
+        for name, one, another in differing_attributes(group[0], other):
+            if name not in _OF_EACH:
+                known = values.setdefault(name, [entry_text(one)])
+                known += [text for text in [entry_text(another)] if text not in known]
+    return [(name, "; ".join(texts)) for name, texts in values.items()]
+
+
+def _last_compared(found: xr.Dataset) -> int:
+    compared = found["step"].values[(found["points"].values > 0).any(axis=1)]
+    if not compared.size:
+        raise DatasetError("no point is measured of all specimens: they are at other places in the image")
+    return int(compared[-1])
+
+
+def _row(found: xr.Dataset, variable: xr.DataArray) -> list[str]:
+    unit = people_unit(variable)
+    names = ("mean", "spread_of_means", "spread", "uncertainty")
+    lengths = (float(found[name]) / unit.factor for name in names)
+    return [
+        str(int(found["step"])),
+        str(found["quantity"].item()),
+        str(int(found["points"])),
+        *(number_text(length) + (f" {unit.text}" if np.isfinite(length) else "") for length in lengths),
+        number_text(float(found["spread_over_uncertainty"])),
+    ]
+
+
+def _panels(name: str) -> tuple[Panel, ...]:
+    return (
+        Panel(name, f"mean of the specimens: {name}"),
+        Panel(f"spread_{name}", "standard deviation between them"),
+        Panel(f"uncertainty_{name}", "uncertainty of one measurement"),
+        Panel(f"ratio_{name}", "spread over uncertainty"),
+    )
