@@ -10,19 +10,19 @@ with them.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri  # scipy.stats takes each node half a second to load
 
 from fringedic.frames.noise import CameraNoise
 from fringedic.phase.checks.light import light_changes
 from fringedic.phase.checks.sampling import Sample
-from fringedic.phase.demodulation_kernel import CONFIDENCE
 from fringedic.phase.findings import Finding, FindingKind
-from fringedic.phase.sinusoids import harmonic_levels, wave_levels
+from fringedic.phase.sinusoids import harmonic_levels, wave_levels, waves
 
 # The scenes of benchmarks/stack_checks.py fix these limits
+_FALSE_ALARMS = 1e-6  # of each chi-square test, when nothing but noise changes
 _REPORTED = 0.2  # part of the allowed error from which a remark is made
 _REPORTED_FLICKER = 0.02  # change of the light from which a remark is made
 _LARGEST_FLICKER = 0.6  # change of the light beyond which a frame shows another pattern
@@ -169,8 +169,8 @@ def _fit_changes(sample: Sample, fringes: _Fringes, camera: CameraNoise) -> _Cha
     weight = _weights(rest, fringes, camera)
     rest = rest * weight
     parts = _design(sample, fringes, weight).reshape(6 * count, pixels)
-    waves = np.stack([np.ones(count), np.cos(fringes.angles), np.sin(fringes.angles)], axis=1)
-    left = np.eye(count) - waves @ np.linalg.pinv(waves)
+    basis = waves(fringes.angles)
+    left = np.eye(count) - basis @ np.linalg.pinv(basis)
     normal = np.tile(left, (6, 6)) * (parts @ parts.T)
     right = np.einsum("fkp,kp->fk", parts.reshape(6, count, pixels), rest).ravel()
     harmonics = harmonic_levels(fringes.fit, fringes.angles) * weight
@@ -178,7 +178,7 @@ def _fit_changes(sample: Sample, fringes: _Fringes, camera: CameraNoise) -> _Cha
     noise = (
         float(np.sum(rest**2)) - explained - float(right @ np.linalg.pinv(normal, rcond=_RANK, hermitian=True) @ right)
     )
-    _add_light_condition(normal, right, sample, fringes)
+    _add_circle_condition(normal, right, sample, fringes)
     inverse = np.linalg.pinv(normal, rcond=_RANK, hermitian=True)
     scatter = noise / (pixels * (count - 3)) if count > 3 else 1.0
     return _Changes(count, inverse @ right, inverse * max(scatter, 1.0))
@@ -207,11 +207,8 @@ def _without_harmonics(
 
 def _design(sample: Sample, fringes: _Fringes, weight: np.ndarray) -> np.ndarray:
     """Return the weighted derivatives of the grey levels by the six changes, shape (6, frame, pixel)."""
-    where = sample.layout.slices()[-1]
-    along = 0.5 * (sample.right[where].mean(axis=0) - sample.left[where].mean(axis=0))
-    down = 0.5 * (sample.below[where].mean(axis=0) - sample.above[where].mean(axis=0))
     light, fringe = fringes.model * weight, fringes.quadrature * weight
-    mean = fringes.fit[0]
+    along, down = _texture_shares(sample, fringes)
     parts = np.empty((6, *fringes.levels.shape))
     for part, (base, factor) in zip(
         parts,
@@ -220,8 +217,8 @@ def _design(sample: Sample, fringes: _Fringes, weight: np.ndarray) -> np.ndarray
             (fringe, None),
             (fringe, sample.x),
             (fringe, sample.y),
-            (light, -along / mean),
-            (light, -down / mean),
+            (light, along),
+            (light, down),
         ),
         strict=True,
     ):
@@ -229,12 +226,24 @@ def _design(sample: Sample, fringes: _Fringes, weight: np.ndarray) -> np.ndarray
     return parts
 
 
-def _add_light_condition(normal: np.ndarray, right: np.ndarray, sample: Sample, fringes: _Fringes) -> None:
-    """Separate light that changes like cos(2 pi k/q) from displaced fringes.
+def _texture_shares(sample: Sample, fringes: _Fringes) -> tuple[np.ndarray, np.ndarray]:
+    """Return the relative change of the grey levels for a texture displaced by 1 px along x and y, shape (pixel,)."""
+    where = sample.layout.slices()[-1]
+    right, left, below, above = (
+        each[where].mean(axis=0) for each in (sample.right, sample.left, sample.below, sample.above)
+    )
+    return 0.5 * (left - right) / fringes.fit[0], 0.5 * (above - below) / fringes.fit[0]
 
-    At a single pixel both look alike. But (C/A, S/A) of all pixels lie on a circle, whose radius is the contrast, and
-    such a light displaces its centre. The centre follows from the linear fit of a circle, with parts for a contrast
-    that changes over the image or with the brightness, for displaced fringes (2 phi) and for harmonics (q phi).
+
+def _add_circle_condition(normal: np.ndarray, right: np.ndarray, sample: Sample, fringes: _Fringes) -> None:
+    """Add what the mean and the sinusoid of each pixel tell of the changes.
+
+    A jump in the middle of four shifts displaces the sinusoids and leaves no residual beside the second harmonic of a
+    nonlinear response; light that changes like cos(2 pi k/q) looks like displaced fringes. But (C/A, S/A) of all pixels
+    lie on a circle, whose radius is the contrast. Changing light displaces its centre, and a moving texture displaces
+    it in proportion to the gradient of the texture. The centre follows from the linear fit of a circle, with parts for
+    a contrast that changes over the image or with the brightness, for displaced fringes (2 phi) and for harmonics
+    (q phi).
 
     References
     ----------
@@ -247,17 +256,22 @@ def _add_light_condition(normal: np.ndarray, right: np.ndarray, sample: Sample, 
     phase = np.arctan2(sine, cosine)
     even = np.ones_like(square)
     turns = [turn(number * phase) for number in {2, sample.layout.periods[-1][0].shifts} for turn in (np.cos, np.sin)]
-    parts = np.stack([2 * cosine, 2 * sine, even, sample.x, sample.y, fit[0].mean() / fit[0], *turns])
+    centre = [2 * share * axis for share in (even, *_texture_shares(sample, fringes)) for axis in (cosine, sine)]
+    parts = np.stack([*centre, even, sample.x, sample.y, fit[0].mean() / fit[0], *turns])
     away = np.abs(square - np.median(square))
     trust = 1 / (1 + (away / max(3 * float(np.median(away)), 1e-9)) ** 2)
     inverse = np.linalg.pinv((parts * trust) @ parts.T, rcond=_RANK, hermitian=True)
     values = inverse @ (parts * trust) @ square
     scatter = np.average((square - values @ parts) ** 2, weights=trust)
-    for number, course in enumerate((np.cos(fringes.angles), np.sin(fringes.angles))):
-        course = np.pad(2 / count * course, (0, len(right) - count))
-        weight = 1 / (inverse[number, number] * scatter + _OFFSET**2)
-        normal += weight * np.outer(course, course)
-        right += weight * course * values[number]
+    known = len(centre)
+    covariance = inverse[:known, :known] * scatter
+    covariance[[0, 1], [0, 1]] += _OFFSET**2
+    courses = np.zeros((known, len(right)))
+    for number, first in enumerate((0, 4 * count, 5 * count)):  # light, texture along x and y
+        courses[2 * number : 2 * number + 2, first : first + count] = waves(fringes.angles)[:, 1:].T * (2 / count)
+    weight = np.linalg.pinv(covariance, rcond=_RANK, hermitian=True) @ courses
+    normal += courses.T @ weight
+    right += values[:known] @ weight
 
 
 def _flicker(changes: _Changes, fringes: _Fringes, largest_error: float) -> Finding:
@@ -289,4 +303,4 @@ def _is_significant(values: np.ndarray, covariance: np.ndarray) -> bool:
     """Return whether these values together exceed what noise alone gives (chi-square test)."""
     inverse = np.linalg.pinv(covariance, rcond=_RANK, hermitian=True)
     freedom = int(np.linalg.matrix_rank(covariance, rtol=_RANK, hermitian=True))
-    return bool(values @ inverse @ values > freedom + CONFIDENCE * math.sqrt(2 * max(freedom, 1)) + CONFIDENCE**2)
+    return bool(values @ inverse @ values > chdtri(max(freedom, 1), _FALSE_ALARMS))

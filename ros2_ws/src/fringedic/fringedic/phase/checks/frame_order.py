@@ -33,7 +33,7 @@ _AS_GOOD = 1.5  # explanations whose misfit is larger by no more than this facto
 _UNKNOWN_FRAME = 0.001  # misfit that a frame without a known pattern has to remove
 _LAGS = (0.08, 0.95)  # parts of the pattern before that leave a misfit and are not a whole frame
 _FEWER_JUMPS = 0.5  # of the jumps remain at most with the right order of the bits
-_SMALLEST_DEVIATION = 0.2  # of a wrong frame from its pattern, over the modulation, RMS
+_SMALLEST_DEVIATION = 0.5  # of a wrong frame from its pattern, over that of the pattern before
 
 
 _LOSING = (FindingKind.OTHER_PATTERN, FindingKind.DOUBLED, FindingKind.MISSING)  # a pattern is not seen
@@ -165,12 +165,13 @@ def _best_lag(misfit: Misfit, sample: Sample) -> Finding:
 
 
 def _deviates(misfit: Misfit, explanation: Explanation) -> bool:
-    """Return whether a single wrong frame is as wrong as another pattern would be, not as a change of the light."""
-    if explanation.kind is not FindingKind.OTHER_PATTERN:
+    """Return whether a frame without a known pattern is as wrong as another pattern would be, not the light alone."""
+    if explanation.kind not in (FindingKind.OTHER_PATTERN, FindingKind.LATE):
         return True
-    if explanation.frames[0] < misfit.bits:
-        return misfit(sorted({*explanation.shown, *explanation.frames} - {UNKNOWN})).has_wrong_bits
-    return misfit.deviation(explanation.shown, explanation.frames[0]) > _SMALLEST_DEVIATION
+    frame = explanation.frames[0]
+    if frame < misfit.bits:
+        return misfit([frame if each == UNKNOWN else each for each in explanation.shown]).has_wrong_bits
+    return misfit.deviation(explanation.shown, frame) > _SMALLEST_DEVIATION
 
 
 def _interchanged_bits(jumps: CodeJumps, bits: int, recorded: tuple[int, ...]) -> Explanation | None:

@@ -32,6 +32,9 @@ _CERTAIN = 0.3  # standard deviation [rad] of a predicted phase, beyond which a 
 _FEWEST_CERTAIN = 0.02  # part of the pixels: a check of the orders needs as many
 _BOTH_LEVELS = 0.95  # of the range of the fringes: a pixel shows bright and dark bits with this difference
 _REPEATING = 3  # largest denominator of a ratio of pitches that need not be absolute
+_SECOND_HARMONICS = (-0.1, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3)  # over the modulation: 0.3 at gamma 2.4
+_FAR_MORE_EVEN = 0.5
+_HARMONIC_ROUNDS = 6  # a strength c leaves (2 c)^6 of the effect
 _LAG_ROUNDS = 3  # each corrects the first frame of a pitch with the sinusoid of the round before
 
 CLEAR = 0.4
@@ -59,7 +62,8 @@ class Evidence:
     wrong_bits
         Part of the image where the parity of the Gray code is not the sign of the sine of the fringes.
     code_offset
-        ``|1 - exp(i d)|`` of the displacement of the fringes against the edges of the Gray code.
+        ``|1 - exp(i d)|`` of the displacement of the fringes against the edges of the Gray code, beyond what is due to
+        the pixels of the projector.
     unclear_bits
         Of each bit: part of the image where it is neither dark nor bright.
     """
@@ -161,7 +165,7 @@ class Misfit:
             last = wave.level(angles[-1:])
             residual = _common(rest, wave.fit) / math.sqrt(max(len(rest) - 3, 1))
             found.append(_Wave(wave.fit, residual, len(levels), len(levels)))
-        return self._evidence(found, range(len(self._levels)))
+        return self._evidence(found, range(len(self._levels)), share)
 
     def _last_bit(self) -> np.ndarray:
         """Return the grey levels of the finest bit alone: the bright or dark ones of the code, shape (1, pixel)."""
@@ -169,10 +173,10 @@ class Misfit:
         dark, bright = code.min(axis=0), code.max(axis=0)
         return np.asarray(np.where(code[-1] > 0.5 * (dark + bright), bright, dark)[None])
 
-    def _evidence(self, found: list[_Wave], shown: Shown) -> Evidence:
+    def _evidence(self, found: list[_Wave], shown: Shown, share: float = 0.0) -> Evidence:
         if any(not math.isfinite(each.residual) for each in found):
             return Evidence((math.inf,), (0.0,), (), 0.0, 0.0, 0.0, ())
-        wrong, offset, unclear = self._bits(shown, found[0])
+        wrong, offset, unclear = self._bits(shown, found[0], share)
         return Evidence(
             residual=tuple(each.residual for each in found),
             step=tuple(self._step(number, found) for number in range(len(found))),
@@ -189,10 +193,11 @@ class Misfit:
         return self._layout.code
 
     def deviation(self, shown: Shown, frame: int) -> float:
-        """Return how far a frame is from its own pattern, given that of all others, over the modulation."""
+        """Return how far a frame is from its own pattern, given all others; 1 is as far as from the pattern before."""
         number = next(n for n, where in enumerate(self._layout.slices()) if where.start <= frame < where.stop)
         fit = self._wave(number, shown).fit
-        return _common(self._levels[frame : frame + 1] - wave_levels(fit, self._angles[frame : frame + 1]), fit)
+        away = _common(self._levels[frame : frame + 1] - wave_levels(fit, self._angles[frame : frame + 1]), fit)
+        return away / (math.sqrt(2) * math.sin(math.pi / self._layout.periods[number][0].shifts))
 
     def _wave(self, number: int, shown: Shown) -> _Wave:
         where = self._layout.slices()[number]
@@ -212,10 +217,12 @@ class Misfit:
             mean = self._mean_of_others(number)
             pair = np.linalg.pinv(waves(angles)[:, 1:]) @ (levels - mean)
             return _Wave(np.concatenate([mean[None], pair]).astype(np.float32), 0.0, len(frames), different)
-        fit = fit_wave(levels, angles)
         freedom = len(frames) - 3
         if freedom < 1:
+            harmonic = self._is_even and len(frames) < self._layout.counts[number]
+            fit = _even_wave(levels, angles) if harmonic else fit_wave(levels, angles)
             return _Wave(fit, 0.0, len(frames), different)
+        fit = fit_wave(levels, angles)
         rest = remove_harmonics(levels - wave_levels(fit, angles), fit, angles)
         return _Wave(fit, _common(rest, fit) / math.sqrt(freedom), len(frames), different)
 
@@ -271,8 +278,8 @@ class Misfit:
             phase = expected + away
         return result
 
-    def _bits(self, shown: Shown, wave: _Wave) -> tuple[float, float, tuple[float, ...]]:
-        """Return `wrong_bits`, `code_offset` and `unclear_bits` of the evidence.
+    def _bits(self, shown: Shown, wave: _Wave, share: float) -> tuple[float, float, tuple[float, ...]]:
+        """Return `wrong_bits`, `code_offset` and `unclear_bits` of the evidence, with a share of the pattern before.
 
         Neighbouring numbers of a Gray code differ in one bit. The parity of all bits therefore changes from each half
         period to the next, as the sign of sin(phi) of the fringes does. Two frames of one bit have to be alike.
@@ -282,7 +289,9 @@ class Misfit:
             return 0.0, 0.0, ()
         power = square_modulation(wave.fit)
         inside = power * (wave.fit[2] ** 2 > INSIDE**2 * power)
-        away = (self._levels[: max(at.values()) + 1] - wave.fit[0]) / np.sqrt(power)
+        if wave.different < 3 and inside.sum() < _FEWEST_CERTAIN * power.sum():
+            return 1.0, 0.0, ()  # two like frames: any bits would agree with such phases
+        away = _alone((self._levels[: max(at.values()) + 1] - wave.fit[0]) / np.sqrt(power), share)
         twice = [away[[frame, at[shown[frame]]]] > 0 for frame in range(len(away)) if 0 <= shown[frame] < self.bits]
         wrong = max(_average(one != other, inside) for one, other in twice)
         away = away[list(at.values())]
@@ -297,7 +306,41 @@ class Misfit:
         turns = (wave.fit[1] + 1j * wave.fit[2]) * known
         seen, right = (np.sum(turns * np.where(sign, 1, -1)) for sign in (parity, wave.fit[2] > 0))
         turn = seen * np.conj(right)
-        return wrong, float(np.abs(1 - turn / max(abs(turn), 1e-6))), unclear
+        offset = float(np.abs(1 - turn / max(abs(turn), 1e-6)))
+        # edges lie between two pixels of the projector; harmonics displace the fringes of three frames
+        allowed = np.pi / self._layout.pitches[0] + (_LARGEST_CODE_OFFSET if wave.count == 3 else 0.0)
+        return wrong, max(offset - allowed, 0.0), unclear
+
+
+def _even_wave(levels: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    """Fit sinusoids to three frames of more shifts, with a second harmonic if they are far more even then.
+
+    Three frames have no residual that would show the harmonic, and it displaces their phases if the angles are not
+    those of three shifts.
+    """
+    alone = fit_wave(levels, angles)
+    best = min((_with_harmonic(levels, angles, strength) for strength in _SECOND_HARMONICS), key=_unevenness)
+    return best if _unevenness(best) < _FAR_MORE_EVEN * _unevenness(alone) else alone
+
+
+def _with_harmonic(levels: np.ndarray, angles: np.ndarray, strength: float) -> np.ndarray:
+    """Fit ``A + B cos(phi - a) + strength B cos(2 (phi - a))`` to grey levels (frame, pixel); shape (3, pixel)."""
+    fit = fit_wave(levels, angles)
+    for _ in range(_HARMONIC_ROUNDS):
+        _, cosine, sine = fit
+        twice = np.stack([cosine**2 - sine**2, 2 * cosine * sine]) / np.sqrt(square_modulation(fit))
+        fit = fit_wave(levels - strength * (waves(2 * angles)[:, 1:].astype(np.float32) @ twice), angles)
+    return fit
+
+
+def _alone(bits: np.ndarray, share: float) -> np.ndarray:
+    """Return the bits (frame, pixel), -1 or 1, without the share of the bit before that each frame shows."""
+    if share == 0:
+        return bits
+    found = bits.copy()
+    for frame in range(1, len(bits)):
+        found[frame] = (bits[frame] - share * np.sign(found[frame - 1])) / (1 - share)
+    return found
 
 
 def _average(condition: np.ndarray, weights: np.ndarray) -> float:

@@ -1,6 +1,8 @@
 """Scenes as laboratories have them; benchmarks/stack_checks.py measures thousands of them."""
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +15,10 @@ from fringedic.phase.settings import PhaseSettings
 from fringedic.virtual_rig import FringeScene
 
 SMALL = FringeScene(seed=5, specimen=0.15, grey=55.0, read_noise=1.5, last_column=1900.0)
+BENT = FringeScene(
+    seed=6, gamma=2.3, grey=75.0, contrast=0.7, texture=0.3, texture_size=3.4, read_noise=1.8, bits=0, last_column=790.0
+)
+CODE = gray_code_sequence(800, 4, 16, 4)
 PITCHES = fringe_sequence(1920, 4, [1920, 480, 120], 8)
 
 
@@ -81,6 +87,40 @@ def test_interchanged_bits_of_a_gray_code_are_named() -> None:
     order[2], order[4] = 4, 2
     (fault,) = inspect(scene, sequence, order)
     assert (fault.kind, fault.frames) == (FindingKind.INTERCHANGED, (2, 4))
+
+
+def test_a_wrong_frame_of_four_is_named_with_a_bent_response() -> None:
+    """Three of four shifts fit any grey levels, and the second harmonic displaces their phases."""
+    for frame in range(len(CODE) - 4, len(CODE)):
+        order = list(range(len(CODE)))
+        order[frame] -= 1
+        (fault,) = inspect(BENT, CODE, order)
+        assert (fault.kind, fault.frames) == (FindingKind.OTHER_PATTERN, (frame,))
+
+
+def test_a_gray_code_between_two_patterns_is_named() -> None:
+    """Its bits are neither dark nor bright where they follow another one."""
+    light = [BENT.light(image) for image in CODE]
+    frames = np.array([BENT.record(0.65 * each + 0.35 * light[k - 1], k) for k, each in enumerate(light)])
+    (fault,) = inspect_stack(frames, CODE.patterns)
+    assert fault.kind is FindingKind.PARTLY_LATE
+    assert fault.value == pytest.approx(0.35, abs=0.02)
+
+
+@pytest.mark.parametrize("gamma", [1.0, 2.3])
+def test_a_motion_between_the_second_and_third_of_four_shifts_is_named(gamma: float) -> None:
+    """Beside the harmonics such a jump leaves no residual: it displaces the sinusoids."""
+    scene = replace(BENT, gamma=gamma)
+    middle = len(CODE) - 2
+    frames = np.array(
+        [
+            scene.record(scene.light(image, motion=(0.3, -0.3) if k >= middle else (0.0, 0.0)), k)
+            for k, image in enumerate(CODE)
+        ]
+    )
+    faults = [each for each in inspect_stack(frames, CODE.patterns) if each.fault]
+    assert [each.kind for each in faults] == [FindingKind.MOTION_ACROSS]
+    assert faults[0].value == pytest.approx(0.3 * math.sqrt(2), rel=0.5)  # four shifts determine a part of the course
 
 
 def test_a_region_limits_the_checks_to_the_specimen() -> None:
