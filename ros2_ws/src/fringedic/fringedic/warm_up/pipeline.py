@@ -1,15 +1,24 @@
-"""Small frames through the whole pipeline: compiles every Numba kernel for the types of measurements."""
+"""Small frames through the whole pipeline: compiles every Numba kernel for the types of measurements.
+
+Several processes compile its stages at once. The pipeline then finds their machine code and compiles what is left. No two
+processes compile a kernel for different types at the same time, which Numba's files do not allow.
+"""
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
+from multiprocessing import get_context
 
 import numpy as np
 import xarray as xr
 
-from fringedic.correlation import measure_displacement
+from fringedic.correlation import cell_kernels, measure_displacement, node_kernels
+from fringedic.correlation.dense import BRIGHTNESS_PASSES, RELAXATIONS
+from fringedic.correlation.window import design_window
 from fringedic.frames.collector import Stack
 from fringedic.frames.records import FrameRecord
 from fringedic.models.sampling import sample
@@ -19,10 +28,14 @@ from fringedic.steps.displacement_tracker import DisplacementTracker, white_text
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.phase import phase_step
 from fringedic.steps.shape_tracker import ShapeTracker
+from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
 from fringedic.surface.planes import fit_planes
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration, preset
 
 SIZE = 96  # [px]: enough for every stage, and negligible against the compilation
+WINDOW = 11  # [px] of local frame and strain
+_PHASE = PhaseParameters(lens_blur_px=0.5)
+DENSE = {"window_px": 32, "method": "dense"}
 
 
 def _rig() -> RigModel:
@@ -68,33 +81,110 @@ def _twice_exposed(stack: Stack) -> Stack:
 
 
 def warm_up() -> None:
-    """Process small frames by the whole pipeline, with the time that each part takes on standard output."""
-    tracker = DisplacementTracker(DicParameters())
-    shapes = ShapeTracker(CouplingParameters(local_frame_window_px=11, strain_window_px=11))
-    shapes.set_calibration(_rig())
-    for dtype in (np.uint8, np.uint16):
-        with _Part(f"phase, displacement and coupling of {np.dtype(dtype).name} frames"):
-            for step in (0, 1, 2):
-                phase = phase_step(_stack(dtype, step), PhaseParameters(lens_blur_px=0.5))
-                # nodes work on read-only arrays of messages, for which kernels are compiled, too
-                _set_writable(phase.maps, step != 2)
-                found = tracker.step(phase.experiment, phase.step, phase.stamp, phase.texture)
-                _set_writable(found.field, step != 2)
-                shapes.step(phase, found)
-        with _Part(f"exposures of {np.dtype(dtype).name} frames"):
-            phase_step(_twice_exposed(_stack(dtype, 0)), PhaseParameters())
-        with _Part(f"displacement of white {np.dtype(dtype).name} images"):
-            white = _stack(dtype, 0).frames[0]
-            measure_displacement(white, white, initial=_still(1))
-            measure_displacement(white_texture(white), white_texture(white), spacing=2, initial=_still(2))
-    with _Part("strain beside a discontinuity"):
+    """Process small frames by the whole pipeline, with the time that each part takes on standard output.
+
+    Raises
+    ------
+    RuntimeError
+        A process beside this one has failed; its traceback is on standard error.
+    """
+    parts = (_nodes, _surface, _phase, _virtual_rig, _model)
+    processes = [get_context("spawn").Process(target=part) for part in parts]
+    for process in processes:
+        process.start()
+    _displacement()
+    for process in processes:
+        process.join()
+    if any(process.exitcode for process in processes):
+        raise RuntimeError("a part of the kernels was not compiled: read the reason above, mend it and start again")
+    with _part("whole pipeline"):
+        for dtype in (np.uint8, np.uint16):
+            _pipeline(dtype)
         _discontinuous_surface()
-    with _Part("virtual rig"):
+
+
+def _pipeline(dtype: type[np.unsignedinteger]) -> None:
+    """Measure three steps as the nodes do; what the parts have not compiled is compiled here."""
+    tracker = DisplacementTracker(DicParameters())
+    shapes = ShapeTracker(CouplingParameters(local_frame_window_px=WINDOW, strain_window_px=WINDOW))
+    shapes.set_calibration(_rig())
+    for step in (0, 1, 2):
+        phase = phase_step(_stack(dtype, step), _PHASE)
+        # nodes work on read-only arrays of messages, for which kernels are compiled, too
+        _set_writable(phase.maps, step != 2)
+        found = tracker.step(phase.experiment, phase.step, phase.stamp, phase.texture)
+        _set_writable(found.field, step != 2)
+        shapes.step(phase, found)
+
+
+def _phase() -> None:
+    with _part("phase"):
+        for dtype in (np.uint8, np.uint16):
+            phase_step(_stack(dtype, 0), _PHASE)
+            phase_step(_twice_exposed(_stack(dtype, 0)), _PHASE)
+
+
+def _displacement() -> None:
+    tracker = DisplacementTracker(DicParameters())
+    with _part("displacement"):
+        for dtype in (np.uint8, np.uint16):
+            white = _stack(dtype, 0).frames[0]
+            texture = white_texture(white)
+            for step in (0, 1):
+                tracker.step("warm up", step, step, texture)
+            texture.setflags(write=False)
+            tracker.step("warm up", 2, 2, texture)
+            measure_displacement(white, white, initial=_still(1))
+            measure_displacement(texture, texture, spacing=2, initial=_still(2))
+
+
+def _surface() -> None:
+    """Reconstruct, couple and differentiate a plane at rest."""
+    pitch = SIZE / 8
+    column = np.arange(SIZE, dtype=np.float32)
+    phase = np.tile((column - column.mean()) * np.float32(2 * np.pi / pitch), (SIZE, 1))
+    sigma, still = np.full_like(phase, 0.01), np.zeros_like(phase)
+    with _part("shape, coupling and strain"):
+        calibration = _rig()
+        shape = calibration.reconstruct(phase, pitch, sigma)
+        prepared = PreparedShape(shape, z_filter=CouplingParameters().z_filter_px, calibration=calibration)
+        field = dict(
+            zip(("displacement_x", "displacement_y", "sigma_x", "sigma_y"), (still, still, sigma, sigma), strict=True)
+        )
+        axes = {"row": np.arange(SIZE), "column": np.arange(SIZE)}
+        displacement = xr.Dataset({name: (("row", "column"), values) for name, values in field.items()}, axes, DENSE)
+        for writable in (False, True):
+            _set_writable(displacement, writable)
+            cloud = couple(prepared, prepared, displacement, calibration=calibration, z_filter=prepared.z_filter)
+        to_local_frame(cloud, window=WINDOW)
+        surface_strain(cloud, window=WINDOW)
+
+
+def _nodes() -> None:
+    """Smooth fields at nodes: a third of the time of the displacement."""
+    window = design_window(32)
+    rows = columns = SIZE // window.cell
+    cells = np.ones((cell_kernels.CHANNELS, rows, columns), np.float32)
+    seen, planes = cells[0].copy(), np.zeros((2, 3), np.float32)
+    start, moved, filters = cells[:2].copy(), cells[2:4].copy(), (window.taps, window.narrow_taps)
+    with _part("fixed point at nodes"):
+        sums = cells[: cell_kernels.GXE].copy()
+        node_kernels.iterate_fixed_point(cells, sums, seen, start, filters, 1.0, RELAXATIONS[2], moved)
+        node_kernels.bound_unresolved(cells, moved, seen)
+        node_kernels.van_cittert(moved, start, seen, window.taps, BRIGHTNESS_PASSES)
+        node_kernels.extrapolate(moved, planes, seen, window.taps)
+
+
+def _virtual_rig() -> None:
+    with _part("virtual rig"):
         for name in ("plate", "skin", "leather", "sphere"):
             virtual = VirtualRig(VirtualRigConfiguration.from_dict(preset(name, size="tiny")))
             virtual.expose(np.full(virtual.projector_shape, 128, np.uint8), 0.0, 0)
             virtual.truth(0.0)
-    with _Part("comparison with a model"):
+
+
+def _model() -> None:
+    with _part("comparison with a model"):
         triangle = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
         sample(triangle, np.array([[0, 1, 2]]), triangle).interpolate(triangle)
 
@@ -120,20 +210,10 @@ def _still(spacing: int) -> tuple[np.ndarray, np.ndarray]:
     return np.zeros((points, points), np.float32), np.zeros((points, points), np.float32)
 
 
-class _Part:
-    """Writes what is compiled, and how long it takes."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def __enter__(self) -> None:
-        _write(f"{self.name} ... ")
-        self.begin = time.monotonic()
-
-    def __exit__(self, *_: object) -> None:
-        _write(f"{time.monotonic() - self.begin:.1f} s\n")
-
-
-def _write(text: str) -> None:
-    sys.stdout.write(text)
+@contextmanager
+def _part(name: str) -> Iterator[None]:
+    """Write what was compiled, and how long it took; parts of several processes end in any order."""
+    begin = time.monotonic()
+    yield
+    sys.stdout.write(f"{name}: {time.monotonic() - begin:.1f} s\n")
     sys.stdout.flush()
