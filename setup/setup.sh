@@ -35,7 +35,7 @@ run() {
     *"No space left on device"* | *"Disk quota exceeded"*)
         stop "the disk is full: free $needed_mb MB where $root and ${TMPDIR:-/tmp} lie and start again (details: $log)" ;;
     *"connection broken by"* | *"(from versions: none)"* | *"Read timed out"* | *"IncompleteRead"* | *"Connection reset"* | \
-        *"Failed to fetch"* | *"Failed to download"* | *"error sending request"*)
+        *"Failed to fetch"* | *"Failed to download"* | *"not found in the package registry"*)
         stop "the Python package index cannot be reached: connect this computer to the network, or set PIP_INDEX_URL to a mirror, and start again (details: $log)" ;;
     esac
     stop "$what failed: read the reason at the end of $log, mend it and start again"
@@ -77,14 +77,14 @@ unpack_headers() {
     [ -f "usr/include/$version/Python.h" ]
 }
 
-# The package index that pip is configured to use: uv reads neither pip's variables nor its files.
+# The value of one of pip's options, from its variables and files, which uv does not read; the last place has priority.
 configured() {
-    local options level
+    local options level value=
     options=$("$venv/bin/python" -m pip config list 2>/dev/null) || return 0
-    for level in :env: install global; do
-        sed -n "s/^$level\.$1='\(.*\)'$/\1/p" <<<"$options" | grep . && return
+    for level in global install :env:; do
+        [[ $options =~ (^|$'\n')"$level.$1='"([^\']*)\' ]] && value=${BASH_REMATCH[2]}
     done
-    return 0
+    printf '%s' "$value"
 }
 
 # Downloads and unpacks the locked packages in parallel, six times faster than pip. Its cache lies inside the environment,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 from pathlib import Path
 
@@ -33,7 +34,8 @@ def rig_file(tmp_path_factory: pytest.TempPathFactory, tiny: Path) -> Path:
     path = tmp_path_factory.mktemp("rig") / "tiny.yaml"
     text = tiny.read_text()
     assert "stage: {" in text
-    path.write_text(text.replace("stage: {", f"camera: {{lens: {LENS}}}, stage: {{"))
+    people = "specimen: {operator: Ada Lovelace}\nhardware: {calibration_target: glass grid 7}\n"
+    path.write_text(people + text.replace("stage: {", f"camera: {{lens: {LENS}}}, stage: {{"))
     return path
 
 
@@ -86,6 +88,11 @@ def test_the_recording_gives_the_same_files_without_ros(calibrated: CalibrationR
     assert str(again / "report.html") in done.stdout
     for name in ("calibration.yaml", "calibration_fit.yaml", "distortion.yaml"):
         assert (again / name).read_text() == (calibrated.folder / name).read_text(), name
+    for report in (again / "report.html", calibrated.folder / "report.html"):
+        traced = report.read_text().split("<h2>Traceability</h2>")[1].split("</table>")[0]
+        assert "Ada Lovelace" in traced
+        assert "glass grid 7" in traced
+        assert re.search(r"pitch of the printed grid</th><td class=\"wide\">[\d.]+ mm<", traced)
 
 
 def test_a_recording_without_planes_is_no_calibration(calibrated: CalibrationReport) -> None:

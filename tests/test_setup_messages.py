@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import subprocess
 import sys
+import zipfile
+from importlib.metadata import distribution, version
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -142,3 +146,33 @@ def test_unreachable_package_index(machine: Machine) -> None:
     sentence = machine.complaint()
     assert "package index cannot be reached: connect this computer to the network" in sentence
     assert str(machine.checkout / "setup.log") in sentence
+
+
+@pytest.mark.skipif(find_spec("uv") is None, reason="the environment was made before set-up used uv")
+def test_mirror_without_connection_once_the_installer_is_there(machine: Machine) -> None:
+    """The installer comes from a folder of wheels; then it asks the index that pip is configured for."""
+    wheels = machine.bin.parent / "wheels"
+    wheel = _wheel_of("uv", wheels)
+    digest = hashlib.sha256(wheel.read_bytes()).hexdigest()
+    lock = machine.checkout / "setup" / "requirements-installer.lock"
+    lock.write_text(f"uv=={version('uv')} --hash=sha256:{digest}\n")
+    settings = machine.bin.parent / "pip.conf"
+    settings.write_text("[global]\nindex-url = http://127.0.0.1:9/simple\n")
+    machine.environment |= {"PIP_CONFIG_FILE": str(settings), "PIP_FIND_LINKS": str(wheels), "PIP_NO_INDEX": "1"}
+    machine.environment |= {"UV_HTTP_RETRIES": "0"}
+    assert "package index cannot be reached: connect this computer to the network" in machine.complaint()
+    assert "http://127.0.0.1:9/simple/" in (machine.checkout / "setup.log").read_text()
+
+
+def _wheel_of(name: str, folder: Path) -> Path:
+    """Pack the files of an installed package into a wheel again."""
+    installed = distribution(name)
+    tag = installed.read_text("WHEEL").split("Tag: ")[1].split()[0]
+    folder.mkdir()
+    wheel = folder / f"{name}-{installed.version}-{tag}.whl"
+    scripts = f"{name}-{installed.version}.data/scripts/"
+    with zipfile.ZipFile(wheel, "w") as archive:
+        for file in installed.files:
+            is_script = file.parts[0] == ".."
+            archive.write(file.locate(), scripts + file.name if is_script else str(file))
+    return wheel

@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter
 from typer.testing import CliRunner
 
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command import main
+from fringedic_bringup.command import app, main
 from fringedic_bringup.command.app import parameter_values, title_of
 from fringedic_bringup.procedures.folders import unused_folder
 
@@ -35,6 +35,22 @@ def test_measuring_images_finds_their_shift(tmp_path: Path) -> None:
     assert written == {"displacement.nc", "report.html"}
     assert "median x (right) 4, y (down)" in done.output.replace("\n", " ")
     assert "reference: a.png for all images" in done.output
+
+
+@pytest.mark.parametrize(
+    "words", [["--help"], ["measure", "--help"], ["campaign", "--help"], ["campaign", "run", "--help"]]
+)
+def test_help_shows_a_type_only_beside_options_with_a_value(words: list[str]) -> None:
+    lines = CliRunner().invoke(main.app, words, color=False).output.splitlines()
+    [help_line] = [line for line in lines if "--help " in line]
+    assert help_line.split()[:3] == ["│", "--help", "Show"]
+    assert "<bool>" not in "".join(lines)
+
+
+def test_help_groups_all_commands() -> None:
+    lines = CliRunner().invoke(main.app, ["--help"], color=False).output.splitlines()
+    groups = [line.strip("╭─╮ ") for line in lines if line.startswith("╭")]
+    assert groups == ["Options", app.SET_UP, app.MEASURE, app.RESULTS, app.IMAGES, app.MANY]
 
 
 @pytest.mark.parametrize(

@@ -73,5 +73,12 @@ def test_process_counts_whole_steps(damaged: Path, losses: str, tmp_path: Path) 
     assert re.search(f"{re.escape(steps)} {verdict} {re.escape(following)}", answer)
 
 
+def test_list_of_topics_fits_an_ordinary_terminal() -> None:
+    lines = CliRunner().invoke(app, ["info", str(RECORDED)], env={"COLUMNS": "80"}).output.splitlines()
+    [line] = [line for line in lines if "/camera/image_raw " in line]
+    assert re.fullmatch(r" /rig/camera/image_raw +sensor_msgs/Image +36", line.rstrip())
+    assert "…" not in "".join(lines)
+
+
 def test_whole_recording_loses_nothing() -> None:
     assert "whole: 36 frames, 2 313 messages of all topics lost: nothing next: `fringedic" in said("info", RECORDED)

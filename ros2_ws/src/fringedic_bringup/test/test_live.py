@@ -31,6 +31,7 @@ def test_block_has_one_line_per_figure() -> None:
     text = block(figures(), LivePattern.FRINGES, "bench")
     assert "focus       87 % of best" in text
     assert "speckles    4.2 px: good (3 to 7 px)" in text
+    assert max(len(line) for line in text.splitlines()) < 80
 
 
 def test_drawing_is_large() -> None:

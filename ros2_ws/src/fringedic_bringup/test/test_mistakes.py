@@ -40,7 +40,7 @@ ANSWERS = "--camera aravis --camera-address 1 --display 1 --projector-size 800x6
 MISTAKES = [
     # the command line
     Mistake("mesure a.tif b.tif", MISWRITTEN, "No such command 'mesure'. Did you mean 'measure'?"),
-    Mistake("measure", MISWRITTEN, "images"),
+    Mistake("measure", MISWRITTEN, "'IMAGES'"),
     Mistake("measure a.tif b.tif --windw 24", MISWRITTEN, "--windw"),
     Mistake("measure a.tif b.tif --window wide", MISWRITTEN, "integer"),
     Mistake("measure a.tif b.tif --window 24.5", MISWRITTEN, "integer"),
@@ -82,7 +82,7 @@ MISTAKES = [
     Mistake("measure a.tif b.tif --region hole=missing.yaml", UNUSABLE, "missing.yaml"),
     Mistake("measure a.tif b.tif --output notes.txt", UNUSABLE, "notes.txt is a file"),
     Mistake("measure a.tif b.tif --output earlier", UNUSABLE, "exists already"),
-    Mistake("advise a.tif b.tif", MISWRITTEN, "static"),
+    Mistake("advise a.tif b.tif", MISWRITTEN, "'STATIC_2'"),
     Mistake("advise a.tif b.tif other.tif", UNUSABLE, "correlate"),
     Mistake("advise a.tif b.tif a.tif --wanted-noise-px -1", UNUSABLE, "noise"),
     Mistake("noise", UNUSABLE, "give a rig file, or with --images at least three images"),

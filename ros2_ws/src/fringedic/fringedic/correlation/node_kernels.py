@@ -336,7 +336,7 @@ def iterate_fixed_point(
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def _subtract_moved(cells: np.ndarray, moved: np.ndarray, r: int, out: np.ndarray) -> None:
+def _subtract_moved(cells: np.ndarray, moved: np.ndarray, r: np.int64, out: np.ndarray) -> None:
     """Set `out` (6, node column) to H (3), grad f e (2) and e^2 of the cells of row r after a displacement."""
     u, v = moved[0, r], moved[1, r]
     xx, xy, yy, along_x, along_y = cells[GXX, r], cells[GXY, r], cells[GYY, r], cells[GXE, r], cells[GYE, r]
@@ -364,7 +364,8 @@ def bound_unresolved(cells: np.ndarray, moved: np.ndarray, out: np.ndarray) -> N
     left = np.zeros((rows + 2, 6, columns + 2), f4)
     found = np.zeros((rows + 2, columns + 2), f4)
     for r in prange(rows):
-        _subtract_moved(cells, moved, r, left[r + 1, :, 1:-1])
+        # a parallel loop counts in uint64, which the function would be compiled for beside int64
+        _subtract_moved(cells, moved, np.int64(r), left[r + 1, :, 1:-1])
     for r in prange(rows):
         column, target = left[r] + left[r + 1] + left[r + 2], found[r + 1]
         total = column[:, :-2] + column[:, 1:-1] + column[:, 2:]

@@ -122,7 +122,7 @@ def _order(half_period: int, bits: int, wrapped: np.float32) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _sums(frames: np.ndarray, row: int, shifts: Shifts) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _sums(frames: np.ndarray, row: np.int64, shifts: Shifts) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the sine and cosine sums of each pitch, the mean and the brightest level of one row."""
     images, _, columns = frames.shape
     pitches = len(shifts.frames)
@@ -146,7 +146,7 @@ def _sums(frames: np.ndarray, row: int, shifts: Shifts) -> tuple[np.ndarray, np.
 
 
 @njit(cache=True, nogil=True)
-def _deviation(mean: np.ndarray, row: int, model: NoiseModel) -> np.ndarray:
+def _deviation(mean: np.ndarray, row: np.int64, model: NoiseModel) -> np.ndarray:
     """Return the standard deviation of a grey level at each pixel of one row."""
     columns = len(mean)
     noise = np.empty(columns, np.float32)
@@ -204,7 +204,7 @@ def _unwrap(
 @njit(cache=True, nogil=True)
 def _add_code_orders(
     code: np.ndarray,
-    row: int,
+    row: np.int64,
     mean: np.ndarray,
     noise: np.ndarray,
     frames: int,
@@ -239,7 +239,7 @@ def _add_code_orders(
 def _measure_row(
     frames: np.ndarray,
     code: np.ndarray,
-    row: int,
+    row: np.int64,
     shifts: Shifts,
     model: NoiseModel,
     limits: Limits,
@@ -286,4 +286,5 @@ def measure_stack(
         Get the results.
     """
     for row in prange(frames.shape[1]):
-        _measure_row(frames, code, row, shifts, model, limits, maps)
+        # a parallel loop counts in uint64, which the function would be compiled for beside int64
+        _measure_row(frames, code, np.int64(row), shifts, model, limits, maps)

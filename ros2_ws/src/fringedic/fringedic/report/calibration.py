@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import os
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from fringedic.calibration.fit_results import GOOD, USABLE, PlaneResult, Verdict
+from fringedic.calibration.placement import PlaneKind
 from fringedic.calibration.result import RigCalibration
 from fringedic.calibration.variants import ModelVariant
+from fringedic.metadata import Metadata
+from fringedic.recording.reader import BagReader
 from fringedic.report.calibration_sentences import (
     model_choice_sentence,
     problem_sentence,
@@ -19,6 +23,7 @@ from fringedic.report.calibration_sentences import (
 from fringedic.report.embedding import base64_png
 from fringedic.report.entries import MISSING
 from fringedic.report.templates import render_page
+from fringedic.steps.recorded_parameters import RecordedParameters
 
 _DPI = 110
 _STRONG = 0.95  # correlations above this are listed
@@ -50,6 +55,29 @@ class Traceability:
     sigma_height: float = 0.0
     operator: str = ""
     target: str = ""
+
+
+def recorded_traceability(path: str | os.PathLike[str]) -> Traceability:
+    """Return what the recording of a calibration contains about grid, stage, target and operator.
+
+    Raises
+    ------
+    RecordingError
+        The recording cannot be read.
+    """
+    reader = BagReader(path)
+    topics = {full: name for name, full in reader.find("experiment/plane", "node_parameters").items()}
+    parameters, known = RecordedParameters({}), Traceability()
+    for message in reader.published(topics):
+        content = reader.decode(message.topic, message.data)
+        if topics[message.topic] == "node_parameters":
+            parameters.take(content)
+        elif content.kind == PlaneKind.GRID and not content.angle:
+            known = replace(known, grid_pitch=content.grid_pitch)
+        elif content.kind == PlaneKind.PLANE:
+            known = replace(known, sigma_angle=content.sigma_angle, sigma_height=content.sigma_height)
+    entered = parameters.settings(None).metadata or Metadata()
+    return replace(known, operator=entered.specimen.operator, target=entered.hardware.calibration_target)
 
 
 def write_calibration_report(
@@ -92,7 +120,7 @@ def _content(calibration: RigCalibration, traceability: Traceability) -> dict[st
         "pictures": _pictures(calibration),
         "figures": _figures(calibration),
         "thresholds": _thresholds(calibration),
-        "traceability": _traceability(traceability),
+        "traceability": traceability_entries(traceability),
         "planes": [_plane(each) for each in calibration.planes],
         "candidates": [
             {
@@ -194,7 +222,7 @@ def _thresholds(calibration: RigCalibration) -> list[tuple[str, str, str, str]]:
     return rows
 
 
-def _traceability(known: Traceability) -> list[tuple[str, str, str]]:
+def traceability_entries(known: Traceability) -> list[tuple[str, str, str]]:
     """Return (name, value, note) of what the lengths are traced to; the note names the key of what is not known."""
     angle, height = math.degrees(known.sigma_angle), 1e3 * known.sigma_height
     return [

@@ -7,6 +7,7 @@ from datetime import datetime
 from pathlib import Path
 
 from fringedic.calibration.check import SCALE_TOLERANCE, RigCheck
+from fringedic.report.calibration import Traceability, traceability_entries
 from fringedic.report.calibration_sentences import check_sentence, check_warning_sentences, measured_distance
 from fringedic.report.embedding import base64_png
 from fringedic.report.templates import render_page
@@ -14,7 +15,9 @@ from fringedic.report.templates import render_page
 CHECK_PAGE = "check.html"
 
 
-def write_check_page(check: RigCheck, path: Path, *, rig: str, created: datetime) -> Path:
+def write_check_page(
+    check: RigCheck, path: Path, *, rig: str, created: datetime, traceability: Traceability | None = None
+) -> Path:
     """Write the page of a check and return its path.
 
     Parameters
@@ -27,6 +30,8 @@ def write_check_page(check: RigCheck, path: Path, *, rig: str, created: datetime
         Name of the calibration.
     created
         Time of the check.
+    traceability
+        What the rig file says about grid, stage and operator.
 
     Raises
     ------
@@ -41,6 +46,7 @@ def write_check_page(check: RigCheck, path: Path, *, rig: str, created: datetime
         created=f"{created:%Y-%m-%d %H:%M} UTC",
         sentences=[check_sentence(check), *check_warning_sentences(check)],
         figures=_figures(check),
+        traceability=traceability_entries(traceability or Traceability()),
         picture=base64_png(draw_flatness(check)),
     )
     path.write_text(page, encoding="utf-8")

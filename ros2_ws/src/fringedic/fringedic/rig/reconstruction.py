@@ -223,13 +223,14 @@ def reconstruct_image(
             result[6, i, j] = abs(dz) * noise
             result[7, i, j] = dz * growth
         if coefficients.size > 0:
-            _add_variances(result, i, row_places[i], borders, column_places, coefficients, height)
+            # a parallel loop counts in uint64, which the function would be compiled for beside int64
+            _add_variances(result, np.int64(i), row_places[i], borders, column_places, coefficients, height)
 
 
 @njit(cache=True, nogil=True)
 def _add_variances(
     result: np.ndarray,
-    i: int,
+    i: np.int64,
     place: float,
     borders: np.ndarray,
     where: np.ndarray,

@@ -1,7 +1,7 @@
 """Small frames through the whole pipeline: compiles every Numba kernel for the types of measurements.
 
-Several processes compile its stages at once. The pipeline then finds their machine code and compiles what is left. No two
-processes compile a kernel for different types at the same time, which Numba's files do not allow.
+Several processes compile its stages at once. The pipeline then finds their machine code and compiles what is left.
+No two processes compile a kernel for different types at the same time, which Numba's files do not allow.
 """
 
 from __future__ import annotations

@@ -17,6 +17,7 @@ from fringedic.calibration.findings import CheckProblem, CheckWarning
 from fringedic.calibration.history import CHECKS_FILE, record_check, recorded_checks
 from fringedic.errors import CalibrationError, ImageError
 from fringedic.metadata import CalibrationMetadata, Metadata
+from fringedic.report.calibration import Traceability
 from fringedic.report.calibration_sentences import check_in_words, check_sentence, check_warning_sentences
 from fringedic.report.check import write_check_page
 from fringedic.rig.model import RigModel
@@ -120,7 +121,9 @@ def test_known_distances() -> None:
 
 def test_page_states_distance_uncertainty_and_limits(tmp_path: Path) -> None:
     check = check_rig(RIG, plate(5), SIGMA, pitch=PITCH, lifted=plate(6, height=6.0), distance=_normal(5e-3))
-    page = write_check_page(check, tmp_path / "check.html", rig="bench <2>", created=datetime(2026, 11, 22, tzinfo=UTC))
+    known = Traceability(grid_pitch=2e-3, sigma_height=2e-6, operator="Ada & Bob")
+    when = datetime(2026, 11, 22, tzinfo=UTC)
+    page = write_check_page(check, tmp_path / "check.html", rig="bench <2>", created=when, traceability=known)
     text = page.read_text("utf-8")
     assert "bench &lt;2&gt; · 2026-11-22 00:00 UTC" in text
     assert f"known distance of {1e3 * check.expected:.3f} mm" in text
@@ -129,6 +132,9 @@ def test_page_states_distance_uncertainty_and_limits(tmp_path: Path) -> None:
     assert float(measured[1]) == pytest.approx(1e3 * check.distance, rel=1e-5)
     assert float(measured[2]) == pytest.approx(1e3 * check.distance_sigma, rel=0.1)
     assert "within 0.2 %" in text
+    for entry in ('pitch of the printed grid</th><td class="wide">2 mm', 'of a height</th><td class="wide">0.002 mm'):
+        assert entry in text
+    assert "Ada &amp; Bob" in text
     assert text.count('<img alt="residual of the flat plate" src="data:image/png;base64,') == 1
 
 

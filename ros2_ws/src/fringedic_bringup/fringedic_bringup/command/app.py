@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 import yaml
 from rich.console import Console
+from typer.core import TyperCommand, TyperGroup
 
 from fringedic.errors import ConfigurationError, FringedicError, RecordingError
 from fringedic.inputs.yaml_text import load_yaml
@@ -22,7 +23,44 @@ if TYPE_CHECKING:
     from fringedic.report.experiment import GaugePoints
 
 BagKind = TypeVar("BagKind", Path, str)
-app = typer.Typer(
+
+
+class _Plain:
+    """Help without a type beside an option that takes no value."""
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters, also those that typer adds, as it asks for them to write the help."""
+        parameters: list[Any] = super().get_params(ctx)  # type: ignore[misc]
+        for each in parameters:
+            if getattr(each, "is_bool_flag", False):
+                each.metavar = ""
+        return parameters
+
+
+class _Command(_Plain, TyperCommand):
+    """A subcommand."""
+
+
+class Group(_Plain, TyperGroup):
+    """A command with subcommands."""
+
+
+class Commands(typer.Typer):
+    """Collects subcommands."""
+
+    def command(self, name: str | None = None, **options: Any) -> Any:
+        """Return the decorator of a subcommand, with the options of `typer.Typer.command`."""
+        return super().command(name, cls=_Command, **options)
+
+
+SET_UP = "Set up and calibrate a rig"
+MEASURE = "Measure"
+IMAGES = "Images of other programs, no rig"
+RESULTS = "Recordings and results"
+MANY = "Many tests"
+
+app = Commands(
+    cls=Group,
     help="3D shape and displacement of surfaces, measured with one camera and one projector.",
     no_args_is_help=True,
     add_completion=False,
@@ -72,7 +110,10 @@ def _recordings(paths: list[Path]) -> list[Path]:
 
 
 Rig = Annotated[
-    Path, typer.Argument(help="Rig file, or the name of one that is installed with fringedic.", callback=begin)
+    Path,
+    typer.Argument(
+        metavar="RIG", help="Rig file, or the name of one that is installed with fringedic.", callback=begin
+    ),
 ]
 Source = Annotated[
     Path, typer.Argument(metavar="BAG|DATASET", help="Recording, folder of a run, or dataset.", callback=begin)
@@ -80,17 +121,19 @@ Source = Annotated[
 
 Sources = Annotated[
     list[Path],
-    typer.Argument(metavar="BAG|DATASET...", help="Recordings, folders of runs, or datasets.", callback=_begun),
+    typer.Argument(metavar="BAG|DATASET", help="Recordings, folders of runs, or datasets.", callback=_begun),
 ]
 
-Bag = Annotated[Path, typer.Argument(help="Folder of a recording, or of a run.", callback=_recording)]
+Bag = Annotated[Path, typer.Argument(metavar="BAG", help="Folder of a recording, or of a run.", callback=_recording)]
 OptionalBag = Annotated[
     Path | None,
-    typer.Argument(metavar="[BAG]", help="Folder of a recording, or of a run.", callback=_optional_recording),
+    typer.Argument(metavar="BAG", help="Folder of a recording, or of a run.", callback=_optional_recording),
 ]
 Bags = Annotated[
     list[Path],
-    typer.Argument(help="Folders of recordings or runs, processed one after the other.", callback=_recordings),
+    typer.Argument(
+        metavar="BAGS", help="Folders of recordings or runs, processed one after the other.", callback=_recordings
+    ),
 ]
 Place = Annotated[
     str, typer.Argument(metavar="BAG", help="Folder of a recording or run, or its address: s3://...", callback=_place)
@@ -98,7 +141,7 @@ Place = Annotated[
 Places = Annotated[
     list[str],
     typer.Argument(
-        metavar="BAGS...",
+        metavar="BAGS",
         help="Folders of recordings or runs, or their addresses (s3://...), processed one after the other.",
         callback=_places,
     ),

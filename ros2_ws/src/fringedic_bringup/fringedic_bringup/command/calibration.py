@@ -10,6 +10,7 @@ import typer
 
 from fringedic.errors import ConfigurationError
 from fringedic_bringup.command.app import (
+    SET_UP,
     Overwrite,
     Rig,
     app,
@@ -24,10 +25,13 @@ from fringedic_bringup.procedures.folders import unused_folder
 from fringedic_bringup.procedures.outcome import CalibrationReport
 
 
-@app.command(epilog="Example: fringedic calibrate plate.yaml --angles-deg 0,-15,-10,-5,5,10,15 --output calibration")
+@app.command(
+    rich_help_panel=SET_UP,
+    epilog="Example: fringedic calibrate plate.yaml --angles-deg 0,-15,-10,-5,5,10,15 --output calibration",
+)
 def calibrate(
     rig: Annotated[
-        Path | None, typer.Argument(help="Rig file; its section reference_plane defines the planes.")
+        Path | None, typer.Argument(metavar="RIG", help="Rig file; its section reference_plane defines the planes.")
     ] = None,
     angles_deg: Annotated[
         str | None,
@@ -71,7 +75,7 @@ def _calibrate_with_nodes(
     return calibrate_rig(rig_file, rig_path, folder, progress, ask=progress.ask)
 
 
-@app.command(epilog="Example: fringedic check plate.yaml --distance-mm 5")
+@app.command(rich_help_panel=SET_UP, epilog="Example: fringedic check plate.yaml --distance-mm 5")
 def check(
     rig: Rig,
     distance_mm: Annotated[
@@ -115,7 +119,7 @@ def _accept(path: Path, output: Path) -> None:
         raise typer.Exit(1)
 
 
-@app.command(epilog="Example: fringedic target --pitch-mm 0.5 --output grid.pdf")
+@app.command(rich_help_panel=SET_UP, epilog="Example: fringedic target --pitch-mm 0.5 --output grid.pdf")
 def target(
     pitch_mm: Annotated[float, typer.Option(help="Distance of the lines in mm; 6 to 15 pixels of the camera.")],
     output: Annotated[Path, typer.Option(help="File to write, .pdf or .svg.")] = Path("grid.pdf"),

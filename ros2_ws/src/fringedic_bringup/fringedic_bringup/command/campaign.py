@@ -11,18 +11,19 @@ import typer
 from rich.table import Table
 
 from fringedic.errors import CampaignError, ConfigurationError
-from fringedic_bringup.command.app import app, begin, console, output_file, say
+from fringedic_bringup.command.app import MANY, Commands, Group, app, begin, console, output_file, say
 
 if TYPE_CHECKING:
     from fringedic.campaign import Engine, Status, Unit
     from fringedic.campaign.unit import Failure, Receipt
 
-campaigns = typer.Typer(
+campaigns = Commands(
+    cls=Group,
     help="Process many recordings into one store; resumable at any time.",
     no_args_is_help=True,
     epilog="Example: fringedic campaign run batch-7 --workers 2",
 )
-app.add_typer(campaigns, name="campaign")
+app.add_typer(campaigns, name="campaign", rich_help_panel=MANY)
 
 Folder = Annotated[
     Path, typer.Argument(metavar="DIR", help="Folder of the campaign with its campaign.yaml.", callback=begin)

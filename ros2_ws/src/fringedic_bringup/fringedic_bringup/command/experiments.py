@@ -12,6 +12,8 @@ import typer
 
 from fringedic.errors import ConfigurationError, StepFailedError
 from fringedic_bringup.command.app import (
+    MEASURE,
+    RESULTS,
     Bags,
     Calibration,
     Output,
@@ -44,7 +46,10 @@ class Specimen(StrEnum):
     LEATHER = "leather"
 
 
-@app.command(epilog="Example: fringedic run plate.yaml --programme slow.yaml --output recordings/plate-7")
+@app.command(
+    rich_help_panel=MEASURE,
+    epilog="Example: fringedic run plate.yaml --programme slow.yaml --output recordings/plate-7",
+)
 def run(
     rig: Rig,
     programme: Annotated[Path | None, typer.Option(help="Load steps that replace those in the rig file.")] = None,
@@ -69,9 +74,11 @@ def run(
     _check([report])
 
 
-@app.command(epilog="Example: fringedic demo --output demo plate leather")
+@app.command(rich_help_panel=MEASURE, epilog="Example: fringedic demo --output demo plate leather")
 def demo(
-    specimens: Annotated[list[Specimen] | None, typer.Argument(help="Virtual experiments; all by default.")] = None,
+    specimens: Annotated[
+        list[Specimen] | None, typer.Argument(metavar="SPECIMENS", help="Virtual experiments; all by default.")
+    ] = None,
     output: Annotated[Path, typer.Option(help="Folder for recordings, datasets and pictures.")] = Path("demo"),
 ) -> None:
     """Calibrate virtual rigs, measure three specimens with the real nodes and compare with the ground truth."""
@@ -88,7 +95,10 @@ def demo(
     _check(reports)
 
 
-@app.command(epilog="Example: fringedic replay recordings/plate-7/bag --set dic.window=24 --output window-24")
+@app.command(
+    rich_help_panel=RESULTS,
+    epilog="Example: fringedic replay recordings/plate-7/bag --set dic.window=24 --output window-24",
+)
 def replay(
     bags: Bags,
     settings: Settings = None,

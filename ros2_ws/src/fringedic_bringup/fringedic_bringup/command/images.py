@@ -9,6 +9,7 @@ import typer
 
 from fringedic.errors import ConfigurationError, StepFailedError
 from fringedic_bringup.command.app import (
+    IMAGES,
     Overwrite,
     app,
     begin,
@@ -29,10 +30,16 @@ PHASE = "phase.nc"
 REPORT = "report.html"
 
 
-@app.command(epilog="Example: fringedic measure reference.tif loaded-1.tif loaded-2.tif --pixel-size-mm 0.05")
+@app.command(
+    rich_help_panel=IMAGES,
+    epilog="Example: fringedic measure reference.tif loaded-1.tif loaded-2.tif --pixel-size-mm 0.05",
+)
 def measure(  # noqa: PLR0913 (options of a command)
     images: Annotated[
-        list[Path], typer.Argument(help="The reference image, then the deformed images in order; or their folder.")
+        list[Path],
+        typer.Argument(
+            metavar="IMAGES", help="The reference image, then the deformed images in order; or their folder."
+        ),
     ],
     window: Annotated[int, typer.Option(min=8, max=256, help="Width of the subset in px.")] = 32,
     spacing: Annotated[int, typer.Option(min=1, max=256, help="Distance of the measured points in px.")] = 4,
@@ -108,9 +115,9 @@ def measure(  # noqa: PLR0913 (options of a command)
         raise StepFailedError(f"{len(series.failed)} of {len(files)} images were not measured, see above")
 
 
-@app.command(epilog="Example: fringedic phase images --description fringes.yaml")
+@app.command(rich_help_panel=IMAGES, epilog="Example: fringedic phase images --description fringes.yaml")
 def phase(
-    folder: Annotated[Path, typer.Argument(help="Folder of the fringe images.")],
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of the fringe images.")],
     description: Annotated[
         Path | None, typer.Option(help="What the images show; phase.yaml in the folder if left out.")
     ] = None,
@@ -132,11 +139,16 @@ def phase(
     say(*phase_sentences(measured), f"dataset: {target}", f"picture: {picture}")
 
 
-@app.command(epilog="Example: fringedic advise reference.tif static-1.tif static-2.tif --wanted-noise-px 0.005")
+@app.command(
+    rich_help_panel=IMAGES,
+    epilog="Example: fringedic advise reference.tif static-1.tif static-2.tif --wanted-noise-px 0.005",
+)
 def advise(
-    reference: Annotated[Path, typer.Argument(help="Image of the mounted specimen before the test.")],
-    static_1: Annotated[Path, typer.Argument(help="A second image at rest.")],
-    static_2: Annotated[Path, typer.Argument(help="A third image at rest.")],
+    reference: Annotated[
+        Path, typer.Argument(metavar="REFERENCE", help="Image of the mounted specimen before the test.")
+    ],
+    static_1: Annotated[Path, typer.Argument(metavar="STATIC_1", help="A second image at rest.")],
+    static_2: Annotated[Path, typer.Argument(metavar="STATIC_2", help="A third image at rest.")],
     wanted_noise_px: Annotated[float | None, typer.Option(help="Wanted noise of the displacement in pixels.")] = None,
     wanted_period_px: Annotated[
         float | None, typer.Option(help="Shortest displacement wave in pixels that keeps 90 % of its amplitude.")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import Overwrite, Source, Sources, app, output_file, say
+from fringedic_bringup.command.app import RESULTS, Overwrite, Source, Sources, app, output_file, say
 
 if TYPE_CHECKING:
     from fringedic.models.observed import Edge, Pair
@@ -21,11 +21,14 @@ _MILLI = 1e-3
 
 @app.command(
     "compare-model",
+    rich_help_panel=RESULTS,
     epilog="Example: fringedic compare-model recordings/plate-7/bag plate.vtu --unit mm --load 1000",
 )
 def compare_model(  # noqa: PLR0913 (options of a command)
     source: Source,
-    model: Annotated[Path, typer.Argument(help="Mesh with nodal displacement: VTU, VTK, PVD, gmsh, Nastran ...")],
+    model: Annotated[
+        Path, typer.Argument(metavar="MODEL", help="Mesh with nodal displacement: VTU, VTK, PVD, gmsh, Nastran ...")
+    ],
     unit: Annotated[str, typer.Option(help="Of lengths in the mesh: m, mm, um or inch.")],
     load: Annotated[
         list[float] | None,
@@ -146,7 +149,10 @@ def compare_model(  # noqa: PLR0913 (options of a command)
         say(f"{done.format}: {done.path or '; '.join(done.problems)}")
 
 
-@app.command(epilog="Example: fringedic compare recordings/plate-7/bag recordings/plate-8/bag --output plates.html")
+@app.command(
+    rich_help_panel=RESULTS,
+    epilog="Example: fringedic compare recordings/plate-7/bag recordings/plate-8/bag --output plates.html",
+)
 def compare(
     sources: Sources,
     output: Annotated[Path, typer.Option(help="HTML file.")] = Path("comparison.html"),

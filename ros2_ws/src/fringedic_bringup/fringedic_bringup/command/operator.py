@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import OptionalBag, Rig, app, say
+from fringedic_bringup.command.app import MEASURE, RESULTS, OptionalBag, Rig, app, say
 from fringedic_bringup.launch.rig_files import rig_path_of
 from fringedic_bringup.procedures.folders import output_folder
 
@@ -27,7 +27,7 @@ Certificate = Annotated[Path | None, typer.Option(help="TLS certificate (PEM).")
 Key = Annotated[Path | None, typer.Option(help="Private key of the certificate (PEM).")]
 
 
-@app.command(epilog="Example: fringedic view recordings/plate-7/bag")
+@app.command(rich_help_panel=RESULTS, epilog="Example: fringedic view recordings/plate-7/bag")
 def view(
     bag: OptionalBag = None,
     foxglove: Annotated[
@@ -81,7 +81,7 @@ def view_with_foxglove(bag: Path | None, port: int) -> None:
             source.spin_once()
 
 
-@app.command(epilog="Example: fringedic operate plate.yaml")
+@app.command(rich_help_panel=MEASURE, epilog="Example: fringedic operate plate.yaml")
 def operate(
     rig: Rig,
     attach: Annotated[bool, typer.Option("--attach", help="Join a rig that runs already.")] = False,

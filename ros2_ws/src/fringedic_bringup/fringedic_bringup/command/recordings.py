@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from fringedic.errors import ExportError
 from fringedic_bringup.command.app import (
+    RESULTS,
     Bag,
     Calibration,
     Output,
@@ -37,7 +39,10 @@ from fringedic_bringup.command.app import (
 from fringedic_bringup.display.progress import LiveProgress
 
 
-@app.command(epilog="Example: fringedic process recordings/plate-7/bag --set coupling.z_filter_px=4 --output new.nc")
+@app.command(
+    rich_help_panel=RESULTS,
+    epilog="Example: fringedic process recordings/plate-7/bag --set coupling.z_filter_px=4 --output new.nc",
+)
 def process(
     bags: Places,
     settings: Settings = None,
@@ -100,7 +105,7 @@ def process(
     for_each(bags, work)
 
 
-@app.command(epilog="Example: fringedic info recordings/plate-7/bag")
+@app.command(rich_help_panel=RESULTS, epilog="Example: fringedic info recordings/plate-7/bag")
 def info(bag: Place) -> None:
     """List the content of a recording and whether it is complete."""
     from fringedic.recording.recorded_clocks import recorded_clocks
@@ -110,21 +115,22 @@ def info(bag: Place) -> None:
     from fringedic.report.recordings import content_sentences, next_command
 
     summary = bag_info(bag)
-    start = datetime.fromtimestamp(summary.start_time * 1e-9, UTC).isoformat(sep=" ", timespec="seconds")
+    start = datetime.fromtimestamp(summary.start_time * 1e-9, UTC)
     duration = (summary.end_time - summary.start_time) * 1e-9
-    table = Table(title=f"{bag}: {start} UTC, {duration:.1f} s, {summary.size / 1e6:.1f} MB", title_justify="left")
-    table.add_column("topic")
-    table.add_column("type")
+    title = f"{bag}: {start:%Y-%m-%d %H:%M:%S} UTC, {duration:.1f} s, {summary.size / 1e6:.1f} MB"
+    table = Table("topic", "type", title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column("messages", justify="right")
-    table.add_column("lost", justify="right")
+    if summary.missing:
+        table.add_column("lost", justify="right")
     for name, type_name in summary.types.items():
-        table.add_row(name, type_name, str(summary.counts[name]), str(summary.missing.get(name, "")))
+        lost = [str(summary.missing.get(name, ""))] if summary.missing else []
+        table.add_row(name, type_name.replace("/msg/", "/"), str(summary.counts[name]), *lost)
     console.print(table)
     clocks = {} if is_remote(bag) else recorded_clocks(bag)  # they are in the chunks, which are not fetched
     say(*clock_sentences(clocks), *content_sentences(summary), next_command(summary))
 
 
-@app.command(epilog="Example: fringedic verify recordings/plate-7/bag")
+@app.command(rich_help_panel=RESULTS, epilog="Example: fringedic verify recordings/plate-7/bag")
 def verify(bag: Bag) -> None:
     """Check that a recording is complete and unchanged: checksums, the publishers' counts, the frames of every step."""
     from fringedic.recording.verification import verify as verify_bag
@@ -136,7 +142,7 @@ def verify(bag: Bag) -> None:
         raise typer.Exit(1)
 
 
-@app.command(epilog="Example: fringedic recover recordings/plate-7/bag --output saved")
+@app.command(rich_help_panel=RESULTS, epilog="Example: fringedic recover recordings/plate-7/bag --output saved")
 def recover(bag: Bag, output: Output = None) -> None:
     """Write a complete recording from the readable part of a damaged one, and list what could not be read."""
     from fringedic.recording.repair import recover as recover_bag
@@ -147,7 +153,10 @@ def recover(bag: Bag, output: Output = None) -> None:
     say(f"recording: {recovered.path}", *content_sentences(recovered), next_command(whole))
 
 
-@app.command(epilog="Example: fringedic export recordings/plate-7/bag --to vtk --to csv --output plate-7")
+@app.command(
+    rich_help_panel=RESULTS,
+    epilog="Example: fringedic export recordings/plate-7/bag --to vtk --to csv --output plate-7",
+)
 def export(
     source: Source,
     formats: Annotated[
@@ -175,7 +184,7 @@ def export(
         raise ExportError(f"{problems} of {len(wanted)} formats were not written, see above")
 
 
-@app.command(epilog="Example: fringedic report recordings/plate-7/bag --output plate-7.html")
+@app.command(rich_help_panel=RESULTS, epilog="Example: fringedic report recordings/plate-7/bag --output plate-7.html")
 def report(
     source: Source,
     output: Annotated[Path | None, typer.Option(help="HTML file; report.html beside the recording by default.")] = None,

@@ -10,7 +10,17 @@ from typing import Annotated
 import typer
 
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import Overwrite, Rig, app, begin, console, output_file, parameter_values, say
+from fringedic_bringup.command.app import (
+    SET_UP,
+    Overwrite,
+    Rig,
+    app,
+    begin,
+    console,
+    output_file,
+    parameter_values,
+    say,
+)
 from fringedic_bringup.display.progress import LiveProgress
 from fringedic_bringup.launch.rig_files import rig_path_of
 from fringedic_bringup.procedures.folders import output_folder, unused_folder
@@ -24,14 +34,14 @@ class CameraKind(StrEnum):
     V4L2 = "v4l2"
 
 
-@app.command(epilog="Example: fringedic init bench.yaml")
+@app.command(rich_help_panel=SET_UP, epilog="Example: fringedic init bench.yaml")
 def init(  # noqa: PLR0913 (options of a command)
     camera: Annotated[
         CameraKind,
         typer.Option(prompt="1 of 7  Camera: GigE or USB3 Vision, or USB video", help="Kind."),
     ],
     image_size: Annotated[str, typer.Option(prompt="2 of 7  Image size in px, such as 1280x960", help="In px.")],
-    rig: Annotated[Path, typer.Argument(help="Rig file to write.")] = Path("bench.yaml"),
+    rig: Annotated[Path, typer.Argument(metavar="RIG", help="Rig file to write.")] = Path("bench.yaml"),
     camera_address: Annotated[
         str,
         typer.Option(prompt="3 of 7  Its address or device, Enter for the only one", help="Of the camera."),
@@ -57,7 +67,9 @@ def init(  # noqa: PLR0913 (options of a command)
     say(f"rig file: {rig}; next: fringedic live {rig}")
 
 
-@app.command(epilog="Example: fringedic plan planned --set plan.angle_degree=35 --output plan.html")
+@app.command(
+    rich_help_panel=SET_UP, epilog="Example: fringedic plan planned --set plan.angle_degree=35 --output plan.html"
+)
 def plan(
     rig: Rig,
     settings: Annotated[
@@ -80,7 +92,9 @@ def plan(
     say(f"page: {write_plan_page(found, page, rig=path.stem)}")
 
 
-@app.command(epilog="Example: fringedic live plate.yaml --pattern fringes --region 320,240,640,480")
+@app.command(
+    rich_help_panel=SET_UP, epilog="Example: fringedic live plate.yaml --pattern fringes --region 320,240,640,480"
+)
 def live(
     rig: Rig,
     pattern: Annotated[
@@ -121,9 +135,11 @@ def _four_numbers(region: str) -> list[int]:
     return [column, row, width, height]
 
 
-@app.command(epilog="Example: fringedic noise plate.yaml --output noise")
+@app.command(rich_help_panel=SET_UP, epilog="Example: fringedic noise plate.yaml --output noise")
 def noise(
-    rig: Annotated[Path | None, typer.Argument(help="Rig file; the specimen is mounted and at rest.")] = None,
+    rig: Annotated[
+        Path | None, typer.Argument(metavar="RIG", help="Rig file; the specimen is mounted and at rest.")
+    ] = None,
     images: Annotated[
         list[Path] | None, typer.Option("--images", help="An image at rest, instead of a rig; give at least three.")
     ] = None,
@@ -160,11 +176,14 @@ def noise(
     say(f"noise floor: {file}; to use it, write its path into the rig file as noise_floor_file")
 
 
-@app.command(epilog="Example: fringedic show RIG.yaml crosshair")
+@app.command(rich_help_panel=SET_UP, epilog="Example: fringedic show RIG.yaml crosshair")
 def show(
     rig: Rig,
     pattern: Annotated[
-        str, typer.Argument(help="crosshair, grid, focus (lines of 1 to 4 px), white, grey, dark or fringes.")
+        str,
+        typer.Argument(
+            metavar="PATTERN", help="crosshair, grid, focus (lines of 1 to 4 px), white, grey, dark or fringes."
+        ),
     ] = "crosshair",
 ) -> None:
     """Hold a pattern on the projector until Enter or Ctrl-C, while the rig is adjusted."""
@@ -184,7 +203,7 @@ def show(
         hold_pattern(load_rig_file(path), path, ShownPattern(pattern), wait_for_enter)
 
 
-@app.command(epilog="Example: fringedic timing plate.yaml --output timing")
+@app.command(rich_help_panel=SET_UP, epilog="Example: fringedic timing plate.yaml --output timing")
 def timing(
     rig: Rig,
     exposure_ms: Annotated[
@@ -207,7 +226,7 @@ def timing(
     say(f"set in the rig file:\n{report.settings}", f"picture: {folder / 'timing.png'}")
 
 
-@app.command(epilog="Example: fringedic response plate.yaml --output response")
+@app.command(rich_help_panel=SET_UP, epilog="Example: fringedic response plate.yaml --output response")
 def response(
     rig: Rig,
     output: Annotated[Path, typer.Option(help="Folder for response.yaml and its picture.")] = Path("response"),
@@ -226,7 +245,7 @@ def response(
     say(f"picture: {folder / PICTURE}")
 
 
-@app.command(epilog="Example: fringedic region plate.yaml --output region.png")
+@app.command(rich_help_panel=SET_UP, epilog="Example: fringedic region plate.yaml --output region.png")
 def region(
     source: Annotated[
         Path,

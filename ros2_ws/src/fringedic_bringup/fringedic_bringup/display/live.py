@@ -97,7 +97,8 @@ def drawing(figures: LiveView, pattern: LivePattern, title: str) -> RenderableTy
 def block(figures: LiveView, pattern: LivePattern, title: str) -> str:
     """Return the form without colours: one line per figure."""
     focus = "-" if math.isnan(figures.focus) else f"{100 * figures.focus:.0f} %"
-    lines = [title, f"{'focus':11s} {focus} of best", f"{'histogram':11s} [{sparkline(figures.histogram)}]"]
+    spark = sparkline(figures.histogram, 2 * BAR - 15)  # with its name and brackets less than 80 columns
+    lines = [title, f"{'focus':11s} {focus} of best", f"{'histogram':11s} [{spark}]"]
     entries = live_entries(figures, pattern.kind)
     return "\n".join([*lines, *(f"{entry.name:11s} {entry.value}: {entry.advice}" for entry in entries)])
 

@@ -12,6 +12,7 @@ import yaml
 from fringedic.configuration.rig_file import RigFile, load_fitting_calibration
 from fringedic.configuration.sections import ExtensometerSection
 from fringedic.frames.region import Region
+from fringedic.metadata import Metadata
 from fringedic.recording.reader import BagReader
 
 PROCESSING_NODES = {"phase": "phase_node", "dic": "dic_node", "coupling": "coupling_node"}
@@ -116,7 +117,11 @@ def calibration_graph(rig: RigFile, rig_path: Path, folder: Path) -> Graph:
     folder
         Where the recording ``bag`` is written.
     """
-    settings = _experiment(rig, "") | {"nodes": ["phase"], "calibration_folder": str(folder.absolute())}
+    settings = _experiment(rig, "") | {
+        "nodes": ["phase"],
+        "calibration_folder": str(folder.absolute()),
+        "facts": Metadata(specimen=rig.specimen, hardware=rig.hardware).to_text(),
+    }
     phase = rig.nodes.phase.model_dump()
     if rig.sequence.fringe_order == "one_image":  # the positions of planes are absolute
         settings["fringe_order"], phase["relative_phase"] = "pitches", "refuse"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from fringedic.calibration.recorded import calibrate_recording
-from fringedic.report.calibration import CALIBRATION_REPORT, write_calibration_report
+from fringedic.report.calibration import CALIBRATION_REPORT, recorded_traceability, write_calibration_report
 from fringedic.report.calibration_sentences import (
     calibration_in_words,
     grid_in_words,
@@ -37,6 +37,6 @@ def calibrate_again(bag: Path, folder: Path, progress: Progress) -> CalibrationR
     assert session.result is not None
     session.save_grid(folder)
     session.save(folder, summary=verdict_sentence(session.result))
-    write_calibration_report(session.result, folder / CALIBRATION_REPORT)
+    write_calibration_report(session.result, folder / CALIBRATION_REPORT, recorded_traceability(bag))
     words = (grid_in_words(session.grid), calibration_in_words(session.result))
     return CalibrationReport(folder, session.result.go, words)

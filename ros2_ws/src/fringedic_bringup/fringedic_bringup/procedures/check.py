@@ -19,7 +19,7 @@ from fringedic.frames.records import stamp_of
 from fringedic.recording.reader import BagReader
 from fringedic.report.calibration_sentences import check_in_words
 from fringedic.report.check import CHECK_PAGE, write_check_page
-from fringedic_bringup.procedures.calibrate import calibration_client
+from fringedic_bringup.procedures.calibrate import calibration_client, traceability_of
 from fringedic_bringup.procedures.calibration_in_use import calibration_to_check
 from fringedic_bringup.procedures.outcome import Progress
 from fringedic_msgs.srv import PlaceReferencePlane
@@ -90,7 +90,7 @@ def check(
         age=_age(rig, rig_path),
     )
     when = datetime.fromtimestamp(1e-9 * stamps[-1], UTC)
-    write_check_page(result, folder / CHECK_PAGE, rig=model.identifier, created=when)
+    write_check_page(result, folder / CHECK_PAGE, rig=model.identifier, created=when, traceability=traceability_of(rig))
     calibrated = calibration_folder(rig, rig_path)
     if calibrated is not None:
         record_check(calibrated, result, when, verdict=check_in_words(result))
