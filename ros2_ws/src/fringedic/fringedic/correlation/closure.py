@@ -28,6 +28,8 @@ _AREA = 0.25  # of the window of the measurement
 _FLAT = 2.0  # width of the window of local mean and contrast over that of w
 _LEAST = 0.5  # covered part of a window
 _NOISE_RANGE = 2.0  # a variance beyond this multiple of the usual one is a fault, not noise
+_MEDIAN = 0.6745  # of the absolute values of a normal distribution
+_LARGEST_SCALE = 1.25  # 1.15 on leather; a larger one is a fault
 _TINY = f4(1e-12)
 
 
@@ -82,6 +84,7 @@ def displacement_closure(reference: np.ndarray, deformed: np.ndarray, field: xr.
     remaining = _remaining_noise(window, str(field.attrs["method"]), deviation)
     closure = _scores(fixed, moved, known, deviation, remaining)[:, ::spacing, ::spacing]
     closure = np.where(np.isfinite(field.displacement_x.values), closure, f4(np.nan))
+    closure /= f4(_scale(closure))
     units = {"units": "standard deviations"}
     return xr.Dataset(
         {f"closure_{axis}": (("row", "column"), part, units) for axis, part in zip("xy", closure, strict=True)},
@@ -102,14 +105,27 @@ def _scores(fixed: np.ndarray, moved: np.ndarray, known: np.ndarray, deviation: 
     noise = np.minimum(noise, f4(_NOISE_RANGE) * np.median(noise[known]))
     # A_i is the sum of w (f(p - e_i) - f(p + e_i)) n(p); the square of the window is one of deviation s / sqrt(2).
     square = f4(1 / (4 * np.pi * deviation**2))
+    # beside a border the displacement has a one-sided window; there its noise has less in common with that of A
+    one_sided = np.clip(2 * (1 - _smooth(weight, deviation / np.sqrt(_AREA))), 0, 1)
+    noise *= f4(remaining) + f4(1 - remaining) * one_sided
     spread = [square * _smooth(4 * each**2, deviation / np.sqrt(2)) for each in gradients]
     determinant = kxx * kyy - kxy * kyx
     scores = []
     with np.errstate(divide="ignore", invalid="ignore"):
         for a, b in ((kyy, -kxy), (-kyx, kxx)):
-            sigma = np.sqrt(f4(remaining) * noise * (a**2 * spread[0] + b**2 * spread[1]))
+            sigma = np.sqrt(noise * (a**2 * spread[0] + b**2 * spread[1]))
             scores.append(np.sign(determinant) * (a * found[0] + b * found[1]) / sigma)
     return np.where(known & (covered > _LEAST), np.stack(scores), f4(np.nan)).astype(f4)
+
+
+def _scale(closure: np.ndarray) -> float:
+    """Return how much larger than 1 the closures of most points are.
+
+    Where the texture is faint or has one direction, the displacement takes less of the noise with it than
+    `_remaining_noise` tells.
+    """
+    known = np.abs(closure[np.isfinite(closure)])
+    return float(np.clip(np.median(known) / _MEDIAN, 1, _LARGEST_SCALE)) if known.size else 1.0
 
 
 def _move_back(
