@@ -54,6 +54,7 @@ SIGMAS_IN_IMAGE = (
     Panel("displacement_sigma_x", "standard deviation of x"),
     Panel("displacement_sigma_y", "standard deviation of y"),
 )
+SIGMAS_OF_TWO_IMAGES = (Panel("sigma_x", "standard deviation of x"), Panel("sigma_y", "standard deviation of y"))
 SIGMAS_OF_STRAIN = tuple(
     Panel(f"sigma_{panel.name}", f"standard deviation of {panel.name}") for panel in (*STRAIN, *FLAT_STRAIN)
 )
@@ -74,7 +75,11 @@ _PICTURES = {
 _ALL = (HEIGHT, *DISPLACEMENT, *SIGMAS, *PRINCIPAL, *STRAIN, *FLAT_STRAIN, VON_MISES)
 _PANELS = {
     panel.name: panel
-    for panel in (*_ALL, *DISPLACEMENT_IN_IMAGE, *SIGMAS_IN_IMAGE, *SIGMAS_OF_STRAIN, GREY_RESIDUAL, *ERRORS)
+    for panels in (
+        (*_ALL, *DISPLACEMENT_IN_IMAGE, *SIGMAS_IN_IMAGE, *SIGMAS_OF_TWO_IMAGES),
+        (*SIGMAS_OF_STRAIN, GREY_RESIDUAL, *ERRORS),
+    )
+    for panel in panels
 }
 
 
