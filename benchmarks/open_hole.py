@@ -200,8 +200,8 @@ def figures(data: xr.Dataset, plate: Plate, ends: np.ndarray, picture: Path) -> 
 
 def _draw(step: xr.Dataset, picture: Path) -> None:
     panels = (
-        Panel("e_yy", "measured e_yy"),
-        Panel("model_e_yy", "model e_yy"),
+        Panel("e_yy", "measured e_yy", like="model_e_yy"),
+        Panel("model_e_yy", "model e_yy", like="e_yy"),
         Panel("normalized_e_yy", "difference over sigma", symmetric=True),
         Panel("difference_v", "v: difference", symmetric=True),
     )

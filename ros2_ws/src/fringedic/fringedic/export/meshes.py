@@ -18,7 +18,7 @@ _LOCATION = ("x", "y", "z", "triangles", "displacement_of_model")
 
 
 @check_arguments(ExportError, mesh=dataset("x", "triangles", over=("step", "node")), folder=path)
-def write_mesh(mesh: xr.Dataset, folder: str | os.PathLike[str]) -> Path:
+def write_mesh(mesh: xr.Dataset, folder: str | os.PathLike[str], *, overwrite: bool = False) -> Path:
     """Write one ``.vtp`` per step of a comparison on the mesh, and a ``.pvd`` that gives them the load as time.
 
     Parameters
@@ -27,6 +27,8 @@ def write_mesh(mesh: xr.Dataset, folder: str | os.PathLike[str]) -> Path:
         From `fringedic.models.on_mesh`.
     folder
         Made if it is missing.
+    overwrite
+        Replace an existing series.
 
     Returns
     -------
@@ -36,7 +38,7 @@ def write_mesh(mesh: xr.Dataset, folder: str | os.PathLike[str]) -> Path:
     Raises
     ------
     ExportError
-        The folder cannot be written.
+        The folder cannot be written, or contains such a series and `overwrite` is False.
     FringedicError
         The extra ``paraview`` is not installed.
     """
@@ -46,6 +48,8 @@ def write_mesh(mesh: xr.Dataset, folder: str | os.PathLike[str]) -> Path:
     triangles = mesh["triangles"].values
     faces = np.hstack([np.full((len(triangles), 1), 3, triangles.dtype), triangles]).ravel()
     series = folder / f"{experiment_name(mesh)}.pvd"
+    if series.exists() and not overwrite:
+        raise ExportError(f"{series} exists already; choose another folder or ask to overwrite it")
     entries = []
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -214,7 +214,7 @@ def draw_map(axes: Axes, maps: xr.Dataset, panel: Panel, limits: tuple[float, fl
     unit = people_unit(maps[panel.name])
     values = _in_people_units(maps, panel)
     finite = values[np.isfinite(values)]
-    low, high = limits or _colour_range(finite, panel.symmetric)
+    low, high = limits or _colour_range(_coloured_alike(maps, panel, finite), panel.symmetric)
     name = "RdBu_r" if panel.symmetric else "viridis"
     image = axes.imshow(
         _thinned(values),
@@ -235,6 +235,14 @@ def draw_map(axes: Axes, maps: xr.Dataset, panel: Panel, limits: tuple[float, fl
     axes.set_title(
         f"{panel.title}   {spread}".rstrip(), y=1.0
     )  # a place found by matplotlib takes a fifth of all drawing
+
+
+def _coloured_alike(maps: xr.Dataset, panel: Panel, finite: np.ndarray) -> np.ndarray:
+    """Return the finite values of a panel, and of the map with the same colour scale."""
+    if not panel.like:
+        return finite
+    other = _in_people_units(maps, panel._replace(name=panel.like))
+    return np.concatenate([finite, other[np.isfinite(other)]])
 
 
 def _in_people_units(maps: xr.Dataset, panel: Panel) -> np.ndarray:

@@ -19,11 +19,14 @@ class Panel(NamedTuple):
         What it is.
     symmetric
         Whether the colour scale is symmetric about zero, as for errors.
+    like
+        Another map of the dataset that has the same colour scale, which covers both; "" for a scale of its own.
     """
 
     name: str
     title: str
     symmetric: bool = False
+    like: str = ""
 
 
 HEIGHT = Panel("shape_z", "height z")

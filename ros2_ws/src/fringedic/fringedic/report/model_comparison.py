@@ -243,8 +243,8 @@ def _rows(step: xr.Dataset) -> list[list[str]]:
 def _maps(step: xr.Dataset, name: str) -> Figure:
     title = panel_of(name).title
     panels = (
-        Panel(name, f"measured {title}"),
-        Panel(f"model_{name}", "model, filtered as the measurement"),
+        Panel(name, f"measured {title}", like=f"model_{name}"),
+        Panel(f"model_{name}", "model, filtered as the measurement", like=name),
         Panel(f"difference_{name}", "measured minus model", symmetric=True),
         Panel(f"normalized_{name}", "difference over its uncertainty", symmetric=True),
     )

@@ -9,7 +9,7 @@ import xarray as xr
 
 from fringedic.errors import DatasetError
 from fringedic.figures.maps import maps_figure, save_pictures
-from fringedic.figures.panels import ERRORS, SHAPE_AND_DISPLACEMENT
+from fringedic.figures.panels import ERRORS, SHAPE_AND_DISPLACEMENT, Panel
 from fringedic.figures.previews import NOT_MEASURED, displacement_preview, phase_preview
 from fringedic.results.millimetres import with_millimetres
 
@@ -137,3 +137,13 @@ def test_displacement_preview_shows_direction_and_length():
     assert still.tolist() == [255, 255, 255]
     assert tuple(blank) == NOT_MEASURED
     assert tuple(displacement_preview(np.full((2, 2, 2), np.nan, np.float32))[0, 0]) == NOT_MEASURED
+
+
+def test_maps_that_are_compared_have_one_colour_scale():
+    step = experiment().sel(step=1)
+    step["model_w"] = 0.5 * step["w"]
+    alike = panel_axes(maps_figure(step, (Panel("w", "", like="model_w"), Panel("model_w", "", like="w")), title=""))
+    (first, second) = (axes.images[0].get_clim() for axes in alike)
+    assert first == second
+    (own,) = panel_axes(maps_figure(step, (Panel("model_w", ""),), title=""))
+    assert own.images[0].get_clim() != second

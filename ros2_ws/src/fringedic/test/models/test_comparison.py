@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 import fringedic
-from fringedic.errors import ModelError
+from fringedic.errors import ExportError, ModelError
 from fringedic.export import write_mesh
 from fringedic.models import Model, compare_model, on_mesh, read_model
 from fringedic.models.levelling import Levelling
@@ -186,6 +186,9 @@ def test_maps_on_the_mesh(right: xr.Dataset, tmp_path: Path):
     assert surface.n_points == len(seen)
     assert {"displacement_of_model_mm", "model_u_um", "normalized_e_11_sigma"} <= set(surface.point_data.keys())
     assert pyvista.PVDReader(series).time_values == [500.0, 1000.0]
+    with pytest.raises(ExportError, match="exists already"):
+        write_mesh(mesh, tmp_path / "mesh")
+    assert write_mesh(mesh, tmp_path / "mesh", overwrite=True) == series
     with pytest.raises(ModelError, match="no placement"):
         on_mesh(right.drop_attrs(), model_of())
 

@@ -144,7 +144,7 @@ def compare_model(  # noqa: PLR0913 (options of a command)
     write = write_shape_comparison if shape else write_model_comparison
     say(f"page: {write(comparison, page, overwrite=overwrite)}")
     if not shape:
-        say(f"mesh: {write_mesh(on_mesh(comparison, mesh), output / 'mesh')}")
+        say(f"mesh: {write_mesh(on_mesh(comparison, mesh), output / 'mesh', overwrite=overwrite)}")
     for done in export_dataset(comparison, output, ["netcdf", "vtk"], overwrite=overwrite):
         say(f"{done.format}: {done.path or '; '.join(done.problems)}")
 
