@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import re
 import subprocess
 from pathlib import Path
 
@@ -9,12 +11,14 @@ import cv2
 import numpy as np
 import pytest
 import xarray as xr
+from rich.console import Console
 from scipy.ndimage import gaussian_filter
 from typer.testing import CliRunner
 
 from fringedic.errors import ConfigurationError
 from fringedic_bringup.command import app, main
 from fringedic_bringup.command.app import parameter_values, title_of
+from fringedic_bringup.display.progress import LiveProgress
 from fringedic_bringup.procedures.folders import unused_folder
 
 
@@ -45,6 +49,14 @@ def test_help_shows_a_type_only_beside_options_with_a_value(words: list[str]) ->
     [help_line] = [line for line in lines if "--help " in line]
     assert help_line.split()[:3] == ["│", "--help", "Show"]
     assert "<bool>" not in "".join(lines)
+
+
+def test_progress_with_both_times_fits_an_ordinary_terminal() -> None:
+    console = Console(width=80, force_terminal=True, file=io.StringIO(), no_color=True)
+    with LiveProgress(console) as progress:
+        progress.step(3, 5, "displacement", 12, 16)
+    shown = r"step 3 \(last: 5\): displacement .* frame 12 of 16 .*\d:\d\d:\d\d.* / .*-:--:--.* left"
+    assert re.search(shown, console.file.getvalue())
 
 
 def test_help_groups_all_commands() -> None:

@@ -213,7 +213,11 @@ def _residual_entries(data: ReportData, note: str) -> list[Entry]:
     held_out = "" if known.held_out_um is None else f"; planes kept out of the fit: {known.held_out_um:.3g} µm"
     noise = f"noise alone would leave {known.predicted_um:.3g} µm{held_out}"
     return [
-        Entry("date of the calibration", known.created, _age(data.dataset, known.created)),
+        Entry(
+            "date of the calibration",
+            f"{datetime.fromisoformat(known.created).astimezone(UTC):%Y-%m-%d %H:%M} UTC",
+            _age(data.dataset, known.created),
+        ),
         Entry("plane residual", f"{known.residual_um:.3g} µm RMS", noise),
     ]
 

@@ -189,6 +189,7 @@ def test_the_calibration_tells_its_date_and_residual_when_they_were_recorded(dat
     listed = {entry.name: entry for entry in fringe_entries(data)}
     assert listed["plane residual"].value == "6.5 µm RMS"
     assert "6.25 µm" in listed["plane residual"].note
+    assert listed["date of the calibration"].value == "2023-11-14 20:13 UTC"
     assert listed["date of the calibration"].note == "2.0 hours before the test"
     assert listed["calibration"].note == "go"
 

@@ -12,6 +12,8 @@ from rich.table import Table
 
 from fringedic_bringup.procedures.outcome import RunReport
 
+_BAR = 10  # columns: activity, frame and both times fit beside it on a terminal of 80
+
 
 class LiveProgress:
     """Shows stage, step and frame of a procedure.
@@ -26,11 +28,12 @@ class LiveProgress:
         self._console = console
         self._bars = Bars(
             TextColumn("{task.description}"),
-            BarColumn(),
+            BarColumn(_BAR),
             TextColumn("{task.fields[frame]}"),
             TimeElapsedColumn(),
-            TextColumn("elapsed, remaining"),
+            TextColumn("/"),
             TimeRemainingColumn(),
+            TextColumn("left"),
             console=console,
             transient=True,
             disable=not console.is_terminal,
