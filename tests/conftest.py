@@ -9,11 +9,19 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, sync_playwright
+from playwright.sync_api import Browser, expect, sync_playwright
 from running_system import CONFIG, RecordedExperiment, processes_of, record_experiment, shared_result
 
 from fringedic_bringup.launch.environment import node_environment, private_domain, remove_stale_segments
 from fringedic_bringup.procedures.outcome import RunReport
+
+SHOWN_MS = 30_000  # until the page shows what a test waits for, on a busy computer
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--pictures", type=Path, help="Folder for pictures of the operator's page; docs/pictures renews them."
+    )
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -54,6 +62,7 @@ def browser() -> Iterator[Browser]:
     arguments = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     with sync_playwright() as playwright:
         running = playwright.chromium.launch(executable_path=chromium, args=arguments)
+        expect.set_options(timeout=SHOWN_MS)
         yield running
         running.close()
 

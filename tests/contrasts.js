@@ -9,12 +9,14 @@
   };
   const linear = (v) => (v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
   const luminance = ([r, g, b]) => 0.2126 * linear(r / 255) + 0.7152 * linear(g / 255) + 0.0722 * linear(b / 255);
+  // The colour behind an element: those of its parents, each over the one below it.
   const ground = (element) => {
+    const layers = [];
     for (let each = element; each; each = each.parentElement) {
-      const colour = parts(getComputedStyle(each).backgroundColor);
-      if (colour[3] === 255) return colour;
+      layers.push(parts(getComputedStyle(each).backgroundColor));
+      if (layers.at(-1)[3] === 255) break;
     }
-    return [255, 255, 255];
+    return layers.reduceRight((below, [r, g, b, a]) => [r, g, b].map((v, k) => (a / 255) * v + (1 - a / 255) * below[k]), [255, 255, 255]);
   };
   const wrong = [];
   for (const element of document.querySelectorAll("body *")) {

@@ -9,9 +9,11 @@ from __future__ import annotations
 import os
 import runpy
 import shlex
+import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -19,6 +21,8 @@ from typing import Any
 
 import pytest
 from ament_index_python import get_package_prefix, get_package_share_directory
+
+from fringedic_bringup.launch.processes import GRACE_S
 
 
 @dataclass
@@ -86,6 +90,21 @@ class Node:
         environment = {**os.environ, **self.additional_env, "ROS_DOMAIN_ID": domain}
         with log.open("wb") as output:
             return subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, env=environment)
+
+
+@contextmanager
+def running(nodes: list[Node], logs: Path, domain: str) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
+    """Start nodes; at the end all get SIGINT at once, as Ctrl-C at `ros2 launch` sends it."""
+    processes: dict[str, subprocess.Popen[bytes]] = {}
+    try:
+        for node in nodes:
+            processes[node.name] = node.start(logs / f"{node.name}.txt", domain)
+        yield processes
+    finally:
+        for process in processes.values():
+            process.send_signal(signal.SIGINT)
+        for process in processes.values():
+            process.wait(GRACE_S[signal.SIGINT])
 
 
 def launched(patch: pytest.MonkeyPatch, **arguments: str) -> list[Node]:

@@ -17,10 +17,10 @@ from browser import opened, page_address
 from playwright.sync_api import Browser, Page, expect
 from running_system import CONFIG, free_port
 
-WAIT_MS = 90_000  # for a procedure on a busy computer
+WAIT_MS = 240_000  # for a procedure on a busy computer
 VIEWS = {
     "setup": "#item-axes",
-    "live": "canvas.camera",
+    "live": "#pattern",
     "run": "#run",
     "maps": "canvas.map",
     "curves": "#curve-x",
@@ -51,11 +51,11 @@ class Operated:
 
 
 @contextmanager
-def operating(folder: Path, *words: str) -> Iterator[Operated]:
-    """Run `fringedic operate` for a copy of the tiny rig, or for the rig that is there."""
-    rig = folder / "tiny.yaml"
+def operating(folder: Path, *words: str, rig_name: str = "tiny") -> Iterator[Operated]:
+    """Run `fringedic operate` for a copy of a virtual rig, or for the rig file that is there."""
+    rig = folder / f"{rig_name}.yaml"
     if not rig.exists():
-        shutil.copyfile(CONFIG / "tiny.yaml", rig)
+        shutil.copyfile(CONFIG / rig.name, rig)
     code = "from fringedic_bringup.command.main import main; main()"
     command = [sys.executable, "-c", code, "operate", str(rig), "--port", str(free_port()), *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "COLUMNS": "300"}) as process:

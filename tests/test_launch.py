@@ -7,13 +7,12 @@ import re
 import shutil
 import signal
 import subprocess
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
 import yaml
-from launch_stand_in import Node, launched
+from launch_stand_in import Node, launched, running
 from running_system import CONFIG, ROOT
 
 from fringedic.errors import ConfigurationError
@@ -31,19 +30,6 @@ PROCESSING = ("phase", "dic", "coupling", "experiment", "recorder")
 def parameters(node: Node) -> dict[str, object]:
     (file,) = node.parameters
     return yaml.safe_load(Path(file).read_text())["/**"]["ros__parameters"]
-
-
-@contextmanager
-def running(nodes: list[Node], logs: Path, domain: str) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
-    """Start nodes; at the end all get SIGINT at once, as Ctrl-C at `ros2 launch` sends it."""
-    processes = {node.name: node.start(logs / f"{node.name}.txt", domain) for node in nodes}
-    try:
-        yield processes
-    finally:
-        for process in processes.values():
-            process.send_signal(signal.SIGINT)
-        for process in processes.values():
-            process.wait(GRACE_S[signal.SIGINT])
 
 
 @pytest.mark.parametrize("line", LINES)

@@ -5,28 +5,40 @@ from __future__ import annotations
 import json
 import os
 import re
+import resource
 import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
-from browser import NARROW, low_contrasts, opened
-from operated import VIEWS, WAIT_MS, Operated, click_at, driving, finished, live_frame, operating, start_programme, view
+from browser import opened
+from operated import (
+    WAIT_MS,
+    Operated,
+    click_at,
+    driving,
+    finished,
+    live_frame,
+    operating,
+    start_programme,
+    take_wheel,
+    view,
+)
 from playwright.sync_api import Browser, Page, expect
 from rclpy.serialization import deserialize_message
-from running_system import free_port
+from running_system import free_port, node_pid
 from viewer import LAYOUT, Viewer, drawn, viewing
 
 import fringedic
 from fringedic.frames.region import Region
 from fringedic_ros.serialized import message_type
 
-pytestmark = [pytest.mark.browser, pytest.mark.operate]
+pytestmark = [pytest.mark.browser, pytest.mark.operate, pytest.mark.timeout(900)]
 FIVE_STEPS = "{experiment: five, ramp: {to_mm: 0.6, steps: 5, speed_mm_per_s: 5}}"
 PANELS: dict[str, set[str]] = {}  # fields of each topic of the layout; the tiny rig has no extensometer
 for _topic, _field in drawn(json.loads(LAYOUT.read_text())):
@@ -171,6 +183,45 @@ def own(page: Page) -> dict[str, str]:
     return {"Origin": origin(page)}
 
 
+def test_programme_goes_on_without_its_driver_and_four_others_see_it(
+    page: Page, browser: Browser, operated: Operated
+) -> None:
+    """By default a programme does not need the page of its driver: after longer than a lost one is waited for."""
+    with ExitStack() as others:
+        lookers = [others.enter_context(opened(browser, operated.url)) for _ in range(4)]
+        for each in lookers:
+            view(each, "run")
+        start_programme(page, "{experiment: alone, steps: [{}, {hold_s: 20}, {}]}")
+        expect(page.locator("tr.now")).to_contain_text("capture", timeout=WAIT_MS)
+        page.click("#hold")
+        expect(page.locator("#message")).to_contain_text("hold requested at")
+        page.goto("about:blank")
+        for each in lookers:
+            assert finished(each).startswith("3 steps in alone-")
+            expect(each.locator("#procedure")).not_to_contain_text("the page of the driver is closed")
+    page.goto(operated.url)
+    expect(page.locator("nav a").first).to_be_visible()
+    take_wheel(page)
+
+
+def test_full_disk_is_told_and_the_next_programme_works(page: Page, operated: Operated) -> None:
+    """A limit of the file size replaces a full disk; only the number of the error differs."""
+    start_programme(page, f"{{experiment: full, steps: [{', '.join(['{}'] * 30)}]}}")
+    expect(page.locator("tr.now")).to_be_visible(timeout=WAIT_MS)
+    expect(page.locator("#steps td.good").first).to_be_visible(timeout=WAIT_MS)
+    [folder] = (operated.folder / "recordings").glob("full-*")
+    limit = (folder / "bag" / "bag_0.mcap").stat().st_size + 50_000
+    resource.prlimit(node_pid(folder, "recorder"), resource.RLIMIT_FSIZE, (limit, limit))
+    expect(page.locator("#steps td.bad").first).to_contain_text("the disk is full", timeout=WAIT_MS)
+    expect(page.locator("#facts")).to_contain_text("the disk is full")
+    page.click("#stop")
+    assert "the disk is full" in finished(page)
+    with fringedic.open_experiment(folder / "bag") as run:
+        assert not run.error.values[0], "what was measured before is kept"
+    start_programme(page, "{experiment: space, steps: [{}, {}]}")
+    expect(page.locator("#words")).to_contain_text("2 steps in space-", timeout=WAIT_MS)
+
+
 def test_steps_are_measured_by_hand_on_a_page_that_joins_and_foxglove_shows_them(
     page: Page, browser: Browser, operated: Operated
 ) -> None:
@@ -306,13 +357,3 @@ def test_a_second_page_at_the_same_port_and_a_second_rig_are_refused(operated: O
     refused = subprocess.run(command, capture_output=True, text=True, check=False, timeout=90)
     assert refused.returncode == 1
     assert re.search(rf"127.0.0.1 port {port}: the page cannot be served .* another --port", refused.stderr)
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_every_view_fits_a_phone_and_has_enough_contrast(page: Page, scheme: str) -> None:
-    page.set_viewport_size(NARROW)
-    page.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
-    for name in VIEWS:
-        view(page, name)
-        assert page.evaluate("() => document.documentElement.scrollWidth") <= 320, name
-        assert low_contrasts(page) == [], name

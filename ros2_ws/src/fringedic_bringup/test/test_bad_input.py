@@ -140,6 +140,23 @@ def test_results_of_images_are_exported_and_reported(
     assert "middle: (20, 48) to (80, 48)" in page.read_text("utf-8")
 
 
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "bench.yaml: no such rig file"),
+        ("camera: [", "bench.yaml: is not YAML: line 1"),
+        ("camera: {source: webcam}", "bench.yaml: camera.source: Input should be 'virtual'"),
+    ],
+)
+def test_page_of_a_rig_that_is_missing_or_wrong(
+    content: str | None, words: str, refusal: Refusal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if content is not None:
+        (tmp_path / "bench.yaml").write_text(content)
+    assert words in refusal("operate", "bench.yaml")
+
+
 @pytest.mark.parametrize("command", ["process", "measure"])
 def test_full_disk(
     command: str, images: list[Path], refusal: Refusal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path

@@ -46,7 +46,7 @@ from fringedic_ros.rig_node import RigNode
 from fringedic_ros.serialized import image_view
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.work import Worker
-from operator_node.rig_file import ShownRigFile
+from operator_node.rig_file import ShownRigFile, programme_rows
 from operator_node.rig_state import RigState
 
 TOKEN = "FRINGEDIC_OPERATOR_TOKEN"  # an environment variable: parameters are recorded and published
@@ -84,6 +84,7 @@ class OperatorNode(RigNode):
         self._file = ShownRigFile(Path(parameters.rig_file)) if parameters.rig_file else None
         self._maps = SpooledMaps(Path(parameters.maps_folder or tempfile.mkdtemp(prefix="fringedic-maps-")))
         self._folders: dict[str, Path] = {}
+        self._programme: list[dict[str, Any]] = []  # the one that was started instead of the rig file's
         self._joins = {name: StampJoin(topics) for name, topics in JOINED.items()}
         self._worker = Worker(self)
         self._subscribe()
@@ -148,6 +149,7 @@ class OperatorNode(RigNode):
             "machine": self._holds.service_is_ready(),
             "measures": self._measure.server_is_ready(),
             **shown,
+            **({"programme": self._programme} if self._programme else {}),
         }
         return found
 
@@ -159,7 +161,10 @@ class OperatorNode(RigNode):
         """Execute a command of the page."""
         if isinstance(command, Start):
             request = command.model_dump(exclude={"distance_mm"}) | {"distance": 1e-3 * command.distance_mm}
-            return await self._called(self._starts, StartProcedure.Request(**request))
+            answer = await self._called(self._starts, StartProcedure.Request(**request))
+            if command.procedure == "run":
+                self._programme = await asyncio.to_thread(programme_rows, command.text)
+            return answer
         if isinstance(command, Control):
             code = getattr(ControlProcedure.Request, command.command.upper())
             return await self._called(self._controls, ControlProcedure.Request(command=code))

@@ -6,10 +6,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_rig_file
 from fringedic.configuration.sections import VIRTUAL_RIG
 from fringedic.errors import FringedicError
 from fringedic.frames.region import Region
+from fringedic.inputs.yaml_text import InvalidYamlError, load_yaml
 from fringedic.report.calibration_sentences import in_force_words
 
 MOST_ROWS = 1000  # of the programme table
@@ -44,7 +46,7 @@ class ShownRigFile:
         try:
             rig = load_rig_file(self._path)
             shown |= {"load_frame": rig.load_frame is not None, "stage": rig.virtual_rig is not None}
-            shown |= {"programme": _programme(rig), "calibration": self._calibration(rig)}
+            shown |= {"programme": _rows(rig.programme), "calibration": self._calibration(rig)}
             if rig.region_file is not None:
                 region = Region.load(self._path.parent / rig.region_file)
                 shown["region"] = [{"points": each.points, "hole": each.hole} for each in region.polygons]
@@ -60,8 +62,15 @@ class ShownRigFile:
         return ["the values of the virtual rig" if rig.calibration == VIRTUAL_RIG else "values in the rig file"]
 
 
-def _programme(rig: RigFile) -> list[dict[str, Any]]:
-    if rig.programme is None:
+def programme_rows(text: str) -> list[dict[str, Any]]:
+    """Return the steps of a programme in YAML; none of an empty text, or of a wrong one, which is refused later."""
+    try:
+        return _rows(Programme.model_validate(load_yaml(text)))
+    except (ValueError, InvalidYamlError):
         return []
+
+
+def _rows(programme: Programme | None) -> list[dict[str, Any]]:
     names = ("position_mm", "speed_mm_per_s", "hold_s", "mode", "set_reference")
-    return [{name: getattr(step, name) for name in names} for step in rig.programme.load_steps()[:MOST_ROWS]]
+    steps = [] if programme is None else programme.load_steps()[:MOST_ROWS]
+    return [{name: getattr(step, name) for name in names} for step in steps]

@@ -2,7 +2,7 @@
 
 import { chart } from "./chart.js";
 import { make, options } from "./elements.js";
-import { strains } from "./extensometer.js";
+import { extensometer, strains } from "./extensometer.js";
 import { tried } from "./server.js";
 import { listen } from "./stream.js";
 
@@ -27,7 +27,7 @@ export function show(place) {
     const value = (step, name, factor) => step[name] === null || step[name] === undefined ? NaN : step[name] * factor;
     const sigma = (step) => (kept.y === "strain" ? value(step, "sigma_strain", up) : 0);
     drawn.replaceChildren(chart(steps.map((step) => [value(step, kept.x, across), value(step, kept.y, up), sigma(step)]), { x, y }));
-    hint.hidden = ![kept.x, kept.y].includes("strain") || steps.some((step) => "strain" in step);
+    hint.hidden = ![kept.x, kept.y].includes("strain") || extensometer.points.length === 2;
     table.replaceChildren(make("tr", {}, make("th", {}, x), make("th", {}, y)),
       ...steps.map((step) => make("tr", {}, ...[[kept.x, across], [kept.y, up]].map(([name, factor]) => make("td", {}, cell(value(step, name, factor)))))));
   };

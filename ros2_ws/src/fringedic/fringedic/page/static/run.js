@@ -28,6 +28,7 @@ function startPanel() {
   const state = JSON.stringify([rig.operated, rig.measures, rig.file_error, busy, procedure?.procedure, rig.programme, latest("hand"), procedure?.state, rig.load_frame, (latest("nodes") ?? []).length > 0]);
   if (state === shown && text.isConnected) return [...text.closest("#start").childNodes];
   shown = state;
+  another.hidden = busy; // the table of the steps is what one looks at then
   const by_hand = busy && procedure.procedure === "by_hand";
   return [
     make("h2", {}, "Test"),
@@ -53,10 +54,12 @@ function elsewhere(rig) {
 const STATES = { failed: "bad", measured: "good" };
 
 function rows() {
-  const programme = (latest("rig")?.programme ?? []).filter(({ mode }) => mode !== "none"), steps = latest("steps") ?? [], procedure = latest("procedure");
+  const known = (latest("rig")?.programme ?? []).filter(({ mode }) => mode !== "none"), steps = latest("steps") ?? [], procedure = latest("procedure");
   const running = isBusy(procedure) && procedure.procedure === "run", now = running ? procedure.step : -1;
   const reports = procedure?.procedure === "run" ? procedure.reports : [];
   const head = make("tr", {}, ...["step", "target [mm]", "position [mm]", "force [N]", "measured [%]"].map((name) => make("th", {}, name)), make("th", { class: "words" }, "state"));
+  // a programme with another number of steps is not the one whose targets are known: another page has started it
+  const programme = reports.length > known.length || (running && procedure.steps && procedure.steps !== known.length) ? [] : known;
   const count = Math.max(running ? procedure.steps : programme.length, reports.length);
   if (procedure?.procedure === "by_hand" || !count) return [head, ...steps.map((step) => row(step.step, null, step, step.error || step.stage, false))];
   return [head, ...Array.from({ length: count }, (_, k) => {
