@@ -1,8 +1,8 @@
 """Memory of the operator's page and of its server while they stream.
 
 ``python benchmarks/operator_streaming.py [MINUTES [RIG]]`` shows the live view of a rig (``plate`` by default) in
-chromium for so many minutes (30 by default), and prints every minute the resident memory of the server, the memory of
-the page's JavaScript after a collection, and the images shown.
+chromium for so many minutes (30 by default). It prints the time from opening the page to its first image, and every
+minute the resident memory of the server, the memory of the page's JavaScript after a collection, and the images shown.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 from operator_page import WARM_UP_S, cpu_s, memory_mb, operating
-from playwright.sync_api import CDPSession, Page, sync_playwright
+from playwright.sync_api import Browser, CDPSession, Page, sync_playwright
 
 COUNT = """() => {
   const canvas = document.querySelector("canvas.camera");
@@ -28,6 +28,17 @@ def page_memory_mb(tools: CDPSession) -> float:
     tools.send("HeapProfiler.collectGarbage")
     metrics = tools.send("Performance.getMetrics")["metrics"]
     return 1e-6 * next(float(each["value"]) for each in metrics if each["name"] == "JSHeapUsedSize")
+
+
+def first_image_s(browser: Browser, url: str) -> float:
+    """Return the time from opening the printed address in a new browser until an image of the camera is shown [s]."""
+    page = browser.new_context().new_page()
+    began = time.monotonic()
+    page.goto(f"{url}#live")
+    page.wait_for_selector("canvas.camera[data-stamp]", timeout=90_000)
+    passed = time.monotonic() - began
+    page.context.close()
+    return passed
 
 
 def stream(page: Page, pid: int, minutes: int) -> None:
@@ -61,6 +72,8 @@ def main(minutes: str = "30", rig: str = "plate") -> None:
         page.goto(url)
         page.click("nav a[href='#live']")
         page.wait_for_selector("canvas.camera[data-stamp]", timeout=90_000)
+        times = ", ".join(f"{first_image_s(browser, url):.2f}" for _ in range(5))
+        print(f"first image [s]: {times}", flush=True)
         page.evaluate(COUNT)
         time.sleep(WARM_UP_S)
         stream(page, pid, int(minutes))
