@@ -171,11 +171,12 @@ fi
 # wait (colcon's own -l option).
 kernels=$(find ros2_ws/src/fringedic/fringedic -name '*.py' -print0 | fingerprint)
 if ! current kernels "$kernels"; then
-    # Numba compares a kernel's own file only, not those of the functions that it calls
+    # Numba compares a kernel's own file only, not those of the functions that it calls. An interrupted set-up ends the
+    # compiling processes, which form a session.
     find ros2_ws/src -name '*.nb[ic]' -delete
-    PYTHONPATH=$root/ros2_ws/src/fringedic "$venv/bin/python" -m fringedic.warm_up >"$log.kernels" 2>&1 </dev/null 9>&- &
+    PYTHONPATH=$root/ros2_ws/src/fringedic setsid "$venv/bin/python" -m fringedic.warm_up >"$log.kernels" 2>&1 </dev/null 9>&- &
     compiling=$!
-    trap 'kill $compiling 2>/dev/null || true' EXIT
+    trap 'kill -- -$compiling 2>/dev/null || true' EXIT
 fi
 
 # Python sources are linked, so that only what colcon copies or generates needs another build.
