@@ -75,6 +75,11 @@ class Unit:
         """Whether the recording is being made, so that its steps are processed one by one."""
         return not self.fingerprint
 
+    @property
+    def settings_key(self) -> str:
+        """Hash of settings and software, which is the same before and after a recording is complete."""
+        return _hash([self.processing, self.software])
+
     def completed(self, summary: Summary) -> Unit:
         """Return the unit of the recording when it is complete."""
         return replace(

@@ -95,15 +95,22 @@ class CampaignStore:
             self._files.rm(self._path(name), recursive=True)
 
     def documents(self, folder: str) -> dict[str, dict[str, Any]]:
-        """Return all complete JSON objects of a folder by their names, in the order of the names."""
+        """Return all complete JSON objects of a folder by their names, in the order of the names.
+
+        Objects that are removed meanwhile are left out.
+        """
         with self._named("read"):
             self._files.invalidate_cache()
             try:
                 paths = sorted(path for path in self._files.find(self._path(folder)) if path.endswith(".json"))
             except FileNotFoundError:
                 return {}
-            contents = self._files.cat(paths) if paths else {}
-        found = {Path(path).stem: _document(contents[path]) for path in paths}
+            contents = self._files.cat(paths, on_error="return") if paths else {}
+            present = {path: each for path, each in contents.items() if not isinstance(each, FileNotFoundError)}
+            for each in present.values():
+                if isinstance(each, Exception):
+                    raise each
+        found = {Path(path).stem: _document(present[path]) for path in paths if path in present}
         return {name: document for name, document in found.items() if document is not None}
 
     def zarr_store(self, recording: str, *, read_only: bool = False) -> ZarrStore:

@@ -178,8 +178,8 @@ class _Begun:
 def _begin(store: CampaignStore, unit: Unit) -> _Begun:
     """Write that a unit is begun; a marker that is there already is that of an interrupted attempt."""
     earlier = store.read(f"{BEGUN}/{unit.name}.json")
-    attempts = int(earlier["attempts"]) if earlier is not None and earlier["key"] == unit.key else 0
-    begun = _Begun(store, unit.name, unit.key, attempts + 1, time.perf_counter())
+    attempts = int(earlier["attempts"]) if earlier is not None and earlier["key"] == unit.settings_key else 0
+    begun = _Begun(store, unit.name, unit.settings_key, attempts + 1, time.perf_counter())
     begun.write()
     return begun
 

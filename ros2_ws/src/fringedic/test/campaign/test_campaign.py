@@ -269,7 +269,8 @@ def test_the_plan_of_a_thousand_recordings_takes_little_memory(done: Campaign) -
 def test_an_interrupted_recording_is_begun_again_and_says_so(done: Campaign) -> None:
     store, plan = CampaignStore(done.store), current_plan(done)
     store.remove("receipts/plate-2.json")
-    store.write("begun/plate-2.json", {"key": plan.units[1].key, "attempts": 1, "steps": 0, "worker": "computer:1"})
+    key = plan.units[1].settings_key
+    store.write("begun/plate-2.json", {"key": key, "attempts": 1, "steps": 0, "worker": "computer:1"})
     assert "begun: plate-2 by computer:1" in status_sentences(status_of(store, plan))
     receipt = run(done)["plate-2"]
     assert isinstance(receipt, Receipt)
@@ -389,6 +390,13 @@ def test_names_are_the_shortest_that_distinguish(tmp_path: Path) -> None:
     campaign = written(tmp_path, recordings=[{"path": "*/recordings/*"}])
     names = [unit.name for unit in update_plan(campaign).units]
     assert names == ["a_recordings_plate-1", "b_recordings_plate-1"]
+
+
+def test_objects_that_are_removed_while_a_folder_is_read_are_left_out(tmp_path: Path) -> None:
+    store = CampaignStore(str(tmp_path))
+    store.write("begun/one.json", {"steps": 1})
+    (tmp_path / "begun" / "removed.json").symlink_to(tmp_path / "nowhere")  # is listed and cannot be opened
+    assert store.documents("begun") == {"one": {"steps": 1}}
 
 
 def test_a_store_without_plan_is_no_campaign(tmp_path: Path) -> None:
