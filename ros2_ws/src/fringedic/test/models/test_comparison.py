@@ -107,17 +107,16 @@ def test_a_right_model_differs_by_noise_alone(right: xr.Dataset):
 
 @pytest.mark.slow
 def test_warm_up_leaves_nothing_to_compile():
-    """In a fresh process: kernels of this one are compiled already."""
+    """In a fresh process, which has to find the machine code of all kernels: those of this one are compiled already."""
     code = """
 from fringedic.models import sampling
 from fringedic.warm_up.pipeline import warm_up
 kernels = [each for each in vars(sampling).values() if hasattr(each, "signatures")]
 warm_up()
-compiled = [len(each.signatures) for each in kernels]
 from models.test_comparison import compare_model, experiment, model_of, pairs
 compare_model(experiment(), model_of(), pairs=pairs(), steps=[2])
-assert len(kernels) >= 4
-assert [len(each.signatures) for each in kernels] == compiled
+assert any(each.signatures for each in kernels)
+assert not any(each.stats.cache_misses for each in kernels)
 """
     tests = Path(__file__).parents[1]
     done = subprocess.run([sys.executable, "-c", code], cwd=tests, capture_output=True, text=True, check=False)
