@@ -110,9 +110,16 @@ def _unrelated_pitch(finding: Finding) -> str:
 
 
 def _unidentified_frame(finding: Finding) -> str:
+    frames = f"frames {finding.frames[0]} to {finding.frames[-1]}"
+    pitch = f"fringes of pitch {finding.patterns[0].pitch:g} px"
+    if len(finding.frames) == 3:
+        return (
+            f"one of {frames} does not show its {pitch}; with three shifts the check cannot identify it: "
+            "show four shifts or more"
+        )
     return (
-        f"one of frames {finding.frames[0]} to {finding.frames[-1]} does not show its fringes of pitch "
-        f"{finding.patterns[0].pitch:g} px; with three shifts the check cannot identify it: show four shifts or more"
+        f"{frames} do not show their {pitch}, and no single frame explains it: they were taken while the projector "
+        "changed, because settle_ms is shorter than its delay (fringedic timing measures it), or show another object"
     )
 
 

@@ -9,6 +9,8 @@ import numpy as np
 HARMONICS = (2, 3, 4)
 """Of the response, which all pixels have in common; of gamma 1 to 2.4, the next is below 0.2 % of the modulation."""
 
+_STRONGEST = 0.4  # harmonic over the modulation: (g - 1) / (g + 2) for a response with the exponent g, 0.32 at 2.4
+
 
 def fit_wave(levels: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Fit sinusoids to grey levels (frame, pixel) at these angles; return mean, B cos(phi), B sin(phi): (3, pixel)."""
@@ -31,12 +33,17 @@ def waves(angles: np.ndarray) -> np.ndarray:
 
 
 def remove_harmonics(rest: np.ndarray, fit: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Return residuals (frame, pixel) without the harmonics of the response, whose strength all pixels share."""
+    """Return residuals (frame, pixel) without the harmonics of the response, whose strength all pixels share.
+
+    A harmonic stronger than that of any response remains in part: dark frames among lit ones look like one, where all
+    pixels have the same phase.
+    """
     parts = harmonic_levels(fit, angles)
     if not len(parts):
         return rest
     stacked = parts.reshape(len(parts), -1)
     strength = np.linalg.lstsq(stacked @ stacked.T, stacked @ rest.ravel(), rcond=1e-6)[0]
+    strength = np.clip(strength, -_STRONGEST, _STRONGEST)
     return np.asarray(rest - np.tensordot(strength, parts, axes=1))
 
 

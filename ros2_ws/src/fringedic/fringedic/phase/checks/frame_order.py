@@ -33,6 +33,7 @@ _AS_GOOD = 1.5  # explanations whose misfit is larger by no more than this facto
 _UNKNOWN_FRAME = 0.001  # misfit that a frame without a known pattern has to remove
 _LAGS = (0.08, 0.95)  # parts of the pattern before that leave a misfit and are not a whole frame
 _FEWER_JUMPS = 0.5  # of the jumps remain at most with the right order of the bits
+_NO_SINUSOID = 0.15  # residual over the modulation, RMS, of frames that no explanation fits
 _SMALLEST_DEVIATION = 0.5  # of a wrong frame from its pattern, over that of the pattern before
 
 
@@ -193,9 +194,10 @@ def _unexplained(sample: Sample, evidence: Evidence, patterns: Sequence[Projecte
             value=_seen_pitch(sample, number),
             coarser=patterns[slices[number - 1].start],
         )
-    if evidence.is_uneven:
-        frames = tuple(range(slices[0].start, slices[0].stop))
-        return Finding(FindingKind.UNIDENTIFIED_FRAME, True, frames, tuple(patterns[slices[0]]))
+    worst = int(np.argmax(evidence.residual))
+    if evidence.is_uneven or evidence.residual[worst] > _NO_SINUSOID:
+        frames = tuple(range(slices[worst].start, slices[worst].stop))
+        return Finding(FindingKind.UNIDENTIFIED_FRAME, True, frames, tuple(patterns[slices[worst]]))
     if evidence.has_wrong_bits:
         return Finding(FindingKind.CODE_DISAGREES, True, value=evidence.wrong_bits)
     return None

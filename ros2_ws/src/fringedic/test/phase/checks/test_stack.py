@@ -126,6 +126,17 @@ def test_every_frame_is_checked_for_its_pattern(plate: VirtualRig, shifts: int, 
             assert caught.value.index == (first if alone else index), (shown, index, str(caught.value))
 
 
+@pytest.mark.parametrize("light", [0.1, 0.15])
+def test_a_projector_that_stays_dark_for_three_frames_is_named(plate: VirtualRig, light: float) -> None:
+    """All pixels then have the same phase, and the dark frames look like a harmonic."""
+    sequence = sequence_of(plate, 4, (0.0, 10.0))
+    first, second = stack_of(plate, sequence)[:2].astype(float)
+    dark = plate.expose(np.zeros(plate.projector_shape, np.uint8), 0.0, 99).astype(float)
+    late = [dark, dark, dark, dark + light * (first - dark), first, first, 0.6 * first + 0.4 * second, second]
+    with pytest.raises(StepError, check=lambda e: e.code is ErrorCode.WRONG_PATTERN):
+        check_stack(np.round(late).astype(np.uint8), sequence.patterns)
+
+
 def test_the_number_of_a_frame_in_its_step_is_named(measured: tuple[PatternSequence, np.ndarray]) -> None:
     sequence, frames = measured
     frames = frames.copy()
