@@ -157,6 +157,30 @@ def test_camera_that_stops_answering(rig: Rig) -> None:
     rig.measure()
 
 
+def test_a_step_that_is_interrupted_before_its_acceptance_does_not_run_on(rig: Rig) -> None:
+    """It would keep the rig busy, and the following steps of a programme would fail at once."""
+    interrupted = False
+
+    def watch() -> None:
+        if interrupted:
+            raise InterruptedError
+
+    with RigClient(rig.running.graph.namespace, watch=watch, name="interrupted") as client:
+        client.wait_until_ready(["experiment"])
+        os.kill(rig.running.pid("experiment"), signal.SIGSTOP)
+        try:
+            interrupted = True
+            with pytest.raises(InterruptedError):
+                client.measure()
+            with pytest.raises(InterruptedError):
+                client.cancel()
+        finally:
+            os.kill(rig.running.pid("experiment"), signal.SIGCONT)
+        interrupted = False
+        client.cancel()
+        assert client.measure().valid_fraction > WORKING
+
+
 def test_camera_that_was_killed_and_started_again(rig: Rig) -> None:
     os.kill(rig.running.pid("camera"), signal.SIGKILL)
     wait_until(lambda: rig.running.exit_code("camera") is not None, "the end of the camera")

@@ -107,6 +107,7 @@ class RigClient:
         self._strain = self._strain_of_step = math.nan
         self.node.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
         self.node.create_subscription(Float64, "extensometer/strain", self._take_strain, STATE)
+        self._sent: Future | None = None  # goal whose acceptance is pending; a server may run it already
         self._running: Any = None  # goal whose result is pending
         # the last of all, because a node discovers the endpoints of another in the order of their creation
         self._pings = {
@@ -286,15 +287,23 @@ class RigClient:
     def cancel(self, timeout_s: float = 10.0) -> None:
         """Cancel the move or the step whose wait was interrupted by `watch`, if there is one.
 
+        Where `watch` interrupts this wait as well, the next call goes on with it.
+
         Raises
         ------
         WaitTimeoutError
             The node that runs it does not answer any more.
         """
-        handle, self._running = self._running, None
-        if handle is not None:
-            self._await(handle.cancel_goal_async(), timeout_s, "cancelling")
-            self._await(handle.get_result_async(), timeout_s, "the result of the cancelled goal")
+        try:
+            if self._sent is not None:
+                self._accepted(self._await(self._sent, timeout_s, "the answer to the goal"))
+            if self._running is not None:
+                self._await(self._running.cancel_goal_async(), timeout_s, "cancelling")
+                self._await(self._running.get_result_async(), timeout_s, "the result of the cancelled goal")
+                self._running = None
+        except WaitTimeoutError:
+            self._sent = self._running = None
+            raise
 
     def wait_until_started(self, since_ns: Mapping[str, int], timeout_s: float = START_TIMEOUT_S) -> None:
         """Wait for nodes that were started again, and until the middleware has dropped their predecessors.
@@ -535,12 +544,16 @@ class RigClient:
         return result
 
     def _send(self, client: ActionClient, goal: Any, what: str, feedback: Callable[[Any], None]) -> Any:
-        sent = client.send_goal_async(goal, feedback_callback=lambda message: feedback(message.feedback))
-        handle = self._await_server(client, sent, START_TIMEOUT_S, what)
+        self._sent = client.send_goal_async(goal, feedback_callback=lambda message: feedback(message.feedback))
+        handle = self._await_server(client, self._sent, START_TIMEOUT_S, what)
+        self._accepted(handle)
         if not handle.accepted:
             raise StepFailedError(f"{what}: refused")
-        self._running = handle
         return handle
+
+    def _accepted(self, handle: Any) -> None:
+        """Take the server's answer to a goal."""
+        self._sent, self._running = None, handle if handle.accepted else None
 
     def _await_server(self, client: ActionClient, future: Future, timeout_s: float, what: str) -> Any:
         """Return an answer of an action server, unless its node has been missing for some seconds.

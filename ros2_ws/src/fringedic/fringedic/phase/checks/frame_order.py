@@ -34,6 +34,7 @@ _UNKNOWN_FRAME = 0.001  # misfit that a frame without a known pattern has to rem
 _LAGS = (0.08, 0.95)  # parts of the pattern before that leave a misfit and are not a whole frame
 _FEWER_JUMPS = 0.5  # of the jumps remain at most with the right order of the bits
 _NO_SINUSOID = 0.15  # residual over the modulation, RMS, of frames that no explanation fits
+_ONE_PHASE = 0.95  # of |mean of exp(i phi)|; fringes over a third of a pitch have 0.83
 _SMALLEST_DEVIATION = 0.5  # of a wrong frame from its pattern, over that of the pattern before
 
 
@@ -195,12 +196,18 @@ def _unexplained(sample: Sample, evidence: Evidence, patterns: Sequence[Projecte
             coarser=patterns[slices[number - 1].start],
         )
     worst = int(np.argmax(evidence.residual))
-    if evidence.is_uneven or evidence.residual[worst] > _NO_SINUSOID:
+    if evidence.is_uneven or (evidence.residual[worst] > _NO_SINUSOID and _same_phase(sample, worst)):
         frames = tuple(range(slices[worst].start, slices[worst].stop))
         return Finding(FindingKind.UNIDENTIFIED_FRAME, True, frames, tuple(patterns[slices[worst]]))
     if evidence.has_wrong_bits:
         return Finding(FindingKind.CODE_DISAGREES, True, value=evidence.wrong_bits)
     return None
+
+
+def _same_phase(sample: Sample, number: int) -> bool:
+    """Return whether all pixels have one phase, as when one frame of a pitch is lit and the others are dark."""
+    _, cosine, sine = sample.fits[number]
+    return bool(np.abs(np.mean(np.exp(1j * np.arctan2(sine, cosine)))) > _ONE_PHASE)
 
 
 def _seen_pitch(sample: Sample, number: int) -> float:
