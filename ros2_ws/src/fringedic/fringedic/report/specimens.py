@@ -8,28 +8,31 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import DatasetError
 from fringedic.figures.charts import SpecimenCurve, specimen_charts
-from fringedic.figures.maps import maps_figure
 from fringedic.figures.panels import Panel
-from fringedic.report.embedding import base64_png, chart_html, chart_script
-from fringedic.report.templates import render_page, require_new, write_page
-from fringedic.report.two_experiments import DRAWN, entry_text, experiment_title
+from fringedic.report.compared_points import (
+    ComparedTable,
+    entry_text,
+    experiment_title,
+    last_compared,
+    write_compared,
+)
+from fringedic.report.embedding import chart_html
+from fringedic.report.templates import require_new
 from fringedic.results.elasticity import elastic_constants, strain_curve
-from fringedic.results.quantities import number_text, people_unit
 from fringedic.results.specimens import compare_specimens, specimen_maps
 from fringedic.results.two_experiments import differing_attributes
 
-COLUMNS = (
-    "step",
-    "quantity",
-    "points",
-    "mean",
-    "spread of means",
-    "spread at a point",
-    "uncertainty of one",
-    "spread over uncertainty",
+_TABLE = ComparedTable(
+    lengths={
+        "mean": "mean",
+        "spread_of_means": "spread of means",
+        "spread": "spread at a point",
+        "uncertainty": "uncertainty of one",
+    },
+    ratios={"spread_over_uncertainty": ("spread over uncertainty", 1.0)},
 )
+_NOWHERE = "no point is measured of all specimens: they are at other places in the image"
 _OF_EACH = ("experiment", "source")  # attributes that differ between specimens anyway
 
 
@@ -55,26 +58,18 @@ def write_specimens(experiments: Mapping[str, xr.Dataset], output: Path, *, over
     require_new(output, overwrite)
     group = list(experiments.values())
     found = compare_specimens(group)
-    step = _last_compared(found)
-    maps = specimen_maps(group, step)
-    drawn = [name for name in DRAWN if name in maps][:4]
-    page = render_page(
+    return write_compared(
         "specimens.html.j2",
+        output,
+        found,
+        specimen_maps(group, last_compared(found, _NOWHERE)),
+        _TABLE,
+        _panels,
         titles={name: experiment_title(each) for name, each in experiments.items()},
         sentences=specimen_sentences(found),
-        columns=COLUMNS,
-        rows=[
-            _row(found.sel(step=number, quantity=name), group[0][name])
-            for number in found["step"].values
-            for name in found["quantity"].values.tolist()
-        ],
         differences=_differences(group),
-        shown=step,
-        pictures={name: base64_png(maps_figure(maps, _panels(name), title=f"step {step}, {name}")) for name in drawn},
         charts=[chart_html(chart) for chart in specimen_charts("Load over strain", _curves(experiments))],
-        script=chart_script(),
     )
-    return write_page(page, output)
 
 
 def specimen_sentences(found: xr.Dataset) -> list[str]:
@@ -85,7 +80,7 @@ def specimen_sentences(found: xr.Dataset) -> list[str]:
     found
         From `fringedic.results.compare_specimens`.
     """
-    last = found.sel(step=_last_compared(found))
+    last = found.sel(step=last_compared(found, _NOWHERE))
     return [
         f"{name}: the spread of the specimens at a point is {float(each['spread_over_uncertainty']):.2f} times the "
         f"uncertainty of one measurement ({int(each['points'])} points)"
@@ -128,26 +123,6 @@ def _differences(group: Sequence[xr.Dataset]) -> list[tuple[str, str]]:
                 known = values.setdefault(name, [entry_text(one)])
                 known += [text for text in [entry_text(another)] if text not in known]
     return [(name, "; ".join(texts)) for name, texts in values.items()]
-
-
-def _last_compared(found: xr.Dataset) -> int:
-    compared = found["step"].values[(found["points"].values > 0).any(axis=1)]
-    if not compared.size:
-        raise DatasetError("no point is measured of all specimens: they are at other places in the image")
-    return int(compared[-1])
-
-
-def _row(found: xr.Dataset, variable: xr.DataArray) -> list[str]:
-    unit = people_unit(variable)
-    names = ("mean", "spread_of_means", "spread", "uncertainty")
-    lengths = (float(found[name]) / unit.factor for name in names)
-    return [
-        str(int(found["step"])),
-        str(found["quantity"].item()),
-        str(int(found["points"])),
-        *(number_text(length) + (f" {unit.text}" if np.isfinite(length) else "") for length in lengths),
-        number_text(float(found["spread_over_uncertainty"])),
-    ]
 
 
 def _panels(name: str) -> tuple[Panel, ...]:

@@ -190,7 +190,7 @@ def process_into(
     """
     reader = BagReader(path)
     reference = settings.reference
-    names = reader.find(*PROCESSED_TOPICS[:2]) | reader.find_optional(*PROCESSED_TOPICS[2:])
+    names = _processed_topics(reader)
     timeline = Timeline(reader, names, settings.experiment)
     if settings.calibration is not None:
         check_calibration(settings.calibration, recorded_setup(reader))
@@ -217,6 +217,11 @@ def process_into(
     if segment is not None:
         measured = (row for row in measured if row.step in segment.steps)
     _write(target, timeline, measured, lambda: pipeline.settings, progress)
+
+
+def _processed_topics(reader: BagReader) -> dict[str, str]:
+    """Return the topics that processing reads and that are recorded: relative name -> full name."""
+    return reader.find(*PROCESSED_TOPICS[:2]) | reader.find_optional(*PROCESSED_TOPICS[2:])
 
 
 def follow_into(
@@ -282,8 +287,7 @@ def _final_timeline(
 ) -> Timeline:
     """Return the timeline of a recording that is complete, if it is what was assumed while it was made."""
     reader = BagReader(recording.path)
-    names = reader.find(*PROCESSED_TOPICS[:2]) | reader.find_optional(*PROCESSED_TOPICS[2:])
-    timeline = Timeline(reader, names, None)
+    timeline = Timeline(reader, _processed_topics(reader), None)
     if settings.calibration is not None:
         check_calibration(settings.calibration, recorded_setup(reader))
     if timeline.damage or {"experiment": timeline.experiment, "source": timeline.source} != attributes:

@@ -157,11 +157,7 @@ def _run(
 
     campaign = load_campaign(folder)
     store = CampaignStore(campaign.store)
-    made = (
-        update_plan(campaign, recompute=recompute, follow=True)
-        if follow
-        else current_plan(campaign, recompute=recompute)
-    )
+    made = current_plan(campaign, recompute=recompute, follow=follow)
     say(*plan_sentences(made))
     while units := status_of(store, made).share(*shard):
         _process(units, engine)
