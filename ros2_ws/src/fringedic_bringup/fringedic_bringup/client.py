@@ -35,6 +35,7 @@ from fringedic_bringup.participant import Participant
 from fringedic_msgs.action import CalibrateDistortion, CalibrateRig, MeasureStep, MoveCrosshead
 from fringedic_msgs.msg import LoadState, RecorderStatus, Reference
 from fringedic_msgs.srv import PlaceReferencePlane, SetReference, StartExperiment
+from fringedic_ros.goals import RepeatedGoal
 from fringedic_ros.qos import LATCHED, STATE
 from fringedic_ros.waiting import RepeatedRequest
 
@@ -107,8 +108,8 @@ class RigClient:
         self._strain = self._strain_of_step = math.nan
         self.node.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
         self.node.create_subscription(Float64, "extensometer/strain", self._take_strain, STATE)
-        self._sent: Future | None = None  # goal whose acceptance is pending; a server may run it already
-        self._running: Any = None  # goal whose result is pending
+        self._sent: RepeatedGoal | None = None  # goal whose acceptance is pending; a server may run it already
+        self._running: RepeatedGoal | None = None  # goal whose result is pending
         # the last of all, because a node discovers the endpoints of another in the order of their creation
         self._pings = {
             name: self.node.create_client(GetParameters, f"{name}/get_parameters")
@@ -230,20 +231,18 @@ class RigClient:
         if until is None:
             return self._act(self._move, goal, what, lambda _: None)
         self.wait_for(lambda: self._load is not None, START_TIMEOUT_S, lambda: "load_frame/state: no sample")
-        handle = self._send(self._move, goal, what, lambda _: None)
-        ended = handle.get_result_async()
+        sent = self._send(self._move, goal, what, lambda _: None)
         stopped = False
 
         def over() -> bool:
             nonlocal stopped
-            if not stopped and not ended.done() and until(self.reading):
+            ended = sent.request_result()
+            if not stopped and not ended and until(self.reading):
                 stopped = True
-                handle.cancel_goal_async()
-            return ended.done()
+                sent.handle.cancel_goal_async()
+            return ended
 
-        self.wait_for(over, STEP_TIMEOUT_S, lambda: f"{what}: no answer")
-        self._running = None
-        result = ended.result().result
+        result = self._result(sent, over, what)
         if result.error_code and not (stopped and result.error_code == MoveCrosshead.Result.CANCELLED):
             raise StepFailedError(f"{result.error_message} (error {result.error_code})")
         return result
@@ -282,7 +281,7 @@ class RigClient:
     def request_cancel(self) -> None:
         """Request the end of the move or the step that is running, without waiting; also from its feedback."""
         if self._running is not None:
-            self._running.cancel_goal_async()
+            self._running.handle.cancel_goal_async()
 
     def cancel(self, timeout_s: float = 10.0) -> None:
         """Cancel the move or the step whose wait was interrupted by `watch`, if there is one.
@@ -295,11 +294,13 @@ class RigClient:
             The node that runs it does not answer any more.
         """
         try:
-            if self._sent is not None:
-                self._accepted(self._await(self._sent, timeout_s, "the answer to the goal"))
-            if self._running is not None:
-                self._await(self._running.cancel_goal_async(), timeout_s, "cancelling")
-                self._await(self._running.get_result_async(), timeout_s, "the result of the cancelled goal")
+            if (sent := self._sent) is not None:
+                # not sent again: it would begin now
+                self.wait_for(lambda: sent.is_answered, timeout_s, lambda: "the answer to the goal: no answer")
+                self._take_answer(sent)
+            if (running := self._running) is not None:
+                self._await(running.handle.cancel_goal_async(), timeout_s, "cancelling")
+                self.wait_for(running.request_result, timeout_s, lambda: "the result of the cancelled goal: no answer")
                 self._running = None
         except WaitTimeoutError:
             self._sent = self._running = None
@@ -538,44 +539,56 @@ class RigClient:
         return _without_error(self._goal(client, goal, what, feedback))
 
     def _goal(self, client: ActionClient, goal: Any, what: str, feedback: Callable[[Any], None]) -> Any:
-        handle = self._send(client, goal, what, feedback)
-        result = self._await_server(client, handle.get_result_async(), STEP_TIMEOUT_S, what).result
-        self._running = None
-        return result
+        sent = self._send(client, goal, what, feedback)
+        return self._result(sent, sent.request_result, what)
 
-    def _send(self, client: ActionClient, goal: Any, what: str, feedback: Callable[[Any], None]) -> Any:
-        self._sent = client.send_goal_async(goal, feedback_callback=lambda message: feedback(message.feedback))
-        handle = self._await_server(client, self._sent, START_TIMEOUT_S, what)
-        self._accepted(handle)
-        if not handle.accepted:
+    def _send(self, client: ActionClient, goal: Any, what: str, feedback: Callable[[Any], None]) -> RepeatedGoal:
+        sent = self._sent = RepeatedGoal(client, goal, feedback)
+        self._await_server(client, sent.send, START_TIMEOUT_S, what)
+        self._take_answer(sent)
+        if not sent.is_accepted:
             raise StepFailedError(f"{what}: refused")
-        return handle
+        return sent
 
-    def _accepted(self, handle: Any) -> None:
-        """Take the server's answer to a goal."""
-        self._sent, self._running = None, handle if handle.accepted else None
+    def _take_answer(self, sent: RepeatedGoal) -> None:
+        self._sent, self._running = None, sent if sent.is_accepted else None
 
-    def _await_server(self, client: ActionClient, future: Future, timeout_s: float, what: str) -> Any:
-        """Return an answer of an action server, unless its node has been missing for some seconds.
+    def _result(self, sent: RepeatedGoal, over: Callable[[], bool], what: str) -> Any:
+        """Wait until a goal is over, and return its result.
+
+        Raises
+        ------
+        WaitTimeoutError
+            There is no result in time, the node is missing, or it does not know the goal.
+        """
+        self._await_server(sent.client, over, STEP_TIMEOUT_S, what)
+        self._running = None
+        if sent.result is None:
+            node = self._servers[sent.client]
+            raise WaitTimeoutError(f"{what}: the node {node} was started again and does not know the goal: repeat it")
+        return sent.result
+
+    def _await_server(self, client: ActionClient, done: Callable[[], bool], timeout_s: float, what: str) -> None:
+        """Wait for an answer of an action server, unless its node has been missing for some seconds.
 
         Raises
         ------
         WaitTimeoutError
             There is no answer in time, or the node is missing; the message names it.
         """
-        seen = time.monotonic()
+        seen, answered = time.monotonic(), False
 
         def answered_or_lost() -> bool:
-            nonlocal seen
+            nonlocal seen, answered
+            answered = done()
             if client.server_is_ready():
                 seen = time.monotonic()
-            return future.done() or time.monotonic() - seen > LOST_S
+            return answered or time.monotonic() - seen > LOST_S
 
         self.wait_for(answered_or_lost, timeout_s, lambda: f"{what}: no answer")
-        if not future.done():
+        if not answered:
             node = self._servers[client]
             raise WaitTimeoutError(f"{what}: the node {node} is missing: start it, or connect its computer")
-        return future.result()
 
     def _await(self, future: Future, timeout_s: float, what: str) -> Any:
         self.wait_for(future.done, timeout_s, lambda: f"{what}: no answer")

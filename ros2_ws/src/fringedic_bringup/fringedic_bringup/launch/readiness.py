@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Iterable, Mapping
 
 from rclpy.action import ActionClient
 from rclpy.client import Client
 from rclpy.node import Node
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from experiment_node.topics import DERIVED_TOPICS, RAW_TOPICS
 from fringedic.errors import StepFailedError
@@ -15,6 +15,7 @@ from fringedic_msgs.msg import NodeParameters, RecorderStatus
 from fringedic_ros.qos import LATCHED, LATCHED_BY_MANY
 from fringedic_ros.stamps import to_nanoseconds
 
+_PREFIX = 12  # bytes of an identifier that all endpoints of a process share (DDS-RTPS 2.5, 9.3.1.1)
 SERVICES = {"camera": "camera/capture", "projector": "projector/show", "load_frame": "load_frame/hold"}
 
 
@@ -53,8 +54,7 @@ class Readiness:
         StepFailedError
             The recorder cannot record.
         """
-        listed = self._listed()
-        absent = sorted(name for name in expected if listed[name] != 1)
+        absent = sorted(name for name in expected if self._listed(name) != 1)
         absent += [
             f"service {service}"
             for node, service in SERVICES.items()
@@ -83,21 +83,28 @@ class Readiness:
             self._recorder = None  # the latest status is that of the recorder that has ended
 
         def missing() -> set[str]:
-            listed = self._listed()
-            return {name for name, since in since_ns.items() if self._started.get(name, 0) < since or listed[name] != 1}
+            return {
+                name
+                for name, since in since_ns.items()
+                if self._started.get(name, 0) < since or self._listed(name) != 1
+            }
 
         return missing
 
-    def _listed(self) -> Counter[str]:
-        """Return how many nodes of each name are listed in this namespace."""
-        own = self._node.get_namespace()
-        return Counter(name for name, namespace in self._node.get_node_names_and_namespaces() if namespace == own)
+    def _listed(self, name: str) -> int:
+        """Return how many nodes of a name are listed in this namespace, from a service that every node has.
+
+        The names of nodes come with a message of their own, which is not received again after a cut (decision 0100).
+        """
+        return int(self._node.count_services(self._node.resolve_service_name(f"{name}/get_parameters")))
 
     def _topics(self, names: Iterable[str] = (*RAW_TOPICS, *DERIVED_TOPICS)) -> list[str]:
         return [self._node.resolve_topic_name(name) for name in names]
 
     def _is_recorded(self, topic: str) -> bool:
-        return any(each.node_name == "recorder" for each in self._node.get_subscriptions_info_by_topic(topic))
+        statuses = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name("recorder/status"))
+        recorders = {_participant(each) for each in statuses}
+        return any(_participant(each) in recorders for each in self._node.get_subscriptions_info_by_topic(topic))
 
     def _unrecorded(self) -> list[str]:
         """Return the topics that have a publisher and that the recorder has not subscribed to yet."""
@@ -117,3 +124,7 @@ class Readiness:
     def _take_parameters(self, message: NodeParameters) -> None:
         stamp = to_nanoseconds(message.header.stamp)
         self._started[message.node] = max(stamp, self._started.get(message.node, 0))
+
+
+def _participant(endpoint: TopicEndpointInfo) -> bytes:
+    return bytes(endpoint.endpoint_gid[:_PREFIX])
