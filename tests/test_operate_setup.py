@@ -39,9 +39,11 @@ def is_done(page: Page, item: str) -> None:
     expect(page.locator(f"#item-{item}")).to_have_class(re.compile("good"), timeout=MEASURED_MS)
 
 
-def measure(page: Page, item: str) -> None:
-    """Measure an item."""
+def measure(page: Page, item: str, **options: str) -> None:
+    """Measure an item with options that a technician enters."""
     open_item(page, item)
+    for name, value in options.items():
+        page.fill(f"#{name}", value)
     page.click(f"#item-{item} .start")
     use_result(page, item)
 
@@ -93,11 +95,13 @@ def test_rig_is_set_up_and_measures_its_first_test_by_clicks_alone(page: Page, o
     measure_without_the_browser(page, "calibrate", operated)
     measure(page, "check")
     draw_region(page)
-    for item in ("noise", "advise"):
-        measure(page, item)
+    measure(page, "noise", steps="5")
+    measure(page, "advise", wanted_noise_px="0.05", pixel_size_mm="0.4")
     kept = yaml.safe_load((operated.folder / "setup.yaml").read_text())
     assert len(kept) == page.locator("ol.list > li").count()
     assert page.locator("ol.list > li.care").count() == 0, "nothing is out of date in this order"
+    assert "5 steps at rest" in kept["noise"]["words"][0]
+    assert any(" mm" in line for line in kept["advise"]["words"])
     rig = fringedic.load_rig_file(operated.folder / "tiny.yaml")
     assert rig.region_file == "region.yaml"
     assert rig.noise_floor_file is not None

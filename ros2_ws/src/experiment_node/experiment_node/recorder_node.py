@@ -25,6 +25,7 @@ from fringedic.errors import ErrorCode, FringedicError, RecordingError
 from fringedic.recording.topics import Qos
 from fringedic.recording.writer import BagWriter, Split
 from fringedic_msgs.msg import Exposure, RecorderStatus, StepStatus
+from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.main import run
 from fringedic_ros.parameters import declare
 from fringedic_ros.qos import LATCHED, SAMPLES
@@ -85,6 +86,7 @@ class RecorderNode(RigNode):
     def __init__(self) -> None:
         super().__init__("recorder")
         self.parameters = declare(self, RecorderParameters)
+        self.diagnostics = NodeDiagnostics(self)
         self._subscriptions_by_topic: dict[str, Subscription] = {}
         self._kinds: dict[str, tuple[str, type]] = {}  # relative name and type of each subscribed topic
         self._refused: set[str] = set()
@@ -251,6 +253,7 @@ class RecorderNode(RigNode):
         """Count an image or exposure, or act on the stage of a step."""
         if name == IMAGE:
             self._status.images += 1
+            self.diagnostics.success()
             stamp = header_stamp(data)
             self._tally.add_image(stamp)
             self._step.add_image(stamp, image_crc(data))
@@ -291,6 +294,7 @@ class RecorderNode(RigNode):
         full = isinstance(reason, FringedicError) and reason.code is ErrorCode.DISK_FULL
         self._status.error_code = RecorderStatus.DISK_FULL if full else RecorderStatus.WRITING_FAILED
         self._status.error_message = str(reason)
+        self.diagnostics.failure(str(reason))
         for subscription in self._subscriptions_by_topic.values():
             self.destroy_subscription(subscription)
         self._subscriptions_by_topic.clear()

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import rclpy
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import Image
 
 from experiment_node.exposure_tally import ExposureTally
@@ -26,7 +27,7 @@ from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.recording.reader import BagReader
 from fringedic_msgs.msg import Exposure, LoadState, NodeStatus, RecorderStatus, RigCalibration, StepStatus
 from fringedic_ros.images import image_message
-from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, STATE
+from fringedic_ros.qos import DIAGNOSTICS, EVENTS, IMAGES, LATCHED, STATE
 from fringedic_ros.records import exposure_message
 from fringedic_ros.testing import NodeProcess, Peer
 
@@ -43,6 +44,7 @@ class Rig(Peer):
         self.phase = self.create_publisher(NodeStatus, "phase/status", EVENTS)
         self.calibration = self.create_publisher(RigCalibration, "calibration", LATCHED)
         self.calibration.publish(RigCalibration(identifier="before the recorder"))
+        self.diagnostics: list[DiagnosticArray] = self.listen(DiagnosticArray, "/diagnostics", DIAGNOSTICS)
         self.statuses: list[RecorderStatus] = self.listen(RecorderStatus, "recorder/status", LATCHED)
 
     def connect(self) -> None:
@@ -53,6 +55,10 @@ class Rig(Peer):
     @property
     def state(self) -> int | None:
         return self.statuses[-1].state if self.statuses else None
+
+    def level(self) -> bytes | None:
+        """Return the level of the latest diagnostics."""
+        return self.diagnostics[-1].status[0].level if self.diagnostics else None
 
     def image(self, stamp: int, pixels: np.ndarray) -> None:
         self.images.publish(image_message(pixels, stamp_ns=stamp, frame_id="camera_optical_frame"))
@@ -216,8 +222,11 @@ def test_signals_close_the_bag(rig: Rig, tmp_path: Path, number: signal.Signals)
 def test_a_removed_folder_fails_the_recording_with_words_and_not_the_node(rig: Rig, tmp_path: Path) -> None:
     with recorder(tmp_path, flush_interval_s=0.1) as process:
         rig.connect()
+        rig.wait(lambda: rig.level() == DiagnosticStatus.OK, "diagnostics")
         shutil.rmtree(tmp_path / "bag")
         rig.wait(lambda: rig.state == RecorderStatus.FAILED, "the failure in the status")
+        rig.wait(lambda: rig.level() == DiagnosticStatus.ERROR, "the failure in the diagnostics")
+        assert rig.diagnostics[-1].status[0].message == rig.statuses[-1].error_message
         assert str(tmp_path / "bag") in rig.statuses[-1].error_message
         rig.exposure(1)
         rig.serve(0.3)

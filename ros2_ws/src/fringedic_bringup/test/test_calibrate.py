@@ -75,7 +75,7 @@ def test_other_angles() -> None:
     rig = with_angles(load_rig_file(configuration("tiny.yaml")), "0,-10,-5,5,10")
     assert (rig.reference_plane.angles_degree, rig.reference_plane.held_out) == ([0, -10, -5, 5, 10], [4])
     for wrong in ("0,ten", "0,95", ""):
-        with pytest.raises(ConfigurationError, match="angles-deg"):
+        with pytest.raises(ConfigurationError, match=f"^angles {wrong}: "):
             with_angles(rig, wrong)
 
 

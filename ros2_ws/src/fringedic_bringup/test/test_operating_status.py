@@ -8,8 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from fringedic.errors import OperatorError
-from fringedic_bringup.operating.procedures import Place, Request, execute
+from fringedic.errors import FringedicError, OperatorError
+from fringedic_bringup.operating.options import CheckOptions, TimingOptions
+from fringedic_bringup.operating.procedures import Place, Request, execute, requested
 from fringedic_bringup.operating.status import Job, State, StoppedError
 from fringedic_bringup.procedures.outcome import StepReport
 
@@ -99,7 +100,9 @@ def test_reports_and_notes_are_kept() -> None:
         (Request("run", text="{steps: [{position_mm: far}]}"), "programme: steps.0"),
         (Request("region", text="no region"), "region"),
         (Request("settings", text="camera: 5"), "camera"),
-        (Request("timing"), "no such"),
+        (requested("timing"), "no such"),
+        (requested("calibrate", options="{angles_deg: far}"), "angles far"),
+        (requested("live", options="{region: all}"), "region all"),
     ],
 )
 def test_whatever_is_wrong_is_a_failure_with_a_reason(tmp_path: Path, request_: Request, words: str) -> None:
@@ -111,3 +114,28 @@ def test_whatever_is_wrong_is_a_failure_with_a_reason(tmp_path: Path, request_: 
     assert failing.status.state == State.FAILED
     assert words.lower() in failing.status.error.lower()
     assert len(failing.status.error) <= 500
+
+
+def test_options_are_those_of_the_command() -> None:
+    assert requested("timing", options="{exposure_ms: 2}").options == TimingOptions(exposure_ms=2.0)
+    assert requested("check", options='{"vdi": true}').options == CheckOptions(vdi=True)
+    assert requested("check").options == CheckOptions(distance_mm=5.0)
+
+
+@pytest.mark.parametrize(
+    ("procedure", "options", "words"),
+    [
+        ("noise", "{steps: 0}", "noise: steps: Input should be greater than or equal to 3 (it is 0)"),
+        ("noise", "{step: 5}", "noise: step: unknown key; known are steps"),
+        ("check", "{distance_mm: .nan}", "check: distance_mm: Input should be a finite number"),
+        ("timing", "[3]", "timing: the options are no mapping; write them as {exposure_ms: 3.0}"),
+        ("timing", "{exposure_ms: [", "timing: the options are not YAML"),
+        ("response", "{steps: 3}", "response: steps: unknown key"),
+        ("format", "", "format: there is no such procedure; use live, timing,"),
+    ],
+)
+def test_wrong_options_are_refused_before_anything_starts(procedure: str, options: str, words: str) -> None:
+    with pytest.raises(FringedicError) as refused:
+        requested(procedure, options=options)
+    assert str(refused.value).startswith(words)
+    assert len(str(refused.value)) <= 500

@@ -6,6 +6,7 @@ The node may be ended at any moment without effect on a measurement.
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import struct
 import tempfile
@@ -160,7 +161,7 @@ class OperatorNode(RigNode):
     async def do(self, command: Any) -> str:
         """Execute a command of the page."""
         if isinstance(command, Start):
-            request = command.model_dump(exclude={"distance_mm"}) | {"distance": 1e-3 * command.distance_mm}
+            request = command.model_dump() | {"options": json.dumps(command.options)}  # which is YAML as well
             answer = await self._called(self._starts, StartProcedure.Request(**request))
             if command.procedure == "run":
                 self._programme = await asyncio.to_thread(programme_rows, command.text)

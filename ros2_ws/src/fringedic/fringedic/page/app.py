@@ -42,13 +42,12 @@ class _Command(BaseModel):
 
 
 class Start(_Command):
-    """Starts a procedure; the fields are those of ``fringedic_msgs/StartProcedure``, the distance in mm."""
+    """Starts a procedure; the fields are those of ``fringedic_msgs/StartProcedure``, which checks the options."""
 
     procedure: Procedure
     pattern: Pattern = "white"
     text: str = Field("", max_length=400_000)
-    distance_mm: float = Field(5.0, gt=0, le=1000)
-    steps: int = Field(10, ge=3, le=1000)
+    options: dict[str, bool | int | float | str] = Field({}, max_length=20)
 
 
 class Control(_Command):

@@ -148,8 +148,9 @@ def test_only_the_driver_gives_commands_and_everybody_may_request_a_hold(site: S
     ("name", "content", "words"),
     [
         ("start", {"procedure": "format the disk"}, "procedure: Input should be 'timing'"),
-        ("start", {"procedure": "check", "distance_mm": float("nan")}, "distance_mm: Input should be a finite number"),
-        ("start", {"procedure": "noise", "steps": 0}, "steps: Input should be greater than or equal to 3"),
+        ("start", {"procedure": "check", "options": {"distance_mm": float("nan")}}, "options.distance_mm"),
+        ("start", {"procedure": "noise", "options": {"steps": [3]}}, "options.steps"),
+        ("start", {"procedure": "noise", "options": {str(key): 1 for key in range(99)}}, "options: Dictionary should"),
         ("start", START | {"extra": 1}, "extra: Extra inputs are not permitted"),
         ("control", {}, "command: Field required"),
         ("shutdown", {}, "shutdown: there is no such command"),

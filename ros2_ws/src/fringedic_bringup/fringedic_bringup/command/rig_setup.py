@@ -112,27 +112,14 @@ def live(
     """Show the figures of the camera image during set-up: focus, grey levels, speckle size, fringes and noise."""
     from fringedic.configuration.rig_file import load_rig_file
     from fringedic_bringup.display.live import draw_continuously, print_once
-    from fringedic_bringup.procedures.live import FRAMES_OF_ONE_LOOK, watch
+    from fringedic_bringup.procedures.live import FRAMES_OF_ONE_LOOK, part_of_image, watch
 
-    path, part = rig_path_of(rig), _four_numbers(region)
+    path, part = rig_path_of(rig), part_of_image(region)
     with suppress(KeyboardInterrupt), closing(watch(load_rig_file(path), path, pattern, region=part)) as views:
         if once or not console.is_terminal:
             print_once(console, views, pattern, path.stem, frames=FRAMES_OF_ONE_LOOK)
         else:
             draw_continuously(console, views, pattern, path.stem)
-
-
-def _four_numbers(region: str) -> list[int]:
-    """Return the numbers of a region; none of an empty text."""
-    if not region:
-        return []
-    try:
-        column, row, width, height = (int(part) for part in region.split(","))
-    except ValueError as error:
-        raise ConfigurationError(
-            f"--region {region}: give first column, first row, width and height, such as 320,240,640,480"
-        ) from error
-    return [column, row, width, height]
 
 
 @app.command(rich_help_panel=SET_UP, epilog="Example: fringedic noise plate.yaml --output noise")

@@ -5,31 +5,44 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import cv2
+from yaml import YAMLError
 
 from fringedic.configuration.changes import change_rig_file
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_rig_file
-from fringedic.errors import ConfigurationError
+from fringedic.configuration.yaml_section import Section, validate
+from fringedic.errors import ConfigurationError, OperatorError
 from fringedic.frames.region import Region
 from fringedic.inputs.yaml_text import load_yaml
+from fringedic.report.acceptance import acceptance_text
 from fringedic.report.calibration_sentences import check_sentence, check_warning_sentences
 from fringedic.report.live_view import live_entries
 from fringedic.report.noise_floor import noise_floor_text
 from fringedic.report.settings import settings_report
 from fringedic_bringup.launch.graph import exposing_graph, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
+from fringedic_bringup.operating.options import (
+    AdviseOptions,
+    CalibrateOptions,
+    CheckOptions,
+    LiveOptions,
+    NoiseOptions,
+    TimingOptions,
+)
 from fringedic_bringup.operating.status import Job, Outcome, StoppedError
-from fringedic_bringup.procedures.calibrate import calibrate
+from fringedic_bringup.procedures.accept import accept
+from fringedic_bringup.procedures.calibrate import calibrate, with_angles
 from fringedic_bringup.procedures.check import check
 from fringedic_bringup.procedures.exposing import WHITE, ExposingClient
 from fringedic_bringup.procedures.folders import unused_folder
 from fringedic_bringup.procedures.images import advise_on_images
-from fringedic_bringup.procedures.live import watch
+from fringedic_bringup.procedures.live import part_of_image, watch
 from fringedic_bringup.procedures.noise import measure_noise
 from fringedic_bringup.procedures.region import SETTLING_S
 from fringedic_bringup.procedures.response import PICTURE as RESPONSE_PICTURE
@@ -38,7 +51,6 @@ from fringedic_bringup.procedures.run import load_rig, run_experiment, write_res
 from fringedic_bringup.procedures.setup_patterns import LivePattern
 from fringedic_bringup.procedures.timing import measure_rig_timing
 
-TIMING_EXPOSURE_S, TIMING_LONGEST_S = 3e-3, 0.3  # defaults of `fringedic timing`
 IMAGES_AT_REST = 3
 
 
@@ -49,8 +61,7 @@ class Request:
     procedure: str
     pattern: str = ""
     text: str = ""
-    distance: float = 0.0
-    steps: int = 0
+    options: Section = field(default_factory=Section)
 
 
 @dataclass(frozen=True)
@@ -81,9 +92,9 @@ class Place:
         return os.path.relpath(file, self.folder)
 
 
-def _live(place: Place, job: Job, request: Request) -> Outcome:
-    pattern = LivePattern(request.pattern or LivePattern.WHITE)
-    with closing(watch(place.rig, place.rig_path, pattern, domain=place.domain)) as views:
+def _live(place: Place, job: Job, request: Request, options: LiveOptions) -> Outcome:
+    pattern, part = LivePattern(request.pattern or LivePattern.WHITE), part_of_image(options.region)
+    with closing(watch(place.rig, place.rig_path, pattern, region=part, domain=place.domain)) as views:
         job.stage("live")
         for figures in views:
             entries = live_entries(figures, pattern.kind)
@@ -94,59 +105,64 @@ def _live(place: Place, job: Job, request: Request) -> Outcome:
     return Outcome()
 
 
-def _timing(place: Place, job: Job, _: Request) -> Outcome:
+def _timing(place: Place, job: Job, _: Request, options: TimingOptions) -> Outcome:
     folder = place.new_folder(job, "timing")
     report = measure_rig_timing(
         place.rig,
         place.rig_path,
         folder,
         job,
-        exposure_time=TIMING_EXPOSURE_S,
-        longest=TIMING_LONGEST_S,
+        exposure_time=1e-3 * options.exposure_ms,
+        longest=1e-3 * options.longest_ms,
         domain=place.domain,
     )
     return Outcome(report.words, report.settings, "timing.png")
 
 
-def _response(place: Place, job: Job, _: Request) -> Outcome:
+def _response(place: Place, job: Job, *_: object) -> Outcome:
     folder = place.new_folder(job, "response")
     report = measure_rig_response(place.rig, place.rig_path, folder, job, domain=place.domain)
     return Outcome(report.words, report.setting, RESPONSE_PICTURE)
 
 
-def _calibrate(place: Place, job: Job, _: Request) -> Outcome:
+def _calibrate(place: Place, job: Job, _: Request, options: CalibrateOptions) -> Outcome:
+    rig = with_angles(place.rig, options.angles_deg) if options.angles_deg else place.rig
     folder = place.new_folder(job, "calibration")
-    report = calibrate(place.rig, place.rig_path, folder, job, ask=job.ask, domain=place.domain)
+    report = calibrate(rig, place.rig_path, folder, job, ask=job.ask, domain=place.domain)
     settings = f"calibration: {place.relative(report.file)}" if report.go else ""
     return Outcome(report.words, settings, good=report.go)
 
 
-def _check(place: Place, job: Job, request: Request) -> Outcome:
+def _check(place: Place, job: Job, _: Request, options: CheckOptions) -> Outcome:
     folder = place.new_folder(job, "check")
-    result = check(place.rig, place.rig_path, folder, job, distance=request.distance, ask=job.ask, domain=place.domain)
+    if options.vdi:
+        tested = accept(place.rig, place.rig_path, folder, job, ask=job.ask, domain=place.domain)
+        return Outcome(acceptance_text(tested).splitlines(), good=tested.passed)
+    distance = 1e-3 * options.distance_mm
+    result = check(place.rig, place.rig_path, folder, job, distance=distance, ask=job.ask, domain=place.domain)
     return Outcome([check_sentence(result), *check_warning_sentences(result)], good=result.holds)
 
 
-def _region(place: Place, job: Job, request: Request) -> Outcome:
+def _region(place: Place, job: Job, request: Request, _: Section) -> Outcome:
     region = Region.from_text(request.text)
     share = 100 * region.mask().mean()
     if share == 0:
         raise ConfigurationError("the region is empty: draw a part of the image that is not a hole")
     picture = place.folder / "region.png"
-    _, corners = region.save(picture)
+    corners = region.save(picture)[1]
     job.writes_into(str(place.folder))
     change_rig_file(place.rig_path, f"region_file: {corners.name}")
     return Outcome([f"the region is {share:.0f} % of the image; the rig file uses it"], picture=picture.name)
 
 
-def _noise(place: Place, job: Job, request: Request) -> Outcome:
+def _noise(place: Place, job: Job, _: Request, options: NoiseOptions) -> Outcome:
     folder = place.new_folder(job, "noise")
-    measured = measure_noise(place.rig, place.rig_path, folder, job, steps=request.steps, domain=place.domain)
+    measured = measure_noise(place.rig, place.rig_path, folder, job, steps=options.steps, domain=place.domain)
     setting = f"noise_floor_file: {place.relative(folder / 'noise_floor.yaml')}"
     return Outcome(noise_floor_text(measured.metadata).splitlines(), setting, "noise_floor.png")
 
 
-def _advise(place: Place, job: Job, _: Request) -> Outcome:
+def _advise(place: Place, job: Job, _: Request, options: AdviseOptions) -> Outcome:
     """Take three images at rest, and recommend window and spacing."""
     folder = place.new_folder(job, "static")
     folder.mkdir(parents=True)
@@ -165,18 +181,22 @@ def _advise(place: Place, job: Job, _: Request) -> Outcome:
             job.part(1, 1, "images at rest", number, len(files))
             cv2.imwrite(str(file), client.expose()[0])
     advice = advise_on_images(
-        (files[0], files[1], files[2]), wanted_noise=None, wanted_period=None, pixel_size=None, strain_window=5
+        (files[0], files[1], files[2]),
+        wanted_noise=options.wanted_noise_px,
+        wanted_period=options.wanted_period_px,
+        pixel_size=None if options.pixel_size_mm is None else 1e-3 * options.pixel_size_mm,
+        strain_window=options.strain_window_points,
     )
     setting = f"nodes: {{dic: {{window: {advice.window}, spacing: {advice.spacing}}}}}"
     return Outcome(settings_report(advice).splitlines(), setting)
 
 
-def _settings(place: Place, _: Job, request: Request) -> Outcome:
+def _settings(place: Place, _: Job, request: Request, __: Section) -> Outcome:
     before = change_rig_file(place.rig_path, request.text)
     return Outcome([f"the rig file is changed; the file before is {before.name}"])
 
 
-def _run(place: Place, job: Job, request: Request) -> Outcome:
+def _run(place: Place, job: Job, request: Request, _: Section) -> Outcome:
     rig, programme = _programme(place, request.text)
     folder = _recording_folder(place, job, rig, programme.experiment)
     job.controlled, job.holds_without_driver = True, programme.on_operator_lost == "hold"
@@ -188,7 +208,7 @@ def _run(place: Place, job: Job, request: Request) -> Outcome:
     return Outcome(words, good=not report.failed)
 
 
-def _by_hand(place: Place, job: Job, _: Request) -> Outcome:
+def _by_hand(place: Place, job: Job, *_: object) -> Outcome:
     """Start the nodes, and keep them until the operator stops; steps are measured by the action of the rig."""
     rig = place.rig
     folder = _recording_folder(place, job, rig, "by_hand")
@@ -230,25 +250,53 @@ def _recording_folder(place: Place, job: Job, rig: RigFile, experiment: str) -> 
     return place.new_folder(job, f"{rig.recording.folder}/{experiment}-{stamp}")
 
 
-PROCEDURES: dict[str, Callable[[Place, Job, Request], Outcome]] = {
-    "live": _live,
-    "timing": _timing,
-    "response": _response,
-    "calibrate": _calibrate,
-    "check": _check,
-    "region": _region,
-    "noise": _noise,
-    "advise": _advise,
-    "settings": _settings,
-    "run": _run,
-    "by_hand": _by_hand,
+class Procedure(NamedTuple):
+    """What a procedure does, and its options; a plain `Section` has none."""
+
+    carry_out: Callable[[Place, Job, Request, Any], Outcome]
+    options: type[Section] = Section
+
+
+PROCEDURES = {
+    "live": Procedure(_live, LiveOptions),
+    "timing": Procedure(_timing, TimingOptions),
+    "response": Procedure(_response),
+    "calibrate": Procedure(_calibrate, CalibrateOptions),
+    "check": Procedure(_check, CheckOptions),
+    "region": Procedure(_region),
+    "noise": Procedure(_noise, NoiseOptions),
+    "advise": Procedure(_advise, AdviseOptions),
+    "settings": Procedure(_settings),
+    "run": Procedure(_run),
+    "by_hand": Procedure(_by_hand),
 }
+
+
+def requested(procedure: str, pattern: str = "", text: str = "", options: str = "") -> Request:
+    """Return a checked request; arguments as of ``fringedic_msgs/StartProcedure``.
+
+    Raises
+    ------
+    OperatorError
+        There is no such procedure.
+    ConfigurationError
+        An option is unknown or out of its range.
+    """
+    if procedure not in PROCEDURES:
+        raise OperatorError(f"{procedure}: there is no such procedure; use {', '.join(PROCEDURES)}")
+    try:
+        content = load_yaml(options) or {}
+    except YAMLError as error:
+        raise ConfigurationError(f"{procedure}: the options are not YAML: {error}") from error
+    if not isinstance(content, dict):
+        raise ConfigurationError(f"{procedure}: the options are no mapping; write them as {{exposure_ms: 3.0}}")
+    return Request(procedure, pattern, text, validate(PROCEDURES[procedure].options, content, procedure))
 
 
 def execute(place: Place, job: Job, request: Request) -> None:
     """Execute a procedure; its result or the reason of its failure is in the status of the job."""
     try:
-        job.ended(PROCEDURES[request.procedure](place, job, request))
+        job.ended(PROCEDURES[request.procedure].carry_out(place, job, request, request.options))
     except StoppedError:
         job.ended(Outcome(["stopped by the operator"], good=False))
     except Exception as error:

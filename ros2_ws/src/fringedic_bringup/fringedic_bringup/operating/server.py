@@ -15,7 +15,7 @@ from std_msgs.msg import Bool
 from fringedic.errors import FringedicError, OperatorError
 from fringedic.report.check_list import next_sentence
 from fringedic.rig_setup.check_list import CheckList, ListedItem, SetupItem, SetupRecord
-from fringedic_bringup.operating.procedures import PROCEDURES, Place, Request, execute
+from fringedic_bringup.operating.procedures import Place, Request, execute, requested
 from fringedic_bringup.operating.status import Job, State, Status
 from fringedic_bringup.participant import Participant
 from fringedic_msgs.msg import ProcedureStatus, SetupState, StepReport
@@ -52,7 +52,7 @@ class ProcedureServer:
         self._running: Job | None = None
         self._thread: threading.Thread | None = None
         self._next: Request | None = None
-        self._live: Request | None = Request("live")
+        self._live: Request | None = requested("live")
         self._live_from = 0.0  # not before this time [s]
         self._figures: tuple[str, ...] = ()  # of the last live view
         self._list = CheckList.load(place.folder / CHECK_LIST)
@@ -96,15 +96,13 @@ class ProcedureServer:
 
     def _start(self, request: StartProcedure.Request, response: StartProcedure.Response) -> StartProcedure.Response:
         with _answering(response):
-            self._accept(Request(request.procedure, request.pattern, request.text, request.distance, request.steps))
+            if request.procedure == CONFIRM:
+                self._confirm(request.pattern)
+            else:
+                self._accept(requested(request.procedure, request.pattern, request.text, request.options))
         return response
 
     def _accept(self, request: Request) -> None:
-        if request.procedure == CONFIRM:
-            self._confirm(request.pattern)
-            return
-        if request.procedure not in PROCEDURES:
-            raise OperatorError(f"{request.procedure}: there is no such procedure; use {', '.join(PROCEDURES)}")
         running = self._running
         if self._next is not None or (running is not None and not running.is_live):
             what = "a procedure is starting" if running is None else f"{running.status.procedure} is running"

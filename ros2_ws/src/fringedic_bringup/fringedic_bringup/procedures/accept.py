@@ -24,6 +24,7 @@ def accept(
     progress: Progress,
     *,
     ask: Callable[[str], bool],
+    domain: int | None = None,
 ) -> Acceptance:
     """Measure balls, ball bar and plane at all places and write the page of the test.
 
@@ -37,6 +38,8 @@ def accept(
         Receives the progress.
     ask
         Asks an operator to place an artefact; returns False when the operator stops. Not used for a virtual rig.
+    domain
+        ROS_DOMAIN_ID; None takes the one of the environment.
 
     Raises
     ------
@@ -58,7 +61,7 @@ def accept(
     if rig.virtual_rig is not None:
         shapes = _virtual_shapes(rig, model, places, artefacts, progress)
     else:
-        shapes = shapes_by_nodes(rig, rig_path, folder, progress, model=model, places=places, ask=ask)
+        shapes = shapes_by_nodes(rig, rig_path, folder, progress, model=model, places=places, ask=ask, domain=domain)
     results = []
     for number, (place, shape) in enumerate(zip(places, shapes, strict=True), start=1):
         try:
@@ -91,6 +94,7 @@ def shapes_by_nodes(
     model: RigModel,
     places: list[Place],
     ask: Callable[[str], bool],
+    domain: int | None = None,
 ) -> Iterator[xr.Dataset]:
     """Yield the surfaces that the nodes of a rig measure of artefacts that an operator places; see `accept`."""
     from fringedic_bringup.procedures.calibrate import calibration_client
@@ -99,7 +103,7 @@ def shapes_by_nodes(
 
     rig = rig.model_copy(update={"recording": rig.recording.model_copy(update={"derived": True})})
     stamps = []
-    with calibration_client(rig, rig_path, folder, progress, ask=ask, domain=None) as client:
+    with calibration_client(rig, rig_path, folder, progress, ask=ask, domain=domain) as client:
         for number, place in enumerate(places, start=1):
             words = place_in_words(place)
             progress.part(number, len(places), words)

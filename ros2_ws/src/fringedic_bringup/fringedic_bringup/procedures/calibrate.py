@@ -148,12 +148,10 @@ def with_angles(rig: RigFile, angles_degree: str) -> RigFile:
         held_out = [len(angles) - 1] if len(angles) > 3 else []
     except ValueError as error:
         raise ConfigurationError(
-            f"--angles-deg {angles_degree}: give numbers separated by commas, such as 0,-15,-10,-5,5,10,15"
+            f"angles {angles_degree}: give numbers separated by commas, such as 0,-15,-10,-5,5,10,15"
         ) from error
     changes = {"angles_degree": angles, "heights_mm": None, "held_out": held_out}
-    section = validate(
-        ReferencePlaneSection, rig.reference_plane.model_dump() | changes, f"--angles-deg {angles_degree}"
-    )
+    section = validate(ReferencePlaneSection, rig.reference_plane.model_dump() | changes, f"angles {angles_degree}")
     return rig.model_copy(update={"reference_plane": section})
 
 

@@ -68,6 +68,25 @@ def watch(
             yield client.look()
 
 
+def part_of_image(region: str) -> list[int]:
+    """Return the numbers of a region given as "320,240,640,480"; none of an empty text.
+
+    Raises
+    ------
+    ConfigurationError
+        It does not have four numbers.
+    """
+    if not region:
+        return []
+    try:
+        column, row, width, height = (int(part) for part in region.split(","))
+    except ValueError as error:
+        raise ConfigurationError(
+            f"region {region}: give first column, first row, width and height, such as 320,240,640,480"
+        ) from error
+    return [column, row, width, height]
+
+
 class _LiveClient(ExposingClient):
     """Requests one pattern and one frame after the other, and waits for the figures of each frame."""
 

@@ -164,7 +164,7 @@ class _Session:
         self._change = delay - margin, delay + 3.0 * decay + margin
         if self._change[1] > self._longest:
             raise RigSetupError(
-                f"no pattern is visible within {1e3 * self._longest:.0f} ms; give a longer --longest-ms"
+                f"no pattern is visible within {1e3 * self._longest:.0f} ms; allow a longer delay (--longest-ms)"
             )
 
     def capture_change(self) -> bool:

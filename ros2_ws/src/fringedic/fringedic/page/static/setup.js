@@ -9,11 +9,26 @@ import { command } from "./server.js";
 import { latest, listen } from "./stream.js";
 
 const LIVE = { axes: "crosshair", camera_focus: "white", projector_focus: "focus" }; // adjusted by hand with the live view
-const NUMBERS = {
-  check: { label: "Gauge block [mm]", key: "distance_mm", min: 0.1, max: 1000, step: "any", value: 5 },
-  noise: { label: "Steps at rest", key: "steps", min: 3, max: 1000, value: 10 },
+// Options of the commands with their names; one without a value is optional.
+const OPTIONS = {
+  timing: [
+    { label: "Exposure [ms]", name: "exposure_ms", min: 0.05, max: 1000, step: "any", value: 3 },
+    { label: "Longest delay [ms]", name: "longest_ms", min: 20, max: 10000, step: "any", value: 300 },
+  ],
+  calibrate: [{ label: "Other angles [degree]", name: "angles_deg", type: "text", placeholder: "those of the rig file" }],
+  check: [
+    { label: "Gauge block [mm]", name: "distance_mm", min: 0.1, max: 1000, step: "any", value: 5 },
+    { label: "Acceptance test (VDI/VDE 2634) instead", name: "vdi", type: "checkbox" },
+  ],
+  noise: [{ label: "Steps at rest", name: "steps", min: 3, max: 1000, value: 10 }],
+  advise: [
+    { label: "Wanted noise [px]", name: "wanted_noise_px", min: 0, step: "any", placeholder: "none" },
+    { label: "Wanted period [px]", name: "wanted_period_px", min: 0, step: "any", placeholder: "none" },
+    { label: "Pixel on the specimen [mm]", name: "pixel_size_mm", min: 0, step: "any", placeholder: "not known" },
+    { label: "Strain window [points]", name: "strain_window_points", min: 3, max: 1001, step: 2, value: 5 },
+  ],
 };
-const entered = {}; // numbers of the operator, which outlast every change of the list
+const entered = {}; // values of the operator, which outlast every change of the list
 const STATES = [["", "not done"], ["good", "done"], ["care", "out of date"]];
 const MEASURED = ["timing", "response", "calibrate", "check", "region", "noise", "advise", "settings"];
 let open = "";
@@ -52,10 +67,22 @@ function buttons(item) {
   if (item in LIVE) return [make("div", { class: "row" }, start("Show the pattern", { procedure: "live", pattern: LIVE[item] }),
     make("button", { class: "done", onclick: () => command("start", { procedure: "confirm", pattern: item }) }, "It is adjusted"))];
   if (item === "region") return [make("p", {}, "Draw on the image, then use the region.")];
-  if (!(item in NUMBERS)) return [start("Measure", { procedure: item })];
-  const { label, key, ...limits } = NUMBERS[item], input = make("input", { type: "number", id: key, ...limits, value: entered[key] ?? limits.value, oninput: () => { entered[key] = input.value; } });
-  return [make("div", { class: "row" }, make("label", {}, label, input),
-    make("button", { class: "main start", disabled, onclick: () => input.reportValidity() && command("start", { procedure: item, [key]: Number(input.value) }) }, "Measure"))];
+  const inputs = (OPTIONS[item] ?? []).map(optionInput);
+  return [make("div", { class: "row" }, ...inputs.map(({ element }) => element), make("button", { class: "main start", disabled, onclick: () => {
+    if (inputs.every(({ input }) => input.reportValidity())) command("start", { procedure: item, options: chosen(inputs) });
+  } }, "Measure"))];
+}
+
+function optionInput({ label, name, type = "number", value, ...limits }) {
+  const kept = entered[name] ?? value ?? "";
+  const input = make("input", { type, id: name, ...limits, ...(type === "checkbox" ? { checked: kept === true } : { value: kept }),
+    oninput: () => { entered[name] = type === "checkbox" ? input.checked : input.value; } });
+  return { input, name, type, element: make("label", {}, label, input) };
+}
+
+function chosen(inputs) {
+  const entries = inputs.map(({ input, name, type }) => [name, type === "checkbox" ? input.checked : type === "number" && input.value ? Number(input.value) : input.value]);
+  return Object.fromEntries(entries.filter(([, value]) => value !== ""));
 }
 
 // The image beside an item: live with its figures, or with the editor of the region.
