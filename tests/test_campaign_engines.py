@@ -135,6 +135,20 @@ def test_a_killed_process_changes_nothing(campaign: Campaign, expected: dict[str
     assert written(campaign) == expected
 
 
+def test_an_interrupted_command_does_not_wait_for_its_workers(campaign: Campaign, expected: dict[str, str]) -> None:
+    """The interrupt reaches the command alone, and a worker would never end."""
+    with started(campaign, "--engine", "processes") as command:
+        wait_for(lambda: processing(campaign), command)
+        below = workers(psutil.Process(command.pid))
+        below[0].suspend()
+        command.send_signal(signal.SIGINT)
+        assert command.wait(60) == 130
+        _, alive = psutil.wait_procs(below, timeout=60)
+        assert not alive
+    list(Serial().outcomes(units(campaign)))
+    assert written(campaign) == expected
+
+
 def test_after_killed_workers_and_a_killed_command_only_the_rest_is_processed(
     campaign: Campaign, expected: dict[str, str]
 ) -> None:

@@ -89,7 +89,7 @@ class Processes:
         """Process units until none is waiting, or until a process dies: its unit and its neighbours are then lost."""
         with _environment(ONE_THREAD):
             pool = ProcessPoolExecutor(self._workers, multiprocessing.get_context("spawn"))
-            with pool:
+            with pool, _killed_when_interrupted():
                 running: dict[Future[Outcome], Unit] = {}
                 while (waiting or running) and not lost:
                     while waiting and len(running) < self._workers:
@@ -222,6 +222,21 @@ def _lost(place: str, error: BaseException | None) -> CampaignError:
         f"the connection to the Dask scheduler of {place} is lost{reason}: repeat the command, which continues "
         "with what is not committed"
     )
+
+
+@contextmanager
+def _killed_when_interrupted() -> Iterator[None]:
+    """Kill the processes that were started meanwhile when their outcomes are no longer wanted: nobody waits for them.
+
+    They can be killed at any moment: a unit is complete only when its receipt is written.
+    """
+    before = set(multiprocessing.active_children())
+    try:
+        yield
+    except (KeyboardInterrupt, GeneratorExit):
+        for process in set(multiprocessing.active_children()) - before:
+            process.kill()
+        raise
 
 
 @contextmanager
