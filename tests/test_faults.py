@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,16 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from faulty_rig import action, set_parameters
-from running_system import CONFIG, WORKING, wait_until
+from running_system import CONFIG, WORKING, Progress, wait_until
 from sensor_msgs.msg import Image
 
 import fringedic
+from fringedic.configuration.programme import Programme
 from fringedic.errors import StepFailedError
 from fringedic.recording.reader import BagReader
 from fringedic.recording.repair import recover
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
+from fringedic_bringup.procedures.driving import drive
 from fringedic_bringup.procedures.run import load_rig
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import Exposure
@@ -106,6 +109,27 @@ def test_a_second_step_while_one_runs_is_refused(rig: Rig) -> None:
     assert codes == [MeasureStep.Result.NONE, MeasureStep.Result.BUSY]
     assert "is being measured" in results[1].result().result.error_message
     rig.measure()
+
+
+def test_a_programme_waits_while_another_controller_measures(rig: Rig) -> None:
+    goal = MeasureStep.Goal(mode=MeasureStep.Goal.FRINGES, controller="other")
+    with action(rig.client, MeasureStep, "measure_step", "experiment") as measure:
+
+        class Interfering(Progress):
+            """Starts a step of the other controller when the programme holds before its own."""
+
+            def step(self, number: int, last: int, text: str, frame: int = 0, frames: int = 0) -> None:
+                if text == "hold" and not self.lines:
+                    sent = measure.send_goal_async(goal)
+                    rig.client.wait_for(sent.done, 20.0, lambda: "the other goal")
+                super().step(number, last, text, frame, frames)
+
+        progress = Interfering()
+        programme = Programme.model_validate({"experiment": "faults", "steps": [{"mode": "white", "hold_s": 0.1}]})
+        (report,), *_ = drive(rig.running, programme, progress)
+    assert not report.error
+    [waits] = [line for line in progress.lines if line.startswith("the programme waits")]
+    assert re.search(r": step \d+ is being measured for other; programme has to wait", waits)
 
 
 def test_doubled_frame(rig: Rig) -> None:

@@ -14,6 +14,7 @@ from fringedic.steps.parameters import DicParameters
 from fringedic.steps.step_results import DicResult
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import NodeStatus, Reference
+from fringedic_msgs.srv import QueryStep
 from fringedic_ros.images import image_array, image_message
 from fringedic_ros.qos import DERIVED, EVENTS, LATCHED
 from fringedic_ros.stamps import to_msg, to_nanoseconds
@@ -36,6 +37,12 @@ class DicBench(Bench):
         self.displacement = self.listen(Image, "dic/displacement", DERIVED)
         self.sigma = self.listen(Image, "dic/sigma", DERIVED)
         self.grid = self.listen(CameraInfo, "dic/camera_info", DERIVED)
+
+        self._query = self.create_client(QueryStep, "dic/query_step")
+
+    def received(self, experiment: str, step: int) -> bool:
+        request = QueryStep.Request(experiment=experiment, step=step)
+        return bool(self.ask(self._query, request, "the state of a step").received)
 
     def stamp(self, step: int) -> int:
         return self.white[step][0].stamp
@@ -103,6 +110,16 @@ def test_displacement_is_that_of_the_library_bit_by_bit(
         assert (status.valid_fraction, status.rms, status.frames) == (result.valid_fraction, result.rms, 16)
         bench.assert_identical(result)
     assert result.rms > 0.1, "the plate has moved"
+
+
+def test_a_step_is_received_when_all_its_messages_are(bench: DicBench, name: str) -> None:
+    bench.send_texture(0)
+    bench.serve(0.2)
+    assert not bench.received(name, 0)
+    bench.send_phase_status(name, 0)
+    bench.status_of(name, 0)
+    assert bench.received(name, 0)
+    assert not bench.received(name, 1)
 
 
 def test_preview_is_published_to_subscribers(bench: DicBench, name: str, tracker: DisplacementTracker) -> None:

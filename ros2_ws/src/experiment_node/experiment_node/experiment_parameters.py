@@ -91,6 +91,13 @@ class ExperimentParameters(BaseModel):
     processing_timeout_s: float = Field(
         120.0, gt=0, le=86400, description="Longest wait from the last exposure to the results [s]."
     )
+    input_timeout_s: float = Field(
+        10.0,
+        gt=0,
+        le=86400,
+        description="Time after the last exposure, or the result of the node before, within which a processing node "
+        "has to have received what it needs for a step [s].",
+    )
     facts: str = Field("", description="Metadata of specimen and hardware as YAML, for the recording only.")
 
     @model_validator(mode="after")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
 from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
@@ -13,12 +14,14 @@ from experiment_node.active_goal import StepFailure
 from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.experiments import Experiment
 from experiment_node.frame_taker import FrameTaker
+from experiment_node.input_watch import InputWatch
 from experiment_node.load_watch import LoadWatch
 from experiment_node.readiness import Readiness
 from experiment_node.recorder_watch import RecorderWatch
 from experiment_node.result_codes import failure_of
 from experiment_node.running_step import RunningStep
 from experiment_node.topics import PROCESSING_INPUTS
+from fringedic.errors import WaitTimeoutError
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import Exposure, NodeStatus, RecorderStatus, Reference, StepStatus
@@ -29,6 +32,7 @@ from fringedic_ros.waiting import Condition
 
 Result = MeasureStep.Result
 Feedback = MeasureStep.Feedback
+LATE_S = 1.0  # without a further result, after which the next node is asked for its inputs
 FAREWELL_S = 2  # for the record of a step that is cut off to be received
 
 
@@ -65,6 +69,7 @@ class StepRunner:
         self.readiness.subscribe(Exposure, "camera/exposure", self._take_exposure)
         for name in PROCESSING_INPUTS:
             self.readiness.subscribe(NodeStatus, f"{name}/status", self._take_status_of(name))
+        self._inputs = InputWatch(node)
         self._recorder = RecorderWatch(node, self._take_recorder_status)
 
     def publish_reference(self, experiment: Experiment, step: int) -> None:
@@ -180,11 +185,15 @@ class StepRunner:
         def open_nodes() -> list[str]:
             return [name for name in step.nodes if name not in step.statuses]
 
-        await step.goal.wait(
-            lambda: not open_nodes(),
-            parameters.processing_timeout_s,
-            lambda: (Result.PROCESSING_TIMEOUT, f"no result from {', '.join(open_nodes())}"),
-        )
+        end = time.monotonic() + parameters.processing_timeout_s
+        while names := open_nodes():
+            left = end - time.monotonic()
+            if left <= 0:
+                raise StepFailure(Result.PROCESSING_TIMEOUT, f"no result from {', '.join(names)}")
+            with suppress(WaitTimeoutError):
+                await self._changed.wait(lambda: step.goal.cancelled or open_nodes() != names, min(left, LATE_S))
+            step.goal.check()
+            await self._inputs.check(step, names[0], parameters.input_timeout_s)
         failed = step.failed_node
         if failed is not None:
             raise StepFailure(*failure_of(failed, step.statuses[failed]))

@@ -39,7 +39,7 @@ from fringedic_msgs.msg import (
     RigCalibration,
     StepStatus,
 )
-from fringedic_msgs.srv import CaptureFrame, CountReaders, SetReference, ShowPattern, StartExperiment
+from fringedic_msgs.srv import CaptureFrame, CountReaders, QueryStep, SetReference, ShowPattern, StartExperiment
 from fringedic_ros.matching import discovered_readers
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
 from fringedic_ros.stamps import to_msg, to_nanoseconds
@@ -56,6 +56,7 @@ PARAMETERS = {
     "camera_timeout_s": 1.0,
     "projector_timeout_s": 1.0,
     "processing_timeout_s": 2.0,
+    "input_timeout_s": 0.2,
     "start_timeout_s": START_TIMEOUT,
 }
 CALIBRATION = RigModel(**VirtualRig.from_preset("plate", size="tiny").optics(), identifier="of today")
@@ -76,6 +77,7 @@ class Rig(Peer):
         self.answers: dict[str, int] = {}
         self.silent: set[str] = set()
         self.reaches_all = True
+        self.received = True  # by every processing node
         self.load_mode: int | None = None
         self.force_per_frame = 1.0  # [N]
         self.moves_at_frame = self.last_sampled_frame = -1
@@ -99,6 +101,7 @@ class Rig(Peer):
         self.create_service(Trigger, "load_frame/hold", self._hold, callback_group=group)
         for name in self.statuses:
             self.create_service(CountReaders, f"{name}/count_readers", self._count_readers, callback_group=group)
+            self.create_service(QueryStep, f"{name}/query_step", self._query_step, callback_group=group)
         self.measure = ActionClient(self, MeasureStep, "measure_step")
         self.start = self.create_client(StartExperiment, "experiment/start")
         self.set_reference = self.create_client(SetReference, "experiment/set_reference")
@@ -162,6 +165,10 @@ class Rig(Peer):
     ) -> CountReaders.Response:
         response.counts = [1000 * self.reaches_all] * len(request.topics)
         response.readers = [discovered_readers(self, topic) for topic in request.topics]
+        return response
+
+    async def _query_step(self, _: QueryStep.Request, response: QueryStep.Response) -> QueryStep.Response:
+        response.received = self.received
         return response
 
     async def _hold(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -273,7 +280,7 @@ class Rig(Peer):
         self.moves_at_frame = self.last_sampled_frame = -1
         self.capturing = False
         self.force_per_frame = 1.0
-        self.answers, self.silent = {}, set()
+        self.answers, self.silent, self.received = {}, set(), True
 
 
 def crc(index: int) -> int:
@@ -445,6 +452,11 @@ def test_cancel_while_the_machine_settles(rig: Rig) -> None:
         ({"answers": {"phase": NodeStatus.PATTERN_NOT_SEEN}}, Result.PATTERN_NOT_SEEN, "phase: scripted"),
         ({"jump_before": 4}, Result.CAMERA_FAILED, "s before frame 3: the clock jumped back"),
         ({"silent": {"dic", "coupling"}}, Result.PROCESSING_TIMEOUT, "no result from dic, coupling"),
+        (
+            {"silent": {"dic", "coupling"}, "received": False},
+            Result.PROCESSING_TIMEOUT,
+            "dic has not received the inputs of the step",
+        ),
     ],
 )
 def test_a_fault_ends_the_step_with_its_code_and_the_next_one_works(

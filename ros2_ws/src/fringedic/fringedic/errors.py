@@ -179,6 +179,10 @@ class StepFailedError(FringedicError, RuntimeError):
     """A load step or a movement of the machine ended with an error code."""
 
 
+class RigBusyError(StepFailedError):
+    """Another controller measures with the rig, or moves its machine; the message names it."""
+
+
 class OperatorError(FringedicError, RuntimeError):
     """A request of the operator's page is refused; the message says what to do instead."""
 

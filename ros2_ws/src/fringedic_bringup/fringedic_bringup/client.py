@@ -28,7 +28,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from fringedic.configuration.conditions import Reading
-from fringedic.errors import StepFailedError, WaitTimeoutError
+from fringedic.errors import RigBusyError, StepFailedError, WaitTimeoutError
 from fringedic.report.plane_instructions import place_in_words
 from fringedic_bringup.launch.readiness import Readiness
 from fringedic_bringup.participant import Participant
@@ -608,7 +608,8 @@ class RigClient:
 
 def _without_error(result: Any) -> Any:
     if result.error_code:
-        raise StepFailedError(f"{result.error_message} (error {result.error_code})")
+        kind = RigBusyError if result.error_code == result.BUSY else StepFailedError
+        raise kind(f"{result.error_message} (error {result.error_code})")
     return result
 
 

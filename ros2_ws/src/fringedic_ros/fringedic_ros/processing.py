@@ -14,6 +14,7 @@ from rclpy.logging import get_logger
 from fringedic.errors import ErrorCode, FringedicError, ImageError
 from fringedic.warm_up import require_kernels
 from fringedic_msgs.msg import NodeStatus, StepStatus
+from fringedic_msgs.srv import QueryStep
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.matching import offer_reader_counts
 from fringedic_ros.parameters import ModelT, declare
@@ -165,6 +166,7 @@ class ProcessingNode(RigNode, Generic[ModelT]):
         self._answered: OrderedDict[tuple[str, int], None] = OrderedDict()
         self._unjoined = 0
         self._statuses = self.create_publisher(NodeStatus, f"{name}/status", EVENTS)
+        self.create_service(QueryStep, f"{name}/query_step", self._tell_received)
         offer_reader_counts(self, name)
 
     def subscribe_to_steps(self) -> None:
@@ -174,6 +176,10 @@ class ProcessingNode(RigNode, Generic[ModelT]):
     def answered(self, experiment: str, step: int) -> bool:
         """Return whether this step has its status, or the worker will publish it."""
         return (experiment, step) in self._answered
+
+    def _tell_received(self, request: QueryStep.Request, response: QueryStep.Response) -> QueryStep.Response:
+        response.received = self.answered(request.experiment, request.step)
+        return response
 
     def measure(self, step: StepId, work: Callable[[], Outcome]) -> None:
         """Queue the work of a step, which publishes its results; the status follows."""

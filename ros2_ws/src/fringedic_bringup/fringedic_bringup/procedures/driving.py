@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from fringedic.configuration.conditions import MetCondition, Reading
 from fringedic.configuration.programme import Programme, ProgrammeStep
-from fringedic.errors import FringedicError, NodeDiedError, StepFailedError, WaitTimeoutError
+from fringedic.errors import FringedicError, NodeDiedError, RigBusyError, StepFailedError, WaitTimeoutError
 from fringedic.report.programme import block_end_sentence, condition_sentence
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.processes import RunningGraph
@@ -26,6 +26,7 @@ MOST_DEATHS = 3  # of one node without a measured step in between; after more, a
 MOST_SILENCES = 3  # missing answers without a measured step in between, although every node runs
 WITH_REFERENCE = ("dic", "coupling")  # keep the reference step in memory and lose it when they end
 INTERRUPTION_S = 5.0  # wait for the answer to hold and cancel
+BUSY_S = 1.0  # between two attempts while another controller uses the rig
 PAUSE_S = 30 * 86400.0  # longest pause
 RESTART_S = 40.0  # from the start of a node until it is ready and its predecessor's lease has ended
 
@@ -186,6 +187,8 @@ class _Driver:
             if step.mode == "none":
                 return self._rig.reading
             result = self._rig.measure(step.mode, set_reference=step.set_reference, feedback=self._show)
+        except RigBusyError:
+            raise
         except StepFailedError as error:
             self._running.check()  # raises when a node has ended: then the step is repeated
             self._progress.note(str(error))
@@ -248,10 +251,20 @@ class _Driver:
         self._progress.step(self._number, self._last, feedback.stage, feedback.frame, feedback.frames)
 
     def _with_restarts(self, work: Callable[[], Any]) -> Any:
-        """Call a function; when nodes end or do not answer meanwhile, mend that and call it once more."""
+        """Call a function; when nodes end or do not answer meanwhile, mend that and call it once more.
+
+        While another controller uses the rig, the programme waits, and then moves again: the machine may have moved.
+        """
+        waits_for = ""
         while True:
             try:
+                if waits_for:
+                    self._rig.sleep(BUSY_S)
                 return work()
+            except RigBusyError as busy:
+                if str(busy) != waits_for:
+                    self._progress.note(f"the programme waits: {busy}")
+                waits_for = str(busy)
             except NodeDiedError as death:
                 self._restart(death)
             except WaitTimeoutError as silence:
