@@ -34,6 +34,7 @@ from fringedic_bringup.procedures.run import load_rig
 RIG = "plate"  # 1280x960, 16 frames a step
 ROUNDS, STEPS, HOST_STEPS = 2, 6, 20
 CUT_S = 10.0
+LOSS = 0.01
 READY_S = 300.0  # a busy computer starts ten nodes slowly
 
 
@@ -92,8 +93,23 @@ def compare(folder: Path) -> None:
     print(f"ratio {ratio:.3f} (target: at most 1.05)")
 
 
+def measure_steps(processing: Side, name: str) -> set[int]:
+    """Print steps per minute and failures; return the numbers of the steps that succeeded."""
+    answers = [processing.ask("measure") for _ in range(HOST_STEPS)]
+    done = [answer for answer in answers if not answer["error"]]
+    durations = [answer["duration"] for answer in done]
+    rate = 60 / statistics.median(durations) if done else 0.0
+    print(
+        f"{name}: {len(done)} of {HOST_STEPS} steps, {rate:.1f} a minute, the longest {max(durations, default=0):.1f} s"
+    )
+    for answer in answers:
+        if answer["error"]:
+            print(f"  {answer['error']}")
+    return {answer["step"] for answer in done}
+
+
 def measure_hosts(folder: Path) -> None:
-    """Print steps per minute of a rig on two hosts, lost images, and what a cut link costs."""
+    """Print steps per minute of a rig on two hosts, without and with lost packets, and what a cut link costs."""
     rig = configuration(f"{RIG}.yaml")
     finished = set()
     with (
@@ -104,14 +120,13 @@ def measure_hosts(folder: Path) -> None:
     ):
         print(f"ready after {processing.ask('ready')['duration']:.1f} s")
         processing.ask("measure")  # the virtual camera renders
-        durations = []
-        for _ in range(HOST_STEPS):
-            answer = processing.ask("measure")
-            print(f"  step: {answer}", file=sys.stderr)
-            if not answer["error"]:
-                durations.append(answer["duration"])
-                finished.add(answer["step"])
-        print(f"{len(durations)} of {HOST_STEPS} steps, {60 / statistics.median(durations):.1f} a minute")
+        finished |= measure_steps(processing, "without loss")
+        for host in (there, here):
+            host.lose(LOSS)
+        finished |= measure_steps(processing, f"{LOSS:.0%} of the packets lost")
+        print(f"{there.lost()} and {here.lost()} packets lost")
+        for host in (there, here):
+            host.lose(0.0)
         processing.tell("measure")
         time.sleep(0.5)
         camera.host.plug("down")
@@ -119,7 +134,7 @@ def measure_hosts(folder: Path) -> None:
         camera.host.plug("up")
         back = time.monotonic()
         print(f"link cut for {CUT_S:g} s: {processing.answer()['error']}")
-        while (answer := processing.ask("measure"))["error"]:
+        while (answer := processing.ask("step", 0.01))["error"]:
             print(f"  again: {answer['error']}")
         finished.add(answer["step"])
         print(f"first step that succeeds: {time.monotonic() - back:.1f} s after the link is back")

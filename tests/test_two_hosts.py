@@ -1,7 +1,8 @@
-"""Camera side and processing side on two hosts: steps, and a host that is gone; benchmarks/stock.py cuts the link."""
+"""Camera side and processing side on two hosts: steps, lost packets, a link that is cut, and a host that is gone."""
 
 from __future__ import annotations
 
+import time
 from collections import defaultdict
 from pathlib import Path
 
@@ -14,7 +15,9 @@ from fringedic.recording.reader import BagReader
 
 RIG_SIDE = ("camera", "projector", "load_frame", "stage")
 PROCESSING_SIDE = ("recorder", "phase", "dic", "coupling", "experiment")
-STEPS = 20
+STEPS = 5
+LOSS = 0.01
+CUT_S = 8.0  # longer than the lease of a participant, 6 s in config/fastdds.xml: both sides forget each other
 LEASE_S = 20.0  # of a participant and of an action, with some room
 
 
@@ -55,6 +58,19 @@ def test_two_hosts_lose_no_frame_of_a_finished_step(domain: str, tmp_path: Path)
         assert not processing.ask("ready")["error"]
         for number in range(STEPS):
             measure(number)
+        for host in (there, here):
+            host.lose(LOSS)
+        for number in range(STEPS):
+            measure(number)
+        assert there.lost() > 0
+        assert here.lost() > 0
+        for host in (there, here):
+            host.lose(0.0)
+        there.plug("down")
+        time.sleep(CUT_S)
+        there.plug("up")
+        measure(STEPS)  # begins with a move, which is requested before the load frame node is found again
+        assert not processing.ask("ready")["error"]
         camera.crash()
         answer = processing.ask("step", 0.0)
         assert "the node load_frame is missing: start it, or connect its computer" in answer["error"]

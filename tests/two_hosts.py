@@ -17,6 +17,8 @@ from typing import Any, Self
 from fringedic_bringup.launch.processes import GRACE_S
 
 NETWORK = "10.77.0"
+# As docs/two_computers.md: of an image whose packets are partly lost, the fragments fill 4 MB for 30 s by default.
+REASSEMBLY = {"ipfrag_time": 1, "ipfrag_high_thresh": 2**27}
 SCRIPT = Path(__file__).parent / "rig_side.py"
 
 
@@ -37,17 +39,37 @@ class Host:
         """Connect (``up``) or disconnect (``down``) the card."""
         _run("ip", "-n", self.name, "link", "set", self.card, state)
 
-    def lose(self, percent: float) -> None:
-        """Lose a part of the packets that the card sends; 0: none."""
-        change = ["add", "dev", self.card, "root", "netem", "loss", f"{percent}%"]
-        _run("tc", "-n", self.name, "qdisc", *(change if percent else ["del", "dev", self.card, "root"]))
+    def lose(self, share: float) -> None:
+        """Lose a share of the packets that arrive, each IP fragment by itself and at random; 0: none."""
+        _run("tc", "-n", self.name, "qdisc", "replace", "dev", self.card, "clsact")
+        _run("tc", "-n", self.name, "filter", "delete", "dev", self.card, "ingress")
+        if share:
+            _run("tc", "-n", self.name, "filter", "add", "dev", self.card, "ingress", *_dropping(share))
+
+    def lost(self) -> int:
+        """Return how many packets were lost since the first call of `lose`."""
+        shown = subprocess.run(
+            ["tc", "-n", self.name, "-s", "-j", "qdisc", "show", "dev", self.card], capture_output=True, check=True
+        )
+        return sum(each["drops"] for each in json.loads(shown.stdout) if each["kind"] == "clsact")
+
+
+def _dropping(share: float) -> list[str]:
+    """Return the classic BPF filter that drops a share of the packets; many kernels have no netem.
+
+    The accumulator gets a random number of 32 bits (the extension at SKF_AD_OFF + SKF_AD_RANDOM of linux/filter.h);
+    below the limit the filter returns TC_ACT_SHOT, else TC_ACT_UNSPEC.
+    """
+    random_number, limit = 2**32 - 0x1000 + 56, min(round(share * 2**32), 2**32 - 1)
+    load, jump_if_at_least, drop, go_on = f"32 0 0 {random_number}", f"53 1 0 {limit}", "6 0 0 2", f"6 0 0 {2**32 - 1}"
+    return ["bpf", "direct-action", "bytecode", f"4,{load},{jump_if_at_least},{drop},{go_on}"]
 
 
 def why_not() -> str:
     """Return why two hosts cannot be made here; empty when they can."""
     if os.geteuid():
         return "two network namespaces need root"
-    missing = [tool for tool in ("ip", "unshare", "mount") if shutil.which(tool) is None]
+    missing = [tool for tool in ("ip", "tc", "unshare", "mount") if shutil.which(tool) is None]
     if missing:
         return f"two network namespaces need {', '.join(missing)}"
     made = subprocess.run(["ip", "netns", "add", "fringedic-probe"], capture_output=True, text=True)
@@ -70,6 +92,8 @@ def two_hosts() -> Iterator[tuple[Host, Host]]:
         for host in hosts:
             _run("ip", "-n", host.name, "address", "add", f"{host.address}/24", "dev", host.card)
             host.plug("up")
+            for name, value in REASSEMBLY.items():
+                _run("ip", "netns", "exec", host.name, "sh", "-c", f"echo {value} > /proc/sys/net/ipv4/{name}")
         yield hosts
     finally:
         for host in hosts:
