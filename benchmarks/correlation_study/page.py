@@ -108,7 +108,6 @@ def write_page(results: Results, path: Path) -> None:
         sine_targets=SINE_TARGETS,
         best_ours=best_sample_14(results.sample_14) if results.sample_14 else None,
         folder=path.stem,
-        date=datetime.now(UTC).strftime("%Y-%m-%d"),
     )
     path.write_text(text)
 
@@ -139,7 +138,8 @@ def _rendered(template: str, **values: object) -> str:
     environment.filters["px"] = lambda value, digits=4: f"{value:.{digits}f}"
     environment.filters["many"] = lambda values, digits=4: " / ".join(f"{value:.{digits}f}" for value in values)
     environment.filters["target_table"] = _target_table
-    return environment.get_template(template).render(machine=_machine(), **values)
+    date = datetime.now(UTC).strftime("%Y-%m-%d")
+    return environment.get_template(template).render(machine=_machine(), date=date, **values)
 
 
 def _target_table(rows: list[Row]) -> str:

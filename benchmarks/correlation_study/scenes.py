@@ -20,11 +20,15 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def _load_exact_images() -> ModuleType:
-    """Import the images of the tests; Numba's cached loops refer to their module by its name."""
+    """Import the images of the tests.
+
+    Numba's cached loops refer to their module by its name. It is that of the tests, which share them.
+    """
     path = ROOT / "ros2_ws" / "src" / "fringedic" / "test" / "conftest.py"
-    spec = importlib.util.spec_from_file_location("conftest", path)
+    name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    spec = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(spec)
-    sys.modules["conftest"] = module
+    sys.modules[name] = module
     spec.loader.exec_module(module)
     return module
 

@@ -95,10 +95,10 @@ def assess(field: Field, window: Window, offered: int) -> Nodes:
 
     The covariance of a point is s^2 H^-1 times the mean of T^2 (Sutton, Orteu, Schreier 2009, section 5.6, with the
     window's weights). s^2 is the local variance of the residual, corrected for the noise that interpolation averages
-    out, times the ratio of `_compare_with_white_noise`; one-sided windows add `_estimate_truncation`. A point is valid
-    where at least half of its window is seen and has texture beyond that of noise alone, where a third of its
-    neighbourhood agrees (a window that extends over a border also contains the motion of the other side), and where f
-    and g correlate.
+    out, times the ratio of `_compare_with_white_noise`; uneven textures (few speckles per window) and one-sided windows
+    (`_estimate_truncation`) add to it. A point is valid where at least half of its window is seen and has texture
+    beyond that of noise alone, where a third of its neighbourhood agrees (a window that extends over a border also
+    contains the motion of the other side), and where f and g correlate.
 
     Parameters
     ----------
@@ -122,9 +122,9 @@ def assess(field: Field, window: Window, offered: int) -> Nodes:
     cells, sums, cell2 = field.cells, field.sums, window.cell**2
     shape = sums.shape[1:]
     estimate = np.empty((5, *shape), f4)
-    node_kernels.estimate_uncertainty(
-        field.nodes, cells, sums, NOISE_GAIN, window.gains.noise, DERIVATIVE_NOISE / 2 * cell2, TEXTURE, estimate
-    )
+    gain, area = window.gains.noise, 4 * np.pi * window.deviation**2
+    tau_factor = DERIVATIVE_NOISE / 2 * cell2
+    node_kernels.estimate_uncertainty(field.nodes, cells, sums, NOISE_GAIN, (gain, area), tau_factor, TEXTURE, estimate)
     sigma, tau, rich, own = estimate[:2], estimate[2], estimate[3:4], estimate[4]
     covered = np.empty_like(rich)
     node_kernels.apply_window(rich, window.taps, covered)
@@ -132,11 +132,11 @@ def assess(field: Field, window: Window, offered: int) -> Nodes:
     wide = np.empty_like(sums)
     node_kernels.apply_window(sums, window.taps, wide)
     share, smallest = np.empty(shape, f4), np.empty(shape, f4)
-    node_kernels.measure_agreement(sums, wide, 4 * np.pi * window.deviation**2, share, smallest)
+    node_kernels.measure_agreement(sums, wide, area, share, smallest)
     valid = (covered[0] >= f4(cell2 * SMALLEST_COVERAGE)) & (own > f4(SMALLEST_SHARE))
     valid &= (smallest > f4(TEXTURE) * tau) & (share > SMALLEST_EXPLAINED)
     check_agreement(int(np.count_nonzero(valid)), offered)
-    noise = f4(np.sqrt(_compare_with_white_noise(field, window, tau / f4(DERIVATIVE_NOISE / 2 * cell2), valid)))
+    noise = f4(np.sqrt(_compare_with_white_noise(field, window, tau / f4(tau_factor), valid)))
     sigma = np.hypot(noise * sigma, _estimate_truncation(field.nodes[:2], rich[0], covered[0], window))
     # What is not valid keeps a usual value, so that interpolation between nodes does not overshoot next to it.
     usual = np.median(sigma[:, valid][:, ::8])

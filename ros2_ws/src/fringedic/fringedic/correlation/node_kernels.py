@@ -20,6 +20,10 @@ NARROW_REACH = 4
 # Node rows of a band.
 BAND = 32
 
+# An uneven texture of n speckles per window adds UNEVEN / (n + FEWEST) to the variance of a displacement: the fixed
+# point amplifies the noise of weak places, and residuals are smaller by it. test_uncertainty_with_few_speckles.
+UNEVEN = 2.5
+FEWEST = 4.0
 # Unresolved waves, see `bound_unresolved`: test_unresolved_waves_are_no_outliers and the tests of patches and borders.
 EXPLAINED = 2 / 3
 UNRESOLVED = 0.35  # [px]
@@ -470,13 +474,19 @@ def subtract_planes(field: np.ndarray, plane: np.ndarray, out: np.ndarray) -> No
                 out[channel, r, c] = field[channel, r, c] - (a + b * f4(c))
 
 
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def _estimate_speckle_area(variance: np.float32, energy: np.float32) -> np.float32:
+    """Return the area 2 pi r^2 [px^2] of a speckle from var f and var df/dx = var f / (2 r^2)."""
+    return f4(np.pi) * variance / max(energy, f4(1e-12))
+
+
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
 def estimate_uncertainty(
     nodes: np.ndarray,
     cells: np.ndarray,
     sums: np.ndarray,
     kept: np.ndarray,
-    node_gain: float,
+    window: tuple[float, float],
     tau_factor: float,
     texture: float,
     out: np.ndarray,
@@ -486,9 +496,10 @@ def estimate_uncertainty(
     Channels of `out`: standard deviations of d_x and d_y [px]; tau, the gradient energy of noise, `tau_factor` times
     the variance of a pixel; the weight of the cells with `texture` times that energy along both axes; the share of
     agreeing pixels in the node's own cell, or in the 3 x 3 cells around it if that is smaller. `kept` is the share of
-    white noise that interpolation keeps at fractions k / (kept.size - 1) of a pixel; `node_gain` is the variance at a
-    node over that of its window.
+    white noise that interpolation keeps at fractions k / (kept.size - 1) of a pixel; `window` contains the variance at
+    a node over that of its window in an even texture, and the effective area [px^2] of the window.
     """
+    node_gain, area = f4(window[0]), f4(window[1])
     steps = f4(kept.size - 1)
     for r in prange(nodes.shape[1]):
         columns = nodes.shape[2]
@@ -512,7 +523,11 @@ def estimate_uncertainty(
             pixel = var_e * (f4(1) + gain) / (f4(1) + gain * share)
             tau = f4(tau_factor) * pixel
             xx, xy, yy = sums[GXX, r, c], sums[GXY, r, c], sums[GYY, r, c]
-            variance = pixel * f4(node_gain) / max(xx * yy - xy * xy, f4(1e-30))
+            mean_f = sums[WF, r, c] * inverse
+            var_f = max(sums[WFF, r, c] * inverse - mean_f * mean_f, f4(0))
+            speckle = _estimate_speckle_area(var_f, f4(0.5) * (xx + yy) * inverse)
+            uneven = f4(UNEVEN) * speckle / (area + f4(FEWEST) * speckle)
+            variance = pixel * (f4(1) + uneven) * node_gain / max(xx * yy - xy * xy, f4(1e-30))
             out[0, r, c] = np.sqrt(variance * yy)
             out[1, r, c] = np.sqrt(variance * xx)
             out[2, r, c] = tau
@@ -537,8 +552,7 @@ def measure_agreement(
             xx, xy, yy = sums[GXX, r, c], sums[GXY, r, c], sums[GYY, r, c]
             energy = f4(0.5) * (xx + yy)
             smallest[r, c] = energy - np.sqrt(f4(0.25) * (xx - yy) * (xx - yy) + xy * xy)
-            # Area of a speckle 2 pi r^2 with r^2 = var f / (2 var df/dx).
-            speckle = f4(np.pi) * var_f / max(energy, f4(1e-12)) * w
+            speckle = _estimate_speckle_area(var_f, energy / w)
             freedom = max(f4(2) * f4(area) / max(speckle, f4(1e-6)) - f4(1), f4(1e-6))
             inverse = f4(1) / max(wide[W, r, c], f4(1e-6))
             mean_f, mean_e = wide[WF, r, c] * inverse, wide[WE, r, c] * inverse

@@ -115,6 +115,18 @@ def test_uncertainty_covers_one_sided_windows(speckle, expose):
         assert 0.8 < z < 1.25, f"z-score {z:.2f}"
 
 
+def test_uncertainty_with_few_speckles(speckle, expose):
+    """Seven speckles per window: their texture is uneven."""
+    motion, scores = shift(0.3, -0.2), []
+    for seed in (201, 202):
+        surface = speckle((220, 220), seed, radius=2.5)
+        still, moved = expose(surface.grey(), 10, seed), expose(surface.grey(motion), 10, seed + 10)
+        field = measure_displacement(still, moved, window=16, spacing=2)
+        scores.append((errors_of(field, motion) / sigmas_of(field))[:, 15:-15, 15:-15])
+    z = float(np.sqrt(np.nanmean(np.square(scores))))
+    assert 0.94 <= z <= 1.06, f"z-score {z:.3f} (0.94 to 1.06); 1.08 with the uncertainty of an even texture"
+
+
 @pytest.mark.parametrize("radius", [1.2, 1.4])
 def test_uncertainty_of_sharp_speckles(speckle, expose, radius):
     """Paint is on or off: grey levels change faster than pixels follow, and residuals are no white noise."""

@@ -20,10 +20,20 @@ from fringedic.results import open_experiment, process_bag
 
 FOLDER = Path(__file__).parents[1] / "recordings" / "version_0_1"
 # Sigma of the phase no longer contains the harmonics of the response, and weights the filter of the surface; sigma of
-# the displacement covers one-sided windows. In-plane displacements are what they were.
+# the displacement covers one-sided windows and uneven textures. In-plane displacements are what they were.
 CHANGED_NOISE = 0.004
+UNEVEN = 0.02
 ONE_SIDED = 0.25
 UNCHANGED = {"phase", "displacement_x", "displacement_y"}
+OF_DISPLACEMENT = {
+    "displacement_sigma_x",
+    "displacement_sigma_y",
+    "sigma_u",
+    "sigma_v",
+    "sigma_e_11",
+    "sigma_e_22",
+    "sigma_e_12",
+}
 UNCERTAINTIES = {"z": "shape_sigma_z", "u_t": "sigma_u", "v_t": "sigma_v", "w_n": "sigma_w"}
 THIS_PROCESSOR = f"{llvmlite.binding.get_host_cpu_name()} {numba.__version__}"
 
@@ -57,7 +67,7 @@ def test_recording_gives_the_same_results(dataset: xr.Dataset) -> None:
             growth = values / expected[name] - 1
             assert np.array_equal(np.isfinite(values), np.isfinite(expected[name])), name
             assert -CHANGED_NOISE < np.nanmin(growth) <= np.nanmax(growth) < ONE_SIDED, name
-            assert np.nanmedian(np.abs(growth)) < CHANGED_NOISE, name
+            assert np.nanmedian(np.abs(growth)) < (UNEVEN if name in OF_DISPLACEMENT else CHANGED_NOISE), name
         elif exact and name in UNCHANGED:
             assert np.array_equal(values, expected[name], equal_nan=True), name
         else:
