@@ -4,24 +4,42 @@ from __future__ import annotations
 
 import os
 from datetime import date
+from itertools import pairwise
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+import xarray as xr
 
 from fringedic.correlation import measure_displacement
 from fringedic.frames.noise import CameraNoise
 from fringedic.patterns.sequences import fringe_sequence
-from fringedic.phase import absolute_phase
+from fringedic.phase import absolute_phase, measure_phase
 from fringedic.phase.limit import phase_limit
-from fringedic.virtual_rig import FringeScene
+from fringedic.rig.model import RigModel
+from fringedic.virtual_rig import FringeScene, VirtualRig
+from fringedic.virtual_rig.configuration import VirtualRigConfiguration
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "validation" / "limits.md"
 SIZE = 512  # px of the textures
 BORDER = 40  # px: whole windows only
 SHIFT = (0.27, -0.41)  # px along x and y
 SEEDS = (1, 2, 3)
+PLATE = 137  # seed of texture and noise of the speckled plate
+ROUNDED = CameraNoise(np.sqrt(1 + 1 / 12), 0.02)  # of the virtual rig: read noise and rounding, and shot noise
+CLASSES = (0.05, 0.25, 0.5, 0.75, 0.95)  # quantiles of the modulation, from dark to light points
+USUAL = ([800.0, 160.0, 40.0, 10.0], [4, 4, 4, 8])
+# What a user can change at 20 frames: pitches and shifts, relative exposures, darkest reflectance of the paint.
+PLATES = {
+    "usual sequence": (*USUAL, (1.0,), 0.12),
+    "3 shifts of the coarse pitches, 11 of the finest": (USUAL[0], [3, 3, 3, 11], (1.0,), 0.12),
+    "the same, finest pitch 8 px": ([800.0, 160.0, 32.0, 8.0], [3, 3, 3, 11], (1.0,), 0.12),
+    "the same, finest pitch 6 px": ([800.0, 150.0, 30.0, 6.0], [3, 3, 3, 11], (1.0,), 0.12),
+    "one pitch less, 14 shifts of the finest": ([800.0, 80.0, 10.0], [3, 3, 14], (1.0,), 0.12),
+    "two exposures x1 and x4 of 10 frames": ([800.0, 80.0, 10.0], [3, 3, 4], (1.0, 4.0), 0.12),
+    "grey speckles, reflectance 0.4 instead of 0.12": (*USUAL, (1.0,), 0.4),
+}
 
 
 def phase_ratio(shifts: int, shot: float) -> float:
@@ -46,6 +64,64 @@ def phase_ratio(shifts: int, shot: float) -> float:
     maps = (true[name].values.astype(float) for name in ("texture", "modulation", "phase"))
     error = measured.phase.values - true.phase.values
     return float(np.sqrt(np.nanmean((error / phase_limit(*maps, shifts, noise)) ** 2)))
+
+
+def plate_rows() -> tuple[list[str], list[str]]:
+    """Return the rows of what a user can change on a speckled plate, and of the ratios by the modulation.
+
+    Two stacks of the plate at rest differ by noise only: the difference of their heights is raw w.
+    """
+    changes, ratios = [], []
+    for words, (pitches, shifts, exposures, floor) in PLATES.items():
+        entries = {"preset": "plate", "seed": PLATE, "texture": {"floor": floor}}
+        twin = VirtualRig(VirtualRigConfiguration.from_dict(entries))
+        rig = RigModel(**twin.optics())
+        shown = fringe_sequence(rig.projector_width, rig.projector_height, pitches, shifts)
+        numbers = iter(range(10_000))
+        stacks = [
+            np.array(
+                [twin.expose(image, 0.0, next(numbers), exposure_factor=each) for each in exposures for image in shown]
+            )
+            for _ in "ab"
+        ]
+        times = np.repeat(exposures, len(shown.patterns))
+        patterns = list(shown.patterns) * len(exposures)
+        found = [measure_phase(stack, patterns, exposure_times=times)[0] for stack in stacks]
+        heights = [rig.reconstruct(each.phase.values, pitches[-1], each.sigma.values).z.values for each in found]
+        w = heights[1] - heights[0]
+        lit = np.isfinite(twin.truth(0.0).z.values) & twin.truth(0.0).lit.values
+        wrong = np.nanmean(np.abs(found[1].phase.values - found[0].phase.values)[lit] > np.pi)
+        bounded = 1e6 * np.nanmedian(np.abs(w[lit])) / 0.6745
+        changes.append(
+            f"| {words} | {1e6 * np.sqrt(np.nanmean(w[lit] ** 2)):.1f} | {bounded:.1f} | "
+            f"{100 * np.mean(np.isfinite(w[lit])):.2f} % | {wrong:.1g} |"
+        )
+        print(changes[-1], flush=True)
+        if not ratios:
+            ratios = _ratios_by_modulation(found, shifts[-1], lit)
+    return changes, ratios
+
+
+def _ratios_by_modulation(found: list[xr.Dataset], shifts: int, lit: np.ndarray) -> list[str]:
+    """Return rows of noise, bound and ratio for points from dark to light."""
+    mean = {
+        name: np.mean([each[name].values for each in found], axis=0, dtype=float)
+        for name in ("texture", "modulation", "phase")
+    }
+    limit = phase_limit(mean["texture"], mean["modulation"], mean["phase"], shifts, ROUNDED)
+    noise = (found[1].phase.values - found[0].phase.values) / np.sqrt(2)
+    known = lit & np.isfinite(noise) & np.isfinite(limit)
+    ends = np.quantile(mean["modulation"][known], (0, *CLASSES, 1))
+    rows = []
+    for low, high in [*pairwise(ends), (ends[0], ends[-1])]:
+        part = known & (mean["modulation"] >= low) & (mean["modulation"] <= high)
+        measured, bound = (np.sqrt(np.mean(each[part] ** 2)) for each in (noise, limit))
+        rows.append(
+            f"| {low:.0f} to {high:.0f} | {100 * part.sum() / known.sum():.0f} % | {1e3 * measured:.1f} | "
+            f"{1e3 * bound:.1f} | {np.sqrt(np.mean((noise / limit)[part] ** 2)):.3f} |"
+        )
+        print(rows[-1], flush=True)
+    return rows
 
 
 def texture(seed: int, width: float, shift: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -93,6 +169,7 @@ def main() -> None:
             rows.append(f"| {width:g} | {noise / 40.95:.1f} | {cells} |")
             print(rows[-1], flush=True)
     displacement = "\n".join(rows)
+    changes, ratios = ("\n".join(each) for each in plate_rows())
     PAGE.write_text(
         f"""# How close to the limit
 
@@ -110,6 +187,36 @@ The bound is that of mean, modulation and phase of each pixel from the q frames 
 
 With the same noise in all frames, phase stepping reaches the bound. With shot noise, bright frames would deserve less
 weight; equal weights cost what the table shows.
+
+## Dark speckles
+
+*RMS noise of the phase of the speckled plate of the virtual rig, seed {PLATE}, 1280x960, 8 bits, read noise 1 grey
+level, shot noise 0.02 per grey level, 20 frames (pitches 800, 160, 40, 10 px; 4, 4, 4, 8 shifts), from two stacks at
+rest, over the bound of the 8 frames of the finest pitch. The bound is sqrt(2 / q) s / B for equal noise s: a speckle
+that returns a tenth of the light has a tenth of the modulation B, and nearly the same s.*
+
+| modulation [grey level] | points | noise [mrad] | bound [mrad] | noise / bound |
+|---:|---:|---:|---:|---:|
+{ratios}
+
+No unbiased estimate from these frames, with texture and phase together or apart, gains more than the last column says.
+The 12 frames of the coarse pitches contain as much about the height as 0.27 frames of the finest one (squares of
+10 / 40, 10 / 160 and 10 / 800): 1.7 % of the noise. Less noise needs other frames; at the same number of 20:
+
+| change | raw w, RMS [µm] | from the median [µm] | measured | wrong orders |
+|---|---:|---:|---:|---:|
+{changes}
+
+Raw w: difference of the heights of two stacks at rest, without a filter. "From the median": the median of its absolute
+value over 0.6745, the noise of the usual point. Measured: points whose order is sure by 5 standard deviations.
+
+- **Shifts.** Coarse pitches only have to give the order: 3 shifts are enough, and their frames go to the finest pitch.
+- **Pitch.** The noise of the height is proportional to the pitch as long as projector and lens keep the contrast:
+  `fringedic plan` predicts it.
+- **Fewer pitches** leave dark speckles without a sure order.
+- **Exposures.** Two exposures help dark points and take frames from the light ones.
+- **Paint.** Grey speckles gain as much as the finer pitch without any change of the sequence: keep their reflectance
+  above a third of that of the ground. The displacement has less contrast then.
 
 ## Displacement
 

@@ -26,10 +26,12 @@ from fringedic_ros.qos import DERIVED, EVENTS, IMAGES, LATCHED
 from fringedic_ros.rig_node import RIG_FRAME, frame_id
 from fringedic_ros.stamps import to_nanoseconds
 
-PHASE_MAPS = {"phase": "map", "sigma": "sigma"}  # variable of a `PhaseResult` -> topic of the phase node
+# variable of a `PhaseResult` -> topic of the phase node
+PHASE_MAPS = {"phase": "map", "sigma": "sigma", "texture": "texture"}
 MAPS = (*(f"phase/{topic}" for topic in PHASE_MAPS.values()), "dic/displacement", "dic/sigma")
 INPUTS = (*MAPS, "dic/camera_info", "camera/exposure", "phase/status", "dic/status")  # joined by the step's stamp
-SURFACE = ("phase/map", "phase/sigma", "camera/exposure", "phase/status")  # inputs of the surface of a step
+# inputs of the surface of a step
+SURFACE = ("phase/map", "phase/sigma", "phase/texture", "camera/exposure", "phase/status")
 
 
 class CouplingNode(ProcessingNode[CouplingParameters]):

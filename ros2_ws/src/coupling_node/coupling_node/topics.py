@@ -8,6 +8,7 @@ INPUTS = (
     "phase/status",
     "phase/map",
     "phase/sigma",
+    "phase/texture",
     "dic/status",
     "dic/displacement",
     "dic/sigma",

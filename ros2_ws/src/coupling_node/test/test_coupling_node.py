@@ -67,7 +67,7 @@ class CouplingBench(Bench):
         self.measured = measure(rig)
         self.images = {
             topic: self.create_publisher(Image, topic, DERIVED)
-            for topic in ("phase/map", "phase/sigma", "dic/displacement", "dic/sigma")
+            for topic in ("phase/map", "phase/sigma", "phase/texture", "dic/displacement", "dic/sigma")
         }
         self.grid = self.create_publisher(CameraInfo, "dic/camera_info", DERIVED)
         self.inputs = {name: self.create_publisher(NodeStatus, f"{name}/status", EVENTS) for name in ("phase", "dic")}
@@ -94,7 +94,8 @@ class CouplingBench(Bench):
     def parts(self, experiment: str, step: int) -> list[Callable[[], None]]:
         """One call for each message of a step."""
         measured, stamp = self.measured[step], self.stamp(step)
-        arrays = (measured.phase.phase, measured.phase.sigma, measured.dic.displacement, measured.dic.sigma)
+        phase, dic = measured.phase, measured.dic
+        arrays = (phase.phase, phase.sigma, phase.texture, dic.displacement, dic.sigma)
         images = [
             (publisher, image_message(array, stamp_ns=stamp, frame_id="camera_optical_frame"))
             for publisher, array in zip(self.images.values(), arrays, strict=True)

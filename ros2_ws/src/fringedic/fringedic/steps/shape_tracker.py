@@ -18,6 +18,7 @@ from fringedic.steps.statistics import measured_part_and_rms
 from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult
 from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
 from fringedic.surface.nearest_order import nearest_order_to_plane
+from fringedic.surface.shading import LitTexture
 
 _SHAPE = ("x", "y", "z", "sigma_z")
 _VECTORS = ("x", "y", "z", "u", "v", "w", "sigma_u", "sigma_v", "sigma_w")
@@ -50,11 +51,34 @@ class StepSurface:
     prepared: PreparedShape
 
 
+@dataclass(frozen=True)
+class _Appearance:
+    """The texture of the reference step on its surface, prepared for the steps that share it.
+
+    Attributes
+    ----------
+    surface
+        That it lies on.
+    settings
+        Attributes of the displacement and window of the strain that it was prepared for.
+    texture
+        To take the change of its shading out of displacements.
+    slope_noise
+        See `LitTexture.slope_noise`.
+    """
+
+    surface: StepSurface
+    settings: tuple[object, ...]
+    texture: LitTexture
+    slope_noise: float
+
+
 class ShapeTracker:
     """Computes the surface of each step and its 3D displacement against the reference step (eq. 10 and 12).
 
-    The phases of the latest ``kept_steps`` steps (any of them can become the reference) and of the reference step stay
-    in memory.
+    Where phases come with their textures, the displacement that a change of the shading imitates is taken out first,
+    see `fringedic.surface.shading`. Phases and textures of the latest ``kept_steps`` steps (any of them can become the
+    reference) and of the reference step stay in memory.
 
     Parameters
     ----------
@@ -69,6 +93,7 @@ class ShapeTracker:
         self._references = References()
         self._phases: LatestSteps[PhaseResult] = LatestSteps()
         self._prepared: StepSurface | None = None
+        self._appearance: _Appearance | None = None
 
     def set_calibration(self, calibration: RigModel) -> None:
         """Set the rig's model, with which the following steps and their reference are reconstructed."""
@@ -127,21 +152,25 @@ class ShapeTracker:
         current = self._current(surface, phase, calibration)
         _require_heights(current)
         reference = current if first is phase else self._reference_surface(first, calibration)
+        appearance = self._appearance_of(reference, displacement.field)
+        field = displacement.field
+        if appearance is not None and current is not reference:
+            field = appearance.texture.without_shading(field, current.prepared)
         cloud = couple(
             reference.prepared,
             current.prepared,
-            displacement.field,
+            field,
             calibration=calibration,
             z_filter=parameters.z_filter_px,
             orientation=phase.orientation,
         )
-        fields = self._evaluated(cloud)
+        fields = self._evaluated(cloud, appearance)
         fraction, length = measured_part_and_rms(fields.u.values, fields.v.values, fields.w.values)
         check_fraction("a 3D displacement", fraction, parameters.minimum_valid_fraction, key)
 
         self._references.succeeded(*key)
         self._phases.keep(key, phase, parameters.kept_steps, reference_key)
-        self._prepared = reference
+        self._prepared, self._appearance = reference, appearance
         return CouplingResult(
             experiment=phase.experiment,
             step=phase.step,
@@ -195,13 +224,27 @@ class ShapeTracker:
             return known
         return self._make_surface(first, calibration)
 
-    def _evaluated(self, cloud: xr.Dataset) -> xr.Dataset:
+    def _appearance_of(self, reference: StepSurface, field: xr.Dataset) -> _Appearance | None:
+        """Return the appearance of the reference, made once for the steps that share it; None without its texture."""
+        if "texture" not in reference.phase.maps or "window_px" not in field.attrs:
+            return None
+        window = self.parameters.strain_window_px
+        settings = (*(field.attrs[name] for name in ("method", "window_px", "spacing_px")), window)
+        known = self._appearance
+        if known is not None and known.surface is reference and known.settings == settings:
+            return known
+        light = reference.calibration.projector_position
+        texture = LitTexture(reference.prepared, reference.phase.texture, light, field)
+        return _Appearance(reference, settings, texture, texture.slope_noise(window) if window else 1.0)
+
+    def _evaluated(self, cloud: xr.Dataset, appearance: _Appearance | None) -> xr.Dataset:
         """Return the fields to be published: displacement, local components and strain where they are asked for."""
         parts = [_selected(cloud, _VECTORS)]
         if self.parameters.local_frame_window_px:
             parts.append(_selected(to_local_frame(cloud, window=self.parameters.local_frame_window_px), _LOCAL))
         if self.parameters.strain_window_px:
-            strain = surface_strain(cloud, window=self.parameters.strain_window_px)
+            slope_noise = appearance.slope_noise if appearance is not None else 1.0
+            strain = surface_strain(cloud, window=self.parameters.strain_window_px, slope_noise=slope_noise)
             parts.append(_selected(strain, [name for name in STRAIN_FIELDS if name in strain]))
         fields = parts[0].assign({name: array for part in parts[1:] for name, array in part.items()})
         # a viewer colours the points with a position: there has to be a value
@@ -229,8 +272,8 @@ def _step_error(phase: PhaseResult, message: str, code: ErrorCode | None) -> Ste
 
 
 def _for_reconstruction(phase: PhaseResult) -> PhaseResult:
-    """Return a phase without texture and modulation, which would stay in memory with every kept step."""
-    return replace(phase, maps=phase.maps[["phase", "sigma"]])
+    """Return a phase without its modulation, which would stay in memory with every kept step."""
+    return replace(phase, maps=phase.maps[[name for name in ("phase", "sigma", "texture") if name in phase.maps]])
 
 
 def _selected(dataset: xr.Dataset, names: Iterable[str]) -> xr.Dataset:

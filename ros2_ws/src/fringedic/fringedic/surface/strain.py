@@ -10,7 +10,7 @@ import xarray as xr
 from numba import njit, prange
 
 from fringedic.errors import SurfaceError
-from fringedic.inputs.arguments import check_arguments, dataset, several, text, whole
+from fringedic.inputs.arguments import check_arguments, dataset, number, several, text, whole
 from fringedic.surface.discontinuities import find_discontinuities
 from fringedic.surface.noise_correlation import displacement_gains, height_gains
 from fringedic.surface.planes import WIDEST_WINDOW, Planes, fit_planes
@@ -37,8 +37,11 @@ _SIGMAS = {
     displacement_3d=dataset("x", "y", "z", "u", "v", "w"),
     window=whole(high=WIDEST_WINDOW),
     measures=several(text),
+    slope_noise=number(0.0),
 )
-def surface_strain(displacement_3d: xr.Dataset, *, window: int, measures: Iterable[str] = ()) -> xr.Dataset:
+def surface_strain(
+    displacement_3d: xr.Dataset, *, window: int, measures: Iterable[str] = (), slope_noise: float = 1.0
+) -> xr.Dataset:
     """Return the Green-Lagrange strain of the surface in its tangent plane.
 
     Least-squares planes of z, u, v and w over (x, y) in the window give the tangent vectors of the surface before,
@@ -70,6 +73,8 @@ def surface_strain(displacement_3d: xr.Dataset, *, window: int, measures: Iterab
           ln(1 + 2 e)/2 in the same directions.
         - ``engineering``: ``elongation_1``, ``elongation_2`` of lines along t1 and t2, and ``shear_angle``, the
           decrease of the right angle between them [rad].
+    slope_noise
+        Variance of the slopes of the in-plane noise over that on a texture of uniform contrast.
 
     Returns
     -------
@@ -114,7 +119,7 @@ def surface_strain(displacement_3d: xr.Dataset, *, window: int, measures: Iterab
     fields = dict(zip(_STRAIN, strain, strict=True))
     units = dict(_STRAIN)
     if known_errors:
-        fields |= zip(_SIGMAS, _compute_sigmas(displacement_3d, planes), strict=True)
+        fields |= zip(_SIGMAS, _compute_sigmas(displacement_3d, planes, slope_noise), strict=True)
         units |= _SIGMAS
     for measure in (MEASURES[name] for name in measures):
         fields |= zip(measure.fields, measure.compute(SurfaceStrain(*strain)), strict=True)
@@ -138,12 +143,12 @@ def _gauge_length(cloud: xr.Dataset, planes: Planes) -> dict[str, float]:
     return {"virtual_strain_gauge_px": length, "virtual_strain_gauge_mm": 1e3 * length * pixel}
 
 
-def _compute_sigmas(cloud: xr.Dataset, planes: Planes) -> np.ndarray:
+def _compute_sigmas(cloud: xr.Dataset, planes: Planes, slope_noise: float) -> np.ndarray:
     """Return the standard deviations (3, row, column) of e_11, e_22, e_12."""
     spacing = (round(planes.spacing[0]), round(planes.spacing[1]))
     z_filter = float(cloud.attrs["z_filter_px"])
     window, method = int(cloud.attrs["displacement_window_px"]), str(cloud.attrs.get("displacement_method", "dense"))
-    in_plane = displacement_gains(window, method, planes.half, spacing)
+    in_plane = slope_noise * displacement_gains(window, method, planes.half, spacing)
     gains = np.array([height_gains(z_filter, after, planes.half, spacing) for after in (False, True)])
     h0 = float(cloud.attrs["camera_distance"])
     positions = [np.ascontiguousarray(cloud[name], planes.slopes.dtype) for name in ("x", "y", "z", "u", "v", "w")]

@@ -70,6 +70,13 @@ def test_z_scores_of_the_strain(case: Case, z_filter: float, fringe: float, pixe
         assert 0.9 < np.sqrt(np.mean(squares)) < 1.1, name
 
 
+def test_the_slope_noise_of_the_texture_enters_the_sigma_of_the_strain(case: Case) -> None:
+    cloud = noisy(case, 1, 2.0, 1e-6, PIXEL)  # the noise of the height is negligible
+    plain, more = (surface_strain(cloud, window=STRAIN_WINDOW, slope_noise=each) for each in (1.0, 1.44))
+    for name in ("sigma_e_11", "sigma_e_22", "sigma_e_12"):
+        np.testing.assert_allclose(more[name][INNER], 1.2 * plain[name][INNER], rtol=1e-3)
+
+
 def test_spacing_of_the_points_hardly_changes_the_strain_and_its_sigma(case: Case) -> None:
     cloud = noisy(case, 1, 2.0, FRINGE, PIXEL)
     every = surface_strain(cloud, window=STRAIN_WINDOW)
