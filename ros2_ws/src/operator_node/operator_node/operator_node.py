@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import BaseModel, Field
 from rcl_interfaces.msg import Log
@@ -197,7 +198,11 @@ class OperatorNode(RigNode):
         return ""
 
     def _take_result(self, future: Future) -> None:
-        result = future.result().result
+        response = future.result()
+        if response.status == GoalStatus.STATUS_UNKNOWN:
+            self._state.set_hand("not measured: the experiment node was started again; measure the step again")
+            return
+        result = response.result
         failed = f"failed: {result.error_message} (error {result.error_code})"
         self._state.set_hand(f"step {result.step} {failed if result.error_code else 'is measured'}")
 
