@@ -20,8 +20,10 @@ from fringedic.results import open_experiment, process_bag
 
 FOLDER = Path(__file__).parents[1] / "recordings" / "version_0_1"
 # Sigma of the phase no longer contains the harmonics of the response, and weights the filter of the surface; sigma of
-# the displacement covers one-sided windows and uneven textures. In-plane displacements are what they were.
+# the displacement covers one-sided windows and uneven textures, that of the strain a trial of the noise on the texture.
+# In-plane displacements are what they were.
 CHANGED_NOISE = 0.004
+TRIAL = 0.006
 UNEVEN = 0.02
 ONE_SIDED = 0.25
 UNCHANGED = {"phase", "displacement_x", "displacement_y"}
@@ -66,7 +68,8 @@ def test_recording_gives_the_same_results(dataset: xr.Dataset) -> None:
         if "sigma" in name:
             growth = values / expected[name] - 1
             assert np.array_equal(np.isfinite(values), np.isfinite(expected[name])), name
-            assert -CHANGED_NOISE < np.nanmin(growth) <= np.nanmax(growth) < ONE_SIDED, name
+            smallest = -TRIAL if "_e_" in name else -CHANGED_NOISE
+            assert smallest < np.nanmin(growth) <= np.nanmax(growth) < ONE_SIDED, name
             assert np.nanmedian(np.abs(growth)) < (UNEVEN if name in OF_DISPLACEMENT else CHANGED_NOISE), name
         elif exact and name in UNCHANGED:
             assert np.array_equal(values, expected[name], equal_nan=True), name
