@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import signal
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -50,10 +51,12 @@ class Rig:
     def inject(self, index: int, image: np.ndarray, *, after: int) -> MeasureStep.Result:
         """Measure a step into which another node sends a frame with this index, after the real frame ``after``."""
         done = []
-        self.exposures.clear()
+        self.exposures.clear()  # those of earlier steps may still be in the queue of the client
+        begun = time.time_ns()
 
         def interfere(feedback: MeasureStep.Feedback) -> None:
-            mine = [each for each in self.exposures if each.index == after]
+            new = [each for each in self.exposures if to_nanoseconds(each.header.stamp) > begun]
+            mine = [each for each in new if each.index == after]
             if feedback.frame > after and mine and not done:
                 done.append(mine[-1])
                 record = mine[-1]

@@ -78,7 +78,7 @@ def test_help_groups_all_commands() -> None:
         ("replay nowhere --set camera.gain=1", "a replay starts phase, dic, coupling, not camera"),
         ("run open_hole_tension.yaml --images nowhere", "no such image or folder of images"),
         ("calibrate", "give a rig file"),
-        ("calibrate tiny --angles-deg 0,ten", "angles-deg"),
+        ("calibrate tiny --angles-deg 0,ten", "angles 0,ten: give numbers"),
         ("live tiny --region 3,4,5", "such as 320,240,640,480"),
     ],
 )
