@@ -18,7 +18,9 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+sys.path.extend(
+    str(Path(__file__).resolve().parents[1] / folder) for folder in ("tests", "ros2_ws/src/fringedic/test/page")
+)
 from launch_stand_in import launched
 from test_two_hosts import PROCESSING_SIDE, RIG_SIDE, lost_images
 from two_hosts import Side, two_hosts, why_not

@@ -31,8 +31,8 @@ _THREADS = (
 )
 ONE_THREAD = dict.fromkeys(_THREADS, "1")
 """Environment of a worker, which has to be set before it starts: workers are parallel, not their kernels."""
-# Maps are as large again in the next step: memory that goes back to the kernel, which Dask sets for its workers, is cleared
-# again page by page, a fifth of the processor time of large images. The values are those of the nodes (decision 0024).
+# Maps are as large again in the next step: memory that goes back to the kernel, as Dask sets for its workers, is
+# cleared again page by page, a fifth of the processor time of large images. The nodes have these values, too (0024).
 _KEPT_MEMORY = {
     "MALLOC_ARENA_MAX": "1",
     "MALLOC_MMAP_THRESHOLD_": str(1 << 30),
