@@ -24,7 +24,7 @@ const OPTIONS = {
   advise: [
     { label: "Wanted noise [px]", name: "wanted_noise_px", min: 0, step: "any", placeholder: "none" },
     { label: "Wanted period [px]", name: "wanted_period_px", min: 0, step: "any", placeholder: "none" },
-    { label: "Pixel on the specimen [mm]", name: "pixel_size_mm", min: 0, step: "any", placeholder: "not known" },
+    { label: "Pixel on the specimen [mm]", name: "pixel_size_mm", min: 0, step: "any", placeholder: "unknown" },
     { label: "Strain window [points]", name: "strain_window_points", min: 3, max: 1001, step: 2, value: 5 },
   ],
 };
