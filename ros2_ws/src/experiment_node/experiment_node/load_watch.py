@@ -130,16 +130,16 @@ class LoadWatch:
         )
         if not self._is_expected(step, parameters):
             return
-        start, end = step.exposures[0][0], step.exposures[len(step.patterns) - 1][1]
+        start, end = step.exposed_over()
         if parameters.hold_required:
             await self._await_sample(step, end, SAMPLE_TIMEOUT)
             _check_held_throughout(step.load_around_exposures(), start)
         else:
-            with suppress(WaitTimeoutError):  # without it, the drift is that of the samples that are there
+            with suppress(WaitTimeoutError):  # without it, the drift is unknown
                 await self._changed.wait(
                     lambda: bool(step.load) and to_nanoseconds(step.load[-1].header.stamp) >= end, SAMPLE_TIMEOUT
                 )
-        _check_drift(step.load_during_exposures(), parameters)
+        _check_drift(step, parameters)
 
 
 def _check_held(samples: Iterable[LoadState | None]) -> None:
@@ -172,24 +172,33 @@ def _check_held_throughout(samples: Sequence[LoadState], start: int) -> None:
         )
 
 
-def _check_drift(samples: Sequence[LoadState], parameters: ExperimentParameters) -> None:
+def _check_drift(step: RunningStep, parameters: ExperimentParameters) -> None:
     """End the step when force or position changed during the exposures by more than the parameters allow."""
+    samples, covered = step.load_during_exposures(), _cover(step.load_around_exposures(), step.exposed_over())
     stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
     for what, values, factor, unit, limit in (
         ("force", [sample.force for sample in samples], 1.0, "N", parameters.load_drift_n),
         ("crosshead", [sample.position for sample in samples], 1e6, "µm", parameters.position_drift_um),
     ):
-        summary = summarise_load(stamps, values)
-        if limit and not summary.samples:
+        if not limit:
+            continue
+        if not covered:
             raise StepFailure(
                 Result.LOAD_DRIFT,
-                f"no sample of the {what} arrived during the exposures, so its drift is unknown; increase the sampling "
-                "rate, or set its limit to 0",
+                f"no samples of the {what} from the first exposure until after the last one, so its drift is unknown; "
+                "check the connection of the load frame and increase its rate, or set the limit of the drift to 0",
             )
-        drift = factor * summary.drift
-        if limit and abs(drift) > limit:
+        drift = factor * summarise_load(stamps, values).drift
+        if abs(drift) > limit:
             raise StepFailure(
                 Result.LOAD_DRIFT,
                 f"the {what} drifted by {drift:+.3g} {unit} during the exposures, {limit:g} {unit} are allowed; "
                 "hold longer before the step",
             )
+
+
+def _cover(samples: Sequence[LoadState], exposed: tuple[int, int]) -> bool:
+    """Return whether samples show the load from the first exposure [ns] until after the last one."""
+    start, end = exposed
+    stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
+    return bool(stamps) and stamps[0] <= start + 1e9 * LONGEST_GAP and stamps[-1] >= end

@@ -99,9 +99,13 @@ class RunningStep:
         """Return the CRCs of the images in the order of the frames."""
         return [crc for _, crc in sorted(self.crcs.items())]
 
+    def exposed_over(self) -> tuple[int, int]:
+        """Return the start of the first exposure and the end of the last one [ns]."""
+        return self.exposures[0][0], self.exposures[len(self.patterns) - 1][1]
+
     def load_around_exposures(self) -> list[LoadState]:
         """Return the samples from the last one before the first exposure to the first one after the last exposure."""
-        start, end = self.exposures[0][0], self.exposures[len(self.patterns) - 1][1]
+        start, end = self.exposed_over()
         samples = list(self.load)
         stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
         first = max(bisect_right(stamps, start) - 1, 0)
@@ -109,7 +113,7 @@ class RunningStep:
 
     def load_during_exposures(self) -> list[LoadState]:
         """Return the samples between the start of the first and the end of the last exposure, or the nearest ones."""
-        start, end = self.exposures[0][0], self.exposures[len(self.patterns) - 1][1]
+        start, end = self.exposed_over()
         samples = list(self.load)
         chosen = samples_over([to_nanoseconds(sample.header.stamp) for sample in samples], start, end)
         return [samples[index] for index in chosen.nonzero()[0]]
