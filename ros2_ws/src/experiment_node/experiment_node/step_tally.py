@@ -10,6 +10,7 @@ from fringedic_msgs.msg import Exposure
 from fringedic_ros.stamps import to_nanoseconds
 
 _MOST_IMAGES = 1000  # far more than a sequence has
+_MOST_STEPS = 8  # whose records are kept: the latest step, its successor, and strays
 
 
 def crc_of(crcs: Iterable[int]) -> int:
@@ -36,13 +37,13 @@ class StepTally:
     def __init__(self) -> None:
         self.experiment, self.step = "", 0
         self._images: dict[int, int] = {}  # stamp -> CRC
-        self._records: dict[int, tuple[int, int]] = {}  # index -> stamp, CRC
+        self._records: dict[tuple[str, int], dict[int, tuple[int, int]]] = {}  # step -> index -> stamp, CRC
 
     def begin(self, experiment: str, step: int) -> None:
-        """Forget the records of an earlier step; its topic and those of the frames are not in one order."""
+        """Forget the records of other steps; those of the step may have come before this announcement of it."""
         if (experiment, step) != (self.experiment, self.step):
             self.experiment, self.step = experiment, step
-            self._records.clear()
+            self._records = {(experiment, step): self._records.get((experiment, step), {})}
 
     def add_image(self, stamp: int, crc: int) -> None:
         """Add an image with the CRC-32 of its data; the newest thousand are kept."""
@@ -51,11 +52,15 @@ class StepTally:
             del self._images[next(iter(self._images))]
 
     def add_record(self, record: Exposure) -> None:
-        """Add the exposure record of a frame of a step."""
+        """Add the exposure record of a frame of a step, which may be another one than the announced step."""
         if record.count:
-            self.begin(record.experiment, record.step)
-            self._records[record.index] = to_nanoseconds(record.header.stamp), record.image_crc
+            identity = record.experiment, record.step
+            self._records.setdefault(identity, {})[record.index] = to_nanoseconds(record.header.stamp), record.image_crc
+            strays = [each for each in self._records if each != (self.experiment, self.step)]
+            if len(strays) >= _MOST_STEPS:
+                del self._records[strays[0]]
 
     def confirmed(self) -> list[int]:
         """Return the CRCs of the complete frames, in the order of the frames."""
-        return [crc for _, (stamp, crc) in sorted(self._records.items()) if self._images.get(stamp) == crc]
+        records = self._records.get((self.experiment, self.step), {})
+        return [crc for _, (stamp, crc) in sorted(records.items()) if self._images.get(stamp) == crc]

@@ -63,8 +63,10 @@ class Rig(Peer):
     def image(self, stamp: int, pixels: np.ndarray) -> None:
         self.images.publish(image_message(pixels, stamp_ns=stamp, frame_id="camera_optical_frame"))
 
-    def exposure(self, stamp: int, index: int = 0, count: int = 4, crc: int = 0) -> None:
-        record = FrameRecord("test", 0, index, count, ProjectedPattern(PatternKind.WHITE), stamp, 0.01, image_crc=crc)
+    def exposure(self, stamp: int, index: int = 0, count: int = 4, crc: int = 0, step: int = 0) -> None:
+        record = FrameRecord(
+            "test", step, index, count, ProjectedPattern(PatternKind.WHITE), stamp, 0.01, image_crc=crc
+        )
         self.exposures.publish(exposure_message(record, frame_id="camera_optical_frame"))
 
     def end_step(self) -> None:
@@ -154,6 +156,8 @@ def test_frames_of_a_step_are_confirmed_by_their_checksums(rig: Rig, tmp_path: P
             rig.exposure(index + 1, index, crc=crcs[index])
         rig.steps.publish(StepStatus(experiment="test", step=0, stage=StepStatus.PROCESS))
         rig.wait(lambda: rig.statuses[-1].step_frames == 3, "three frames")
+        for stray in range(1, 11):  # of other steps: late ones, or those of another program
+            rig.exposure(9, 0, step=stray)
         rig.exposure(4, 3, crc=crcs[3])
         rig.image(4, frames[3] + 1)
         rig.wait(lambda: rig.statuses[-1].images == 4, "the fourth image")
