@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -35,6 +36,7 @@ class ExposingClient(RigClient):
         super().__init__(namespace, domain=domain, watch=watch)
         self._shows = self.node.create_client(ShowPattern, "projector/show")
         self._captures = self.node.create_client(CaptureFrame, "camera/capture")
+        self._reached: set[Client] = set()
         self._image: Image | None = None
         self._connected = False  # a frame has arrived
         self._exposure: Exposure | None = None
@@ -59,7 +61,7 @@ class ExposingClient(RigClient):
         WaitTimeoutError
             The projector node does not answer.
         """
-        self._await_service(self._shows)
+        self._reach(self._shows, ShowPattern.Request(kind=int(PatternKind.WHITE)))
         request = ShowPattern.Request(
             kind=int(pattern.kind),
             name=name,
@@ -89,7 +91,7 @@ class ExposingClient(RigClient):
         WaitTimeoutError
             The camera node does not answer, or the frame did not arrive.
         """
-        self._await_service(self._captures)
+        self._reach(self._captures, CaptureFrame.Request(count=0))
         if not self._connected:
             self._connect(exposure_time)
         return self._capture(exposure_time, FRAME_TIMEOUT_S)
@@ -138,9 +140,11 @@ class ExposingClient(RigClient):
         assert self._exposure is not None, "it arrived"
         return image_array(self._image), frame_record(self._exposure)
 
-    def _await_service(self, client: Client) -> None:
-        if not client.service_is_ready():
-            self.wait_for(client.service_is_ready, FRAME_TIMEOUT_S, lambda: f"{client.srv_name}: no such service")
+    def _reach(self, client: Client, harmless: Any) -> None:
+        """Wait for a first response: a server that has not discovered this client yet loses its responses."""
+        if client not in self._reached:
+            self.call_again(client, harmless, FRAME_TIMEOUT_S)
+            self._reached.add(client)
 
     def _take_image(self, message: Image) -> None:
         self._image = message
