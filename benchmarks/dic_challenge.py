@@ -28,7 +28,7 @@ from numpy.polynomial import Polynomial
 from scipy.ndimage import gaussian_filter1d
 
 from fringedic.correlation import Reference, measure_displacement
-from fringedic.correlation.transfer import transfer_function
+from fringedic.correlation.transfer import noise_transfer, transfer_function
 from fringedic.surface import flat_strain
 
 mpl.use("agg")
@@ -186,7 +186,7 @@ def ideal_filters(measured: list[Setting]) -> list[Setting]:
     """What the protocol gives to exact filters on the texture of the images.
 
     The noise of T is the measured one; that of an ideal low-pass with the same cut-off follows from the integrals of
-    both squared transfer functions over the frequencies.
+    the spectra of both over the frequencies.
     """
     frequency = np.linspace(0, 0.5, 20_001)
     found = []
@@ -194,7 +194,7 @@ def ideal_filters(measured: list[Setting]) -> list[Setting]:
         noise = next(s.noise for s in measured if s.name == f"window {window} px")
         own = transfer_function(frequency, window)
         low_pass = (frequency <= frequency[np.argmax(own < KEPT)]).astype(float)
-        power = [np.trapezoid(frequency * gain**2, frequency) for gain in (own, low_pass)]
+        power = [np.trapezoid(frequency * gain**2, frequency) for gain in (noise_transfer(frequency, window), low_pass)]
         found.append(filter_exactly(f"T of window {window} px", own, frequency, noise))
         ideal = noise * float(np.sqrt(power[1] / power[0]))
         found.append(filter_exactly("ideal low-pass of the same cut-off", low_pass, frequency, ideal))

@@ -18,7 +18,7 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
-from fringedic.correlation.transfer import transfer_function, window_deviation
+from fringedic.correlation.transfer import noise_transfer, window_deviation
 from fringedic.errors import CorrelationError
 from fringedic.inputs.arguments import array, check_arguments, of_type
 
@@ -180,4 +180,4 @@ def _remaining_noise(window: int, method: str, deviation: float) -> float:
     """
     frequency = np.linspace(0, 0.5, 4001)
     rings = frequency * np.exp(-((2 * np.pi * deviation * frequency) ** 2))  # square of the transfer of w
-    return float(np.sum(rings * (1 - transfer_function(frequency, window, method)) ** 2) / np.sum(rings))
+    return float(np.sum(rings * (1 - noise_transfer(frequency, window, method)) ** 2) / np.sum(rings))

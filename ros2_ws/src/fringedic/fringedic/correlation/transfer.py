@@ -7,7 +7,8 @@ by the square of its bi-triangular window w. The dense method has the transfer o
 
 where h is the transfer of the Gaussian window W of standard deviation s [px], v that of the narrower Gaussian of the
 predictor, and f the frequency [1/px]. T is flat up to the order 2 (ORDER + 1), then decreases as h, without overshoot.
-White noise passes through the same filter: its spectrum is T^2.
+White noise passes through the same filter: its spectrum is T^2. Displacement waves are attenuated a little more, as by
+T at LONGER times their frequency (`transfer_function`, `shortest_period`).
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ from fringedic.errors import CorrelationError
 # Chosen in the study of noise times cut-off, docs/validation/correlation.md; kept by test_transfer.py.
 ORDER = 6
 NARROWER = 0.75  # standard deviation of the predictor's Gaussian over that of W
+# Period of a measured wave over that of T with the same gain: the iteration ends early, cells average waves, and the
+# weights of an uneven texture mix them. Decision 0101, test_waves_keep_what_the_transfer_function_states.
+LONGER = 1.02
 KEPT = 0.9  # share of the amplitude that a resolved wave keeps; the usual 10 % loss (Grediac, Blaysat, Sur 2017)
 
 
@@ -53,7 +57,33 @@ def transfer_function(frequency: ArrayLike, window: int, method: str = "dense") 
 
     Examples
     --------
-    >>> transfer_function([0.0, 1 / 34.6, 1 / 20], window=32).round(2).tolist()
+    >>> transfer_function([0.0, 1 / 35.3, 1 / 20], window=32).round(2).tolist()
+    [1.0, 0.9, 0.02]
+    """
+    return noise_transfer(np.asarray(frequency, float) * (LONGER if _is_dense(method) else 1), window, method)
+
+
+def noise_transfer(frequency: ArrayLike, window: int, method: str = "dense") -> np.ndarray:
+    """Return the square root of the spectrum of the noise, relative to that at frequency 0.
+
+    Parameters
+    ----------
+    frequency, window, method
+        As in `transfer_function`.
+
+    Returns
+    -------
+    ndarray
+        Dimensionless, float64, of the shape of `frequency`.
+
+    Raises
+    ------
+    CorrelationError
+        The method is unknown.
+
+    Examples
+    --------
+    >>> noise_transfer([0.0, 1 / 34.6, 1 / 20], window=32).round(2).tolist()
     [1.0, 0.9, 0.02]
     """
     frequency = np.asarray(frequency, float)
@@ -88,12 +118,12 @@ def shortest_period(window: int, method: str = "dense", *, kept: float = KEPT) -
     Examples
     --------
     >>> round(shortest_period(32), 1), round(shortest_period(32, "zoi"), 1)
-    (34.6, 67.2)
+    (35.3, 67.2)
     """
     if _is_dense(method):
         q2 = np.linspace(1e-3, 10, 100_000)
         q = math.sqrt(q2[np.argmax(_dense_transfer(q2) < kept)])
-        return math.sqrt(2) * math.pi * window_deviation(window) / q
+        return math.sqrt(2) * math.pi * LONGER * window_deviation(window) / q
     frequency = np.linspace(0, 1 / window, 10_001)
     return float(1 / frequency[np.argmax(transfer_function(frequency, window, method) < kept)])
 

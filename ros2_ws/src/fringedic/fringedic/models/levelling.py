@@ -1,8 +1,8 @@
 """Levelling: a model's displacement is filtered as the measurement filters that of the surface.
 
-The in-plane displacement passes through the windows of its method, whose transfer function is that of
-`fringedic.correlation.transfer`, the height through the Gaussian that smoothed it; the strain is that of
-`surface_strain` with the same window.
+The in-plane displacement passes through the windows of its method with the transfer `noise_transfer` of
+`fringedic.correlation.transfer` (measured waves lose a little more, decision 0101), the height through the Gaussian
+that smoothed it; the strain is that of `surface_strain` with the same window.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fringedic.correlation.transfer import NARROWER, ORDER, window_deviation
 from fringedic.errors import ModelError
 from fringedic.surface.strain import surface_strain
 
-_ITERATIONS = 12  # of the fixed point; test_waves_keep_the_share_of_the_transfer_function
+_ITERATIONS = 12  # of the fixed point; test_waves_keep_the_share_of_the_fixed_point
 
 
 @dataclass(frozen=True)
@@ -118,8 +118,8 @@ def _fixed_point(values: np.ndarray, known: np.ndarray, deviation: float) -> np.
     """Return the fixed point u = S u + W (values - S u) of the dense method with windows cut off at edges.
 
     S = 1 - (1 - V)^ORDER; W and V are Gaussians of standard deviations `deviation` and NARROWER `deviation` [points].
-    Inside the surface the transfer function is that of `fringedic.correlation.transfer`; at an edge normalised windows
-    follow the displacement as subsets do.
+    Inside the surface the transfer is `noise_transfer`; at an edge normalised windows follow the displacement as
+    subsets do.
     """
     wide, narrow = (_normalised(known, _gaussian(each)) for each in (deviation, NARROWER * deviation))
     result = values

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import fringedic
-from fringedic.correlation import shortest_period, transfer_function
+from fringedic.correlation import shortest_period
+from fringedic.correlation.transfer import noise_transfer
 from fringedic.models.levelling import Levelling
 from fringedic.models.rendering import measure_rendered
 
@@ -14,13 +15,13 @@ ROW, COLUMN = np.meshgrid(np.arange(0, 400, 4.0), np.arange(0, 480, 4.0), indexi
 
 
 @pytest.mark.parametrize("method", ["dense", "zoi"])
-def test_waves_keep_the_share_of_the_transfer_function(method):
+def test_waves_keep_the_share_of_the_fixed_point(method):
     filters = Levelling(32, method, 3.0, 0, 4)
     period = shortest_period(32, method)
     wave = np.sin(2 * np.pi * COLUMN / period)
     found = filters.displacement(np.stack([wave, wave.copy(), wave.copy()]))[:, 30:70, 30:90]
     kept = [np.sum(each * wave[30:70, 30:90]) / np.sum(wave[30:70, 30:90] ** 2) for each in found]
-    assert kept[:2] == pytest.approx(2 * [float(transfer_function(1 / period, 32, method))], abs=0.005)
+    assert kept[:2] == pytest.approx(2 * [float(noise_transfer(1 / period, 32, method))], abs=0.005)
     assert kept[2] == pytest.approx(np.exp(-2 * (np.pi * 3.0 / period) ** 2), abs=0.005)
 
 
