@@ -249,11 +249,12 @@ def plate_steps(folder: Path) -> Iterator[Table]:
     camera = {"source": "files", "files": str(images)}
     for spacing in (rig.nodes.dic.spacing, 1):
         dic = rig.nodes.dic.model_copy(update={"spacing": spacing})
-        chosen = rig.model_copy(update={"nodes": rig.nodes.model_copy(update={"dic": dic})})
+        update = {"nodes": rig.nodes.model_copy(update={"dic": dic}), "load_frame": None}
+        chosen = rig.model_copy(update=update)
         target = folder / f"spacing_{spacing}"
         graph = rig_graph(chosen, path, target, experiment="bench")
         nodes = [replace(node, parameters=camera) if node.name == "camera" else node for node in graph.nodes]
-        graph = Graph(graph.namespace, tuple(node for node in nodes if node.name != "load_frame"))
+        graph = Graph(graph.namespace, tuple(nodes))
         with (
             private_domain() as domain,
             RunningGraph(graph, target / "logs", domain=domain) as running,

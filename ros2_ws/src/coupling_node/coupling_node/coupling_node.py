@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -116,9 +117,9 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         self._tracker.parameters = parameters
         result = self._tracker.step(phase, displacement, surface=surface if made == phase.stamp else None)
         # displacement first: clients wait for it; the shape, at every pixel, is larger
-        self._publish_cloud(self._displacement, result.displacement, result.stamp)
-        self._publish_cloud(self._shape, result.shape, result.stamp)
-        self._publish_cloud(self._strain, result.strain(), result.stamp)
+        self._publish_cloud(self._displacement, lambda: result.displacement, result.stamp)
+        self._publish_cloud(self._shape, lambda: result.shape, result.stamp)
+        self._publish_cloud(self._strain, result.strain, result.stamp)
         self._arrows.publish(result, self._frame)
         return Outcome(
             result.valid_fraction,
@@ -130,8 +131,8 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
             correlated_step=displacement.correlated_step,
         )
 
-    def _publish_cloud(self, publisher: Publisher, fields: xr.Dataset | None, stamp_ns: int) -> None:
-        if fields is not None and publisher.get_subscription_count():
+    def _publish_cloud(self, publisher: Publisher, make: Callable[[], xr.Dataset | None], stamp_ns: int) -> None:
+        if publisher.get_subscription_count() and (fields := make()) is not None:
             images = {str(name): array.values for name, array in fields.items()}
             publisher.publish(cloud_message(images, stamp_ns=stamp_ns, frame_id=self._frame))
 

@@ -241,7 +241,8 @@ class ShapeTracker:
         """Return the fields to be published: displacement, local components and strain where they are asked for."""
         parts = [_selected(cloud, _VECTORS)]
         if self.parameters.local_frame_window_px:
-            parts.append(_selected(to_local_frame(cloud, window=self.parameters.local_frame_window_px), _LOCAL))
+            moved = cloud[list("xyzuvw")]  # without errors: standard deviations of the components are not published
+            parts.append(_selected(to_local_frame(moved, window=self.parameters.local_frame_window_px), _LOCAL))
         if self.parameters.strain_window_px:
             slope_noise = appearance.slope_noise if appearance is not None else 1.0
             strain = surface_strain(cloud, window=self.parameters.strain_window_px, slope_noise=slope_noise)

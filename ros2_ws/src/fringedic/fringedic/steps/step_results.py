@@ -174,9 +174,9 @@ class CouplingResult:
         if "e_11" not in self.displacement:
             return None
         names = [name for name in self.displacement if str(name).removeprefix("sigma_").startswith("e_")]
-        strain = self.displacement[names]
-        measured = strain.to_array().notnull().all("variable")
-        return self.displacement[["x", "y", "z"]].where(measured).merge(strain)
+        measured = np.logical_and.reduce([np.isfinite(self.displacement[name].values) for name in names])
+        places = self.displacement[["x", "y", "z"]].where(xr.Variable(("row", "column"), measured))
+        return places.assign({name: self.displacement[name] for name in names})
 
 
 def displacement_field(

@@ -1,4 +1,7 @@
-"""Compiled loops of the coupling: both surfaces interpolated at the places of each material point, and their noise."""
+"""Compiled loops of the coupling: both surfaces interpolated at the places of each material point, and their noise.
+
+Functions that take whole arrays are inlined: passing their descriptions at every point takes as long as the arithmetic.
+"""
 
 from __future__ import annotations
 
@@ -76,7 +79,7 @@ def _is_smooth(right: np.ndarray, down: np.ndarray, i: int, j: int) -> bool:
     return bool(whole)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _interpolate(
     z: np.ndarray,
     variance: np.ndarray,
@@ -129,7 +132,7 @@ def _interpolate(
     return value, spread * gain, by_column, by_row
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _ray(ray: np.ndarray, s: float, r: float) -> tuple[float, float, float]:
     """Return the slope of the line of sight at row s, column r, and its derivatives by column and row; bilinear."""
     rows, columns = ray.shape
@@ -145,7 +148,7 @@ def _ray(ray: np.ndarray, s: float, r: float) -> tuple[float, float, float]:
     return (1.0 - g) * ((1.0 - f) * a + f * b) + g * ((1.0 - f) * c + f * d), by_column, by_row
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _nearest(values: np.ndarray, s: float, r: float) -> float:
     rows, columns = values.shape
     if not (0.0 <= s <= rows - 1.0 and 0.0 <= r <= columns - 1.0):

@@ -9,6 +9,11 @@ measured slopes is taken, whose noise would be as large as the effect.
 With m = E after / E before, the estimator finds the displacement b between m f and the texture f itself, where there
 is none. The images f and g of two steps then give d - b: b is added to what they give.
 
+The slopes (p, q) of the flanks are small and the motion is smooth, so that to second order, with smooth fields c of
+each step, log m = c_1 p + c_2 q + c_3 p^2 + c_4 p q + c_5 q^2, besides a smooth part, which gain and offset of each
+window follow. b is the sum of c_k B_k; B_k, the displacement that the estimator finds for c_k = 1, belongs to the
+reference step and is measured once.
+
 References
 ----------
 J. H. Lambert (1760), Photometria.
@@ -16,7 +21,8 @@ J. H. Lambert (1760), Photometria.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterator
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -34,7 +40,7 @@ SMALLEST_FILTER = 1.0  # of the height [px], below which the slopes of a relief 
 _SPACING = 8  # [px] of the points at which smooth fields are computed
 _LAG = 4  # [px] of pixels whose light is compared: the size of a usual feature
 _NEGLIGIBLE = 1e-4  # local change of the light that moves no feature by more than a twentieth of the noise
-_TRIAL = 0.01  # noise of a trial over the standard deviation of the texture
+_TRIAL = 0.01  # noise of a trial over the standard deviation of the texture, or its change of the light
 _FEW = 20  # values from which a variance is known to 30 %: sqrt(2 / 20)
 _VECTOR = ("displacement_x", "displacement_y")
 
@@ -52,20 +58,17 @@ class LitTexture:
         Position of the projector's pin-hole in the rig frame [m].
     field
         A displacement from this step: its points and window are those of the results.
-
-    Raises
-    ------
-    CorrelationError
-        The texture is constant or not measured.
     """
 
     def __init__(
         self, shape: PreparedShape, texture: np.ndarray, light: tuple[float, float, float], field: xr.Dataset
     ) -> None:
-        self._shape, self._light = shape, np.array(light)
-        self._texture = np.require(texture, np.float32, ["C", "W"])  # kernels are compiled for writable arrays
-        self._method, self._spacing = str(field.attrs["method"]), int(field.attrs["spacing_px"])
-        self._reference = Reference(texture, window=int(field.attrs["window_px"]), spacing=self._spacing)
+        self._shape, self._light, self._texture = shape, np.array(light), texture
+        self._method, self._grid = str(field.attrs["method"]), field.displacement_x.shape
+        self._window, self._spacing = int(field.attrs["window_px"]), int(field.attrs["spacing_px"])
+        self._slopes = np.empty((2, *shape.z.shape), np.float32)
+        _compute_slopes(shape.z, shape.rays, shape.camera_distance, self._slopes)
+        self._roughness = _measure_roughness(self._slopes)
 
     def without_shading(self, field: xr.Dataset, deformed: PreparedShape) -> xr.Dataset:
         """Return a displacement from this step without the part that the change of the shading imitates.
@@ -85,16 +88,14 @@ class LitTexture:
         """
         if self._shape.z_filter < SMALLEST_FILTER:
             return field
-        lit = self._relit_texture(couple(self._shape, deformed, _decimate(field), z_filter=self._shape.z_filter))
-        if lit is None or _local_change(lit / self._texture) < _NEGLIGIBLE:
+        every = max(1, _SPACING // self._spacing)
+        some = field.isel(row=slice(None, None, every), column=slice(None, None, every))
+        change = self._change(couple(self._shape, deformed, some, z_filter=self._shape.z_filter))
+        if change is None or _rms_local(change, self._roughness) < _NEGLIGIBLE:
             return field
-        still = np.zeros((2, *field.displacement_x.shape), np.float32)
-        try:
-            seeming = measure_displacement(self._reference, lit, initial=tuple(still), method=self._method)
-        except CorrelationError:  # fewer points are left than the estimator needs
-            return field
-        seeming = seeming.reindex_like(field)
-        return field.assign({name: field[name] + seeming[name].fillna(0) for name in _VECTOR})
+        moved = np.stack([field[name].values for name in _VECTOR])
+        _add_responses(change, every, self._responses, moved)
+        return field.assign({name: field[name].copy(data=each) for name, each in zip(_VECTOR, moved, strict=True)})
 
     def slope_noise(self, window: int) -> float:
         """Return the variance of the slopes of noise on this texture over that on a texture of uniform contrast.
@@ -111,58 +112,99 @@ class LitTexture:
         random = np.random.default_rng(0)  # the same for every computation of a step
         noise = np.float32(_TRIAL * np.nanstd(self._texture))
         one, other = (self._texture + noise * random.standard_normal(self._texture.shape, np.float32) for _ in range(2))
-        still = np.zeros((2, self._reference.rows.size, self._reference.columns.size), np.float32)
         try:
-            found = measure_displacement(
-                Reference(one, window=self._reference.window, spacing=self._spacing),
-                other,
-                initial=tuple(still),
-                method=self._method,
-            )
-        except CorrelationError:
+            found = self._measure(self._prepare(one, self._spacing * max(1, _SPACING // self._spacing)), other)
+        except CorrelationError:  # fewer points are left than the estimator needs
             return 1.0
-        return _compare_slopes(_decimate(found), self._reference.window, self._method, window)
+        return _compare_slopes(found, self._window, self._method, window)
 
-    def _relit_texture(self, cloud: xr.Dataset) -> np.ndarray | None:
-        """Return the texture f / m, which lies at p + b for the texture f at p; None where the motion is not known."""
+    @cached_property
+    def _responses(self) -> np.ndarray:
+        """Displacement B_k (k, component, row, column) [px] for each of the products of slopes."""
+        responses = np.zeros((len(self._roughness), 2, *self._grid), np.float32)
+        reference = self._prepare(self._texture, self._spacing)
+        for response, product in zip(responses, _multiply_slopes(self._slopes), strict=True):
+            small = np.float32(_TRIAL / np.nanstd(product))
+            try:
+                seeming = self._measure(reference, self._texture * np.exp(-small * product))
+            except CorrelationError:  # the light of too few pixels is known
+                break
+            response[:] = np.nan_to_num(np.stack([seeming[name].values for name in _VECTOR])) / small
+        return responses
+
+    def _prepare(self, texture: np.ndarray, spacing: int) -> Reference:
+        return Reference(texture, window=self._window, spacing=spacing)
+
+    def _measure(self, reference: Reference, other: np.ndarray) -> xr.Dataset:
+        """Measure the displacement between two images of the texture at rest."""
+        still = np.zeros((2, reference.rows.size, reference.columns.size), np.float32)
+        return measure_displacement(reference, other, initial=tuple(still), method=self._method)
+
+    def _change(self, cloud: xr.Dataset) -> np.ndarray | None:
+        """Return the factors c_k (k, row, column) of a motion; None where it is not known."""
         if min(cloud.sizes.values()) < 3:
             return None
-        planes = fit_planes(cloud, ("u", "v", "w"), 2 * self._reference.window + 1)
-        motion = np.stack([cloud[name].values for name in "uvw"])
-        smooth = np.concatenate([planes.slopes.reshape(6, *motion.shape[1:]), motion])
-        known = np.isfinite(smooth).all(axis=0)
+        z, *motion = fit_planes(cloud, ("z", "u", "v", "w"), 2 * self._window + 1).slopes
+        place, moved = (np.stack([cloud[name].values for name in names]) for names in ("xyz", "uvw"))
+        away = self._light[:, None, None] - place
+        zero, one = np.zeros_like(z[0]), np.ones_like(z[0])
+        along, down = np.stack([one, zero, z[0]]), np.stack([zero, one, z[1]])
+        by_x, by_y = np.stack(motion, axis=1)
+        before = _differentiate_light(along, down, away)
+        (p, q, pp, pq, qq) = _differentiate_light(along + by_x, down + by_y, away - moved) - before
+        change = np.stack([p - pp * z[0] - pq * z[1], q - pq * z[0] - qq * z[1], pp / 2, pq, qq / 2])
+        known = np.isfinite(change).all(axis=0)
         if not known.any():
             return None
         nearest = tuple(distance_transform_edt(~known, return_distances=False, return_indices=True))
-        step = float(cloud.row[1] - cloud.row[0])
-        lit = np.empty_like(self._texture)
-        _relight(
-            self._shape.z,
-            self._shape.rays,
-            self._shape.camera_distance,
-            self._light,
-            np.ascontiguousarray(smooth[(slice(None), *nearest)]),
-            step,
-            self._texture,
-            lit,
-        )
-        return lit
+        return np.ascontiguousarray(change[(slice(None), *nearest)], np.float32)
 
 
-def _decimate(field: xr.Dataset) -> xr.Dataset:
-    """Return a field at fewer points: smooth functions need no more."""
-    every = slice(None, None, max(1, _SPACING // int(field.attrs["spacing_px"])))
-    return field.isel(row=every, column=every)
+def _differentiate_light(along: np.ndarray, down: np.ndarray, away: np.ndarray) -> np.ndarray:
+    """Return the derivatives of log E = log(n . away) - log(n . n)/2 by the slopes p, q, by p^2, p q and q^2.
+
+    `along` and `down` are tangents (3, row, column) of a surface, whose third components grow by p and q; n is their
+    vector product, linear in p and q, and `away` the way to the light.
+    """
+    up = np.array([0.0, 0.0, 1.0])[:, None, None]
+    normal, by_p, by_q = (np.cross(*each, axis=0) for each in ((along, down), (up, down), (along, up)))
+
+    def product(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return np.asarray(np.einsum("irc,irc->rc", one, other))
+
+    lit, length = product(normal, away), product(normal, normal)
+    light = [product(each, away) / lit for each in (by_p, by_q)]
+    size = [product(each, normal) / length for each in (by_p, by_q)]
+    second = [
+        2 * size[i] * size[j] - light[i] * light[j] - product(one, other) / length
+        for i, j, one, other in ((0, 0, by_p, by_p), (0, 1, by_p, by_q), (1, 1, by_q, by_q))
+    ]
+    return np.stack([light[0] - size[0], light[1] - size[1], *second])
 
 
-def _local_change(ratio: np.ndarray) -> float:
-    """Return the root mean square second difference of the ratio of the light between near pixels."""
-    lines = (ratio[::_LAG], ratio[:, ::_LAG].T)
-    changes = np.concatenate(
-        [(each[:, 2 * _LAG :] - 2 * each[:, _LAG:-_LAG] + each[:, : -2 * _LAG]).ravel() for each in lines]
-    )
-    changes = changes[np.isfinite(changes)]
-    return float(np.sqrt(np.mean(changes**2) / 6)) if changes.size else 0.0
+def _multiply_slopes(slopes: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield p, q, p^2, p q and q^2 of slopes (2, ...)."""
+    p, q = slopes
+    yield from (p, q)
+    yield p * p
+    yield p * q
+    yield q * q
+
+
+def _measure_roughness(slopes: np.ndarray) -> np.ndarray:
+    """Return the covariance (k, k) of the local changes of the products of slopes: differences between near pixels."""
+    changes = []
+    for lines in (slopes[:, ::_LAG], slopes[:, :, ::_LAG].swapaxes(1, 2)):
+        products = np.stack(list(_multiply_slopes(lines)))
+        second = products[..., 2 * _LAG :] - 2 * products[..., _LAG:-_LAG] + products[..., : -2 * _LAG]
+        changes.append(second[:, np.isfinite(second).all(axis=0)].astype(float))
+    change = np.concatenate(changes, axis=1)
+    return np.asarray(change @ change.T / (6 * max(change.shape[1], 1)))
+
+
+def _rms_local(change: np.ndarray, roughness: np.ndarray) -> float:
+    """Return the root mean square local change of the light from its factors (k, row, column)."""
+    return float(np.sqrt(np.einsum("irc,ij,jrc", change, roughness, change, optimize=True) / change[0].size))
 
 
 def _compare_slopes(noise: xr.Dataset, window: int, method: str, strain_window: int) -> float:
@@ -182,65 +224,40 @@ def _compare_slopes(noise: xr.Dataset, window: int, method: str, strain_window: 
     return float((number * ratio[known].mean(dtype=float) + _FEW) / (number + _FEW))
 
 
-@njit(nogil=True, error_model="numpy")
-def _irradiance(along: np.ndarray, down: np.ndarray, away: np.ndarray) -> float:
-    """Return E of a surface element with the tangents `along` and `down` rows of pixels, the light at `away` of it."""
-    n_x = down[1] * along[2] - down[2] * along[1]
-    n_y = down[2] * along[0] - down[0] * along[2]
-    n_z = down[0] * along[1] - down[1] * along[0]
-    distance2 = away[0] * away[0] + away[1] * away[1] + away[2] * away[2]
-    cosine = n_x * away[0] + n_y * away[1] + n_z * away[2]
-    return float(cosine / (math.sqrt(n_x * n_x + n_y * n_y + n_z * n_z) * distance2 * math.sqrt(distance2)))
-
-
-@njit(nogil=True, error_model="numpy")
-def _at_place(smooth: np.ndarray, row: float, column: float, out: np.ndarray) -> None:
-    """Interpolate all channels of a coarse grid linearly; the outermost points reach to the edge of the image."""
-    i = min(int(row), smooth.shape[1] - 2)
-    j = min(int(column), smooth.shape[2] - 2)
-    a, b = min(row - i, 1.0), min(column - j, 1.0)
-    for k in range(out.size):
-        upper = (1 - b) * smooth[k, i, j] + b * smooth[k, i, j + 1]
-        lower = (1 - b) * smooth[k, i + 1, j] + b * smooth[k, i + 1, j + 1]
-        out[k] = (1 - a) * upper + a * lower
-
-
 @njit(cache=True, nogil=True, parallel=True, error_model="numpy")
-def _relight(
-    z: np.ndarray,
-    rays: np.ndarray,
-    h0: float,
-    light: np.ndarray,
-    smooth: np.ndarray,
-    step: float,
-    texture: np.ndarray,
-    lit: np.ndarray,
-) -> None:
-    """Divide a texture by E after / E before; NaN where a slope is not known.
-
-    `smooth` contains the derivatives of u, v, w by x and y and u, v, w themselves, every `step` pixels.
-    """
+def _compute_slopes(z: np.ndarray, rays: np.ndarray, h0: float, slopes: np.ndarray) -> None:
+    """Compute dz/dx and dz/dy (2, row, column) at each pixel from its neighbours; NaN where one is not measured."""
     rows, columns = z.shape
-    lit[:] = np.nan
+    slopes[:] = np.nan
     for r in prange(1, rows - 1):
-        along, down, away = np.empty(3), np.empty(3), np.empty(3)
-        moved_along, moved_down, here = np.empty(3), np.empty(3), np.empty(9)
         for c in range(1, columns - 1):
             right, left = float(z[r, c + 1]) - h0, float(z[r, c - 1]) - h0
             below, above = float(z[r + 1, c]) - h0, float(z[r - 1, c]) - h0
-            along[2], down[2] = right - left, below - above
-            depth = float(z[r, c]) - h0
-            for k in range(2):
-                along[k] = rays[k, r, c + 1] * right - rays[k, r, c - 1] * left
-                down[k] = rays[k, r + 1, c] * below - rays[k, r - 1, c] * above
-                away[k] = light[k] - rays[k, r, c] * depth
-            away[2] = light[2] - float(z[r, c])
-            before = _irradiance(along, down, away)
-            _at_place(smooth, r / step, c / step, here)
-            for k in range(3):
-                moved_along[k] = along[k] + here[2 * k] * along[0] + here[2 * k + 1] * along[1]
-                moved_down[k] = down[k] + here[2 * k] * down[0] + here[2 * k + 1] * down[1]
-                away[k] -= here[6 + k]
-            after = _irradiance(moved_along, moved_down, away)
-            if before > 0 and after > 0:
-                lit[r, c] = texture[r, c] * before / after
+            along_x = rays[0, r, c + 1] * right - rays[0, r, c - 1] * left
+            along_y = rays[1, r, c + 1] * right - rays[1, r, c - 1] * left
+            down_x = rays[0, r + 1, c] * below - rays[0, r - 1, c] * above
+            down_y = rays[1, r + 1, c] * below - rays[1, r - 1, c] * above
+            area = along_x * down_y - along_y * down_x
+            slopes[0, r, c] = (down_y * (right - left) - along_y * (below - above)) / area
+            slopes[1, r, c] = (along_x * (below - above) - down_x * (right - left)) / area
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def _add_responses(change: np.ndarray, every: int, responses: np.ndarray, moved: np.ndarray) -> None:
+    """Add the responses (k, component, row, column), each times its factor, to a displacement.
+
+    `change` (k, row, column), at every `every`-th point, is interpolated linearly; its outermost values are repeated.
+    """
+    _, rows, columns = moved.shape
+    last_row, last_column = change.shape[1] - 2, change.shape[2] - 2
+    for r in prange(rows):
+        i = min(r // every, last_row)
+        a = np.float32(min(r / every - i, 1.0))
+        line = (np.float32(1) - a) * change[:, i] + a * change[:, i + 1]
+        for k in range(len(change)):
+            for c in range(columns):
+                j = min(c // every, last_column)
+                b = np.float32(min(c / every - j, 1.0))
+                factor = (np.float32(1) - b) * line[k, j] + b * line[k, j + 1]
+                moved[0, r, c] += factor * responses[k, 0, r, c]
+                moved[1, r, c] += factor * responses[k, 1, r, c]

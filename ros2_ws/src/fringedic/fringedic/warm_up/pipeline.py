@@ -30,6 +30,7 @@ from fringedic.steps.phase import phase_step
 from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
 from fringedic.surface.planes import fit_planes
+from fringedic.surface.shading import LitTexture
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration, preset
 
 SIZE = 96  # [px]: enough for every stage, and negligible against the compilation
@@ -101,6 +102,7 @@ def warm_up() -> None:
         for dtype in (np.uint8, np.uint16):
             _pipeline(dtype)
         _discontinuous_surface()
+        _turning_relief()
 
 
 def _pipeline(dtype: type[np.unsignedinteger]) -> None:
@@ -192,6 +194,21 @@ def _model() -> None:
 def _set_writable(dataset: xr.Dataset, writable: bool) -> None:
     for array in dataset.values():
         array.values.setflags(write=writable)
+
+
+def _turning_relief() -> None:
+    """Take out the motion that the light on a relief imitates; in the pipeline above the relief is at rest."""
+    random = np.random.default_rng(1)
+    phase = np.tile(np.arange(SIZE, dtype=np.float32) * np.float32(16 * np.pi / SIZE), (SIZE, 1))
+    sigma, texture = np.full_like(phase, 0.01), random.random((SIZE, SIZE)).astype(np.float32)
+    relief = random.normal(0, 0.1, (SIZE, SIZE)).astype(np.float32)
+    calibration, width = _rig(), CouplingParameters().z_filter_px
+    still, turned = (
+        PreparedShape(calibration.reconstruct(each + relief, SIZE / 8, sigma), z_filter=width, calibration=calibration)
+        for each in (phase, 1.2 * phase)
+    )
+    field = measure_displacement(texture, texture, spacing=2, initial=_still(2))
+    LitTexture(still, texture, calibration.projector_position, field).without_shading(field, turned)
 
 
 def _discontinuous_surface() -> None:

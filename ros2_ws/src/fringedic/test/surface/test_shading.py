@@ -1,5 +1,7 @@
 """Light on a relief that turns with its surface, against the exact motion of the virtual rig."""
 
+from functools import cached_property
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -45,9 +47,12 @@ class Skin:
         error = field.displacement_y.values - self.truth.displacement_y.values
         return float(np.nanstd(error[INNER]))
 
+    @cached_property
+    def lit(self) -> LitTexture:
+        return LitTexture(self.shapes[0], self.textures[0], self.rig.projector_position, self.field)
+
     def corrected(self) -> xr.Dataset:
-        lit = LitTexture(self.shapes[0], self.textures[0], self.rig.projector_position, self.field)
-        return lit.without_shading(self.field, self.shapes[1])
+        return self.lit.without_shading(self.field, self.shapes[1])
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +71,16 @@ def test_the_shift_of_furrows_whose_flanks_turn_is_taken_out(skins: tuple[Skin, 
 
 def test_a_surface_without_relief_keeps_its_displacement(skins: tuple[Skin, Skin]) -> None:
     assert skins[0].corrected() is skins[0].field
+
+
+def test_a_step_is_corrected_alike_however_many_were_before(skins: tuple[Skin, Skin]) -> None:
+    skin = skins[1]
+    measured = skin.field.copy(deep=True)
+    first = skin.corrected()
+    half = skin.field.assign(displacement_y=skin.field.displacement_y / 2)
+    assert not skin.lit.without_shading(half, skin.shapes[1]).equals(first)
+    xr.testing.assert_identical(skin.corrected(), first)
+    xr.testing.assert_identical(skin.field, measured)
 
 
 def test_a_relief_that_is_mostly_noise_is_not_used(skins: tuple[Skin, Skin]) -> None:
