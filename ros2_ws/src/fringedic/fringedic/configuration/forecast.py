@@ -29,7 +29,7 @@ WRITING_TIME = 2.0, 7e-6  # after the test, of each step in dataset, figures and
 # Bytes, uncompressed: the noise of a camera hardly compresses
 FREE_RUN_BYTES = 600  # beside each image of the free run: exposure, camera information, strain
 PHASE_BYTES = 4 * 4 + 16  # per pixel: map, sigma, modulation, texture; shape
-DIC_BYTES = 4 * 4 + 3  # per point: displacement and sigma, two components each; preview
+DIC_BYTES = 4 * 4 + 3  # per point: displacement and sigma, two components each; preview, or less
 CLOUD_BYTES = 72  # per point: displacement with uncertainty, local components and strain
 DATASET_BYTES = 130  # per point of the dataset
 PICTURE_BYTES = 1_000_000  # per step, with its part of the report

@@ -6,6 +6,9 @@ import cv2
 import numpy as np
 
 NOT_MEASURED = (128, 128, 128)
+LONGEST_SIDE = (
+    512  # [px] of the preview of a displacement, which is smooth: at every pixel it would take a tenth of a second
+)
 
 
 def phase_preview(phase: np.ndarray) -> np.ndarray:
@@ -43,14 +46,16 @@ def displacement_preview(displacement: np.ndarray) -> np.ndarray:
     -------
     ndarray
         uint8 (row, column, 3), red green blue; grey where not measured. The hue is the direction (red to the right,
-        green-yellow upwards), the saturation the length relative to its 99th percentile.
+        green-yellow upwards), the saturation the length relative to its 99th percentile. Of a larger displacement every
+        second, third ... row and column are coloured, so that neither side is longer than `LONGEST_SIDE`.
 
     Examples
     --------
     >>> displacement_preview(np.array([[[2.0, 0.0], [0.0, 0.0]]])).tolist()
     [[[255, 0, 0], [255, 255, 255]]]
     """
-    along, down = displacement[..., 0], displacement[..., 1]
+    every = -(-max(displacement.shape[:2]) // LONGEST_SIDE)
+    along, down = np.moveaxis(displacement[::every, ::every], -1, 0)
     measured = np.isfinite(along) & np.isfinite(down)
     length = np.hypot(np.nan_to_num(along), np.nan_to_num(down))
     longest = max(float(np.percentile(length[measured], 99)) if measured.any() else 0.0, 1e-6)

@@ -46,11 +46,9 @@ def find_discontinuities(cloud: xr.Dataset) -> np.ndarray:
     found = np.zeros(cloud["x"].shape, np.bool_)
     for name, sigma in _FIELDS:
         values, noise = (np.ascontiguousarray(cloud[each], np.float32) for each in (name, sigma))
-        variance = np.float32(JUMP**2 * _NOISE) * np.square(noise)
-        for lines, limit, h, marked in ((values, variance, near[1], found), (values.T, variance.T, near[0], found.T)):
+        for lines, sigmas, h, marked in ((values, noise, near[1], found), (values.T, noise.T, near[0], found.T)):
             # the relief of a rough surface and a strain that varies are no discontinuities
-            usual = np.float32((JUMP * _measure_roughness(lines, h)) ** 2)
-            _mark(lines, np.maximum(limit, usual), h, marked)
+            _mark(lines, sigmas, np.float32(JUMP * _measure_roughness(lines, h)), h, marked)
     return found
 
 
@@ -92,9 +90,10 @@ def _jump(line: np.ndarray, before: int, after: int, h: int) -> tuple[float, flo
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _mark(values: np.ndarray, limit: np.ndarray, h: int, marked: np.ndarray) -> None:
-    """Mark the points of each line within h of a jump; in gaps the nearest values are used."""
+def _mark(values: np.ndarray, noise: np.ndarray, usual: np.float32, h: int, marked: np.ndarray) -> None:
+    """Mark the points of each line within h of a jump above noise and `usual`; in gaps the nearest values are used."""
     lines, length = values.shape
+    factor, least = np.float32(JUMP**2 * _NOISE), usual * usual
     for i in prange(lines):
         line = values[i]
         for place in range(h, length - h):
@@ -104,7 +103,8 @@ def _mark(values: np.ndarray, limit: np.ndarray, h: int, marked: np.ndarray) -> 
                 continue
             jump, difference = _jump(line, before, after, h)
             # NaN is no jump, nor is any jump known where the noise is not
-            if not 2.0 * jump * jump > limit[i, before] + limit[i, after]:
+            one, other = factor * noise[i, before] ** 2, factor * noise[i, after] ** 2
+            if np.isnan(one + other) or not 2.0 * jump * jump > max(one, least) + max(other, least):
                 continue
             farther, confirmed = np.nan, abs(jump) > _MOST * abs(difference)
             if before >= h and after + h < length:

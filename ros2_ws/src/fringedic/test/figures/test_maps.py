@@ -139,6 +139,14 @@ def test_displacement_preview_shows_direction_and_length():
     assert tuple(displacement_preview(np.full((2, 2, 2), np.nan, np.float32))[0, 0]) == NOT_MEASURED
 
 
+def test_preview_of_a_large_displacement_shows_some_of_its_points():
+    displacement = np.random.default_rng(1).normal(size=(300, 1281, 2)).astype(np.float32)
+    displacement[::3, ::3] = 1.0
+    preview = displacement_preview(displacement)
+    assert preview.shape == (100, 427, 3)
+    assert (preview == preview[0, 0]).all()
+
+
 def test_maps_that_are_compared_have_one_colour_scale():
     step = experiment().sel(step=1)
     step["model_w"] = 0.5 * step["w"]
