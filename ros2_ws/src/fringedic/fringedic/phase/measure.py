@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +27,7 @@ from fringedic.phase.settings import DEFAULT_SETTINGS, PhaseSettings
 # Part of the lines across the fringes in which the phase jumps by a turn. One fringe that covers the view makes no jump
 # but at a few lines with noise or edges; fringes that repeat jump on every line.
 _AMBIGUOUS_LINES = 0.05
+_LINES = 240  # that are looked at: 12 of them are enough
 # Part of a coarsest fringe by which the absolute phase jumps where this fringe repeats; a step of the surface shifts
 # the fringes by less, because the coarsest one covers the view.
 _REPETITION = 0.75
@@ -94,8 +96,10 @@ def measure_phase(
         result, remarks = _from_one_image(exposures, settings)
     else:
         exposures = [each.without_grey() for each in exposures]
-        remarks = _check(exposures, settings)
-        result = _from_steps(exposures, settings)
+        with ThreadPoolExecutor(1) as beside:  # the kernel of the phase leaves this thread to the checks
+            phase = beside.submit(_from_steps, exposures, settings)
+            remarks = _check(exposures, settings)
+            result = phase.result()
         remarks += _settle_orders(result, exposures[0], settings.accept_relative)
         remarks += _settle_harmonics(result, exposures[0].patterns[-1], settings)
     if settings.lens_blur > 0:
@@ -187,20 +191,21 @@ def _settle_orders(result: xr.Dataset, stack: ExposedStack, accept_relative: boo
     """Unwrap over the image where the frames do not determine the orders; refuse orders that contradict each other."""
     layout = layout_of(stack.patterns)
     result.phase.attrs["relative"] = 0
-    along = 1 if stack.patterns[0].orientation == Orientation.VERTICAL else 0
-    growth = np.diff(result.phase.values, axis=along)
-    known = np.isfinite(growth)
     if layout.code:
         return []
+    across = stack.patterns[0].orientation == Orientation.VERTICAL
+    values = result.phase.values if across else result.phase.values.T
+    growth = np.diff(values[:: max(1, len(values) // _LINES)])
+    known = np.isfinite(growth)
     pitch, finest = layout.pitches[0], layout.pitches[-1]
     turn = 2 * np.pi * pitch / finest  # of the coarsest fringes
     single = pitch == finest
     jumps = known & (np.abs(growth) > (0.5 if single else _REPETITION) * turn)
-    lines = known.any(axis=along)
-    if not lines.any() or np.mean(jumps.any(axis=along)[lines]) < _AMBIGUOUS_LINES:
+    lines = known.any(axis=1)
+    if not lines.any() or np.mean(jumps.any(axis=1)[lines]) < _AMBIGUOUS_LINES:
         return []
     if not single:
-        seen = np.abs(np.nansum(growth - turn * np.round(growth / turn), axis=along)).max() * pitch / turn
+        seen = np.abs(np.nansum(growth - turn * np.round(growth / turn), axis=1)).max() * pitch / turn
         raise PhaseError(
             f"the coarsest fringes of {pitch:g} px repeat in the view, their order is unknown: show a coarsest pitch "
             f"of at least {np.ceil(seen):g} px (the width of the projector's image always suffices), or a Gray code",

@@ -55,16 +55,24 @@ def harmonic_levels(fit: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """
     strength = np.sqrt(square_modulation(fit))
     turn = (fit[1] + 1j * fit[2]) / strength
-    basis = waves(angles)
-    left = np.eye(len(angles)) - basis @ np.linalg.pinv(basis)
-    parts = []
-    for harmonic in HARMONICS:
-        shifts = left @ np.exp(-1j * harmonic * angles)
-        if np.abs(shifts).max() > 1e-6:
-            levels = strength * turn**harmonic
-            sides = np.stack([shifts.real, -shifts.imag], axis=1).astype(np.float32)
+    levels, parts = strength * turn, []
+    for sides in _harmonic_sides(tuple(angles.tolist())):
+        levels = levels * turn
+        if sides is not None:
             parts.append(sides @ np.stack([levels.real, levels.imag]).astype(np.float32))
     return np.stack(parts) if parts else np.empty((0, len(angles), fit.shape[1]), np.float32)
+
+
+@lru_cache(maxsize=1024)
+def _harmonic_sides(angles: tuple[float, ...]) -> list[np.ndarray | None]:
+    """Return what cos(m a) and sin(m a) leave beside a sinusoid, (frame, 2), for each harmonic m; None for nothing."""
+    basis = waves(np.array(angles))
+    left = np.eye(len(angles)) - basis @ np.linalg.pinv(basis)
+    shifts = [left @ np.exp(-1j * harmonic * np.array(angles)) for harmonic in HARMONICS]
+    return [
+        np.stack([each.real, -each.imag], axis=1).astype(np.float32) if np.abs(each).max() > 1e-6 else None
+        for each in shifts
+    ]
 
 
 def square_modulation(fit: np.ndarray) -> np.ndarray:

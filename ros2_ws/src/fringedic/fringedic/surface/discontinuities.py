@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 
+import cv2
 import numpy as np
 import xarray as xr
 from numba import njit, prange
@@ -21,7 +22,6 @@ from numba import njit, prange
 # Standard deviations of the jump above which it is a discontinuity; test_waves_are_no_discontinuities,
 # test_strain_beside_a_crack.
 JUMP = 6.0
-_NOISE = 10.0  # variance of a jump over that of a value: squares of the coefficients 1, 2, 2, 1
 _REACH = 3 / 8  # of the window of the displacement, see above
 _SAME = (0.6, 1.5)  # jump from twice as far over the jump: 1 for a discontinuity, 8 for a smooth field
 _MOST = 0.75  # share of the jump in the difference between both sides, where there is no room to look from farther
@@ -43,13 +43,16 @@ def find_discontinuities(cloud: xr.Dataset) -> np.ndarray:
     """
     window = float(cloud.attrs["displacement_window_px"])
     near = [max(1, math.ceil(_REACH * window / _spacing(cloud[name].values))) for name in ("row", "column")]
-    found = np.zeros(cloud["x"].shape, np.bool_)
+    across, along = (np.zeros(cloud["x"].shape, np.uint8) for _ in near)
     for name, sigma in _FIELDS:
         values, noise = (np.ascontiguousarray(cloud[each], np.float32) for each in (name, sigma))
-        for lines, sigmas, h, marked in ((values, noise, near[1], found), (values.T, noise.T, near[0], found.T)):
+        for lines, sigmas, h, marked in ((values, noise, near[1], along), (values.T, noise.T, near[0], across.T)):
             # the relief of a rough surface and a strain that varies are no discontinuities
             _mark(lines, sigmas, np.float32(JUMP * _measure_roughness(lines, h)), h, marked)
-    return found
+    # a single value with an error larger than stated is none either: neighbouring lines have to agree
+    for marked, side in ((along, (near[0] // 2 + 1, 1)), (across, (1, near[1] // 2 + 1))):
+        cv2.morphologyEx(marked, cv2.MORPH_OPEN, np.ones(side, np.uint8), dst=marked)
+    return (along | across).astype(bool)
 
 
 def _spacing(positions: np.ndarray) -> float:
@@ -89,11 +92,19 @@ def _jump(line: np.ndarray, before: int, after: int, h: int) -> tuple[float, flo
     return difference - (left + right) * (after - before) / (2.0 * h), difference
 
 
+@njit(cache=True, nogil=True)
+def _variance(noise: np.ndarray, before: int, after: int, h: int) -> float:
+    """Return the variance of `_jump` from the standard deviations of the values of its line."""
+    share = (after - before) / (2.0 * h)
+    near = noise[before] ** 2 + noise[after] ** 2
+    far = noise[before - h] ** 2 + noise[after + h] ** 2
+    return float((1.0 + share) ** 2 * near + share**2 * far)
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def _mark(values: np.ndarray, noise: np.ndarray, usual: np.float32, h: int, marked: np.ndarray) -> None:
     """Mark the points of each line within h of a jump above noise and `usual`; in gaps the nearest values are used."""
     lines, length = values.shape
-    factor, least = np.float32(JUMP**2 * _NOISE), usual * usual
     for i in prange(lines):
         line = values[i]
         for place in range(h, length - h):
@@ -103,13 +114,13 @@ def _mark(values: np.ndarray, noise: np.ndarray, usual: np.float32, h: int, mark
                 continue
             jump, difference = _jump(line, before, after, h)
             # NaN is no jump, nor is any jump known where the noise is not
-            one, other = factor * noise[i, before] ** 2, factor * noise[i, after] ** 2
-            if np.isnan(one + other) or not 2.0 * jump * jump > max(one, least) + max(other, least):
+            if not (abs(jump) > usual and jump * jump > JUMP**2 * _variance(noise[i], before, after, h)):
                 continue
             farther, confirmed = np.nan, abs(jump) > _MOST * abs(difference)
-            if before >= h and after + h < length:
-                farther, _ = _jump(line, before - h, after + h, 2 * h)
+            outer, beyond = _find_measured(line, before - h, -1, h), _find_measured(line, after + h, 1, h)
+            if outer >= 0 and beyond >= 0:
+                farther, _ = _jump(line, outer, beyond, 2 * h)
             if np.isfinite(farther):
                 confirmed = _SAME[0] < farther / jump < _SAME[1]
             if confirmed:
-                marked[i, before : after + 1] = True
+                marked[i, before : after + 1] = 1

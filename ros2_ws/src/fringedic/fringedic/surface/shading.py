@@ -37,7 +37,8 @@ from fringedic.surface.planes import fit_planes
 from fringedic.surface.prepared import PreparedShape
 
 SMALLEST_FILTER = 1.0  # of the height [px], below which the slopes of a relief are mostly noise
-_SPACING = 8  # [px] of the points at which smooth fields are computed
+_MOTION_SPACING = 16  # [px] of the points at which the smooth motion is computed
+_TRIAL_SPACING = 8  # [px] of the points of a trial
 _LAG = 4  # [px] of pixels whose light is compared: the size of a usual feature
 _NEGLIGIBLE = 1e-4  # local change of the light that moves no feature by more than a twentieth of the noise
 _TRIAL = 0.01  # noise of a trial over the standard deviation of the texture, or its change of the light
@@ -88,7 +89,7 @@ class LitTexture:
         """
         if self._shape.z_filter < SMALLEST_FILTER:
             return field
-        every = max(1, _SPACING // self._spacing)
+        every = max(1, _MOTION_SPACING // self._spacing)
         some = field.isel(row=slice(None, None, every), column=slice(None, None, every))
         change = self._change(couple(self._shape, deformed, some, z_filter=self._shape.z_filter))
         if change is None or _rms_local(change, self._roughness) < _NEGLIGIBLE:
@@ -113,7 +114,7 @@ class LitTexture:
         noise = np.float32(_TRIAL * np.nanstd(self._texture))
         one, other = (self._texture + noise * random.standard_normal(self._texture.shape, np.float32) for _ in range(2))
         try:
-            found = self._measure(self._prepare(one, self._spacing * max(1, _SPACING // self._spacing)), other)
+            found = self._measure(self._prepare(one, self._spacing * max(1, _TRIAL_SPACING // self._spacing)), other)
         except CorrelationError:  # fewer points are left than the estimator needs
             return 1.0
         return _compare_slopes(found, self._window, self._method, window)

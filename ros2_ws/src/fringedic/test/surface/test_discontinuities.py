@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import xarray as xr
-from scipy.ndimage import label, uniform_filter1d
+from scipy.ndimage import gaussian_filter, label, uniform_filter1d
 
 from fringedic.correlation import measure_displacement
 from fringedic.surface import surface_strain
@@ -136,6 +136,21 @@ def test_windows_contain_the_points_connected_with_their_centre() -> None:
         )
     assert parts > 20, f"only {parts} windows were divided"
     assert worst < 1e-12, f"{worst:.1e}"
+
+
+@pytest.mark.parametrize("spacing", [1, 4])
+def test_noise_beside_dark_speckles_is_no_discontinuity(spacing: int) -> None:
+    """Heights are missing on dark speckles and have 20 times the noise around them."""
+    generator = np.random.default_rng(9)
+    spots = gaussian_filter(generator.normal(size=(240, 320)), 3.0 / spacing)
+    darkness = spots / spots.std()
+    noise = 1e-6 * np.where(darkness > 1.5, 20.0, 1.0)
+    height = np.where(darkness > 2.2, np.nan, noise * generator.normal(size=noise.shape))
+    flat = known_displacement(np.zeros(noise.shape), 0.004)
+    positions = {name: spacing * np.arange(length) for name, length in zip(("row", "column"), noise.shape, strict=True)}
+    cloud = flat_cloud(flat.assign_coords(positions), height).assign(noise_z=(("row", "column"), noise))
+    found = find_discontinuities(cloud)
+    assert found.mean() < 1e-3, f"{found.mean():.4f} of the points count as discontinuous"
 
 
 @pytest.mark.parametrize("period", [90.0, 150.0, 300.0])
