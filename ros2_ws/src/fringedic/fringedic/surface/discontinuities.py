@@ -41,18 +41,26 @@ def find_discontinuities(cloud: xr.Dataset) -> np.ndarray:
     ndarray
         Bool (row, column), True within the reach of a jump.
     """
-    window = float(cloud.attrs["displacement_window_px"])
-    near = [max(1, math.ceil(_REACH * window / _spacing(cloud[name].values))) for name in ("row", "column")]
-    across, along = (np.zeros(cloud["x"].shape, np.uint8) for _ in near)
+    reach = _REACH * float(cloud.attrs["displacement_window_px"])
+    near = [max(1, math.ceil(reach / _spacing(cloud[name].values))) for name in ("row", "column")]
+    # the displacement changes little between the points of a third of this distance
+    every = [max(1, each // 3) for each in near]
+    fields = cloud.isel(row=slice(None, None, every[0]), column=slice(None, None, every[1]))
+    near = [math.ceil(each / step) for each, step in zip(near, every, strict=True)]
+    across, along = (np.zeros(fields["x"].shape, np.uint8) for _ in near)
     for name, sigma in _FIELDS:
-        values, noise = (np.ascontiguousarray(cloud[each], np.float32) for each in (name, sigma))
+        values, noise = (np.ascontiguousarray(fields[each], np.float32) for each in (name, sigma))
         for lines, sigmas, h, marked in ((values, noise, near[1], along), (values.T, noise.T, near[0], across.T)):
             # the relief of a rough surface and a strain that varies are no discontinuities
             _mark(lines, sigmas, np.float32(JUMP * _measure_roughness(lines, h)), h, marked)
     # a single value with an error larger than stated is none either: neighbouring lines have to agree
     for marked, side in ((along, (near[0] // 2 + 1, 1)), (across, (1, near[1] // 2 + 1))):
         cv2.morphologyEx(marked, cv2.MORPH_OPEN, np.ones(side, np.uint8), dst=marked)
-    return (along | across).astype(bool)
+    nearest = (
+        np.minimum((np.arange(cloud.sizes[name]) + step // 2) // step, fields.sizes[name] - 1)
+        for name, step in zip(("row", "column"), every, strict=True)
+    )
+    return np.asarray((along | across).astype(bool)[np.ix_(*nearest)])
 
 
 def _spacing(positions: np.ndarray) -> float:

@@ -24,6 +24,8 @@ class Planes:
 
     Attributes
     ----------
+    fields : (2 + field, row, column)
+        x, y and the fitted fields.
     slopes : (field, 2, row, column)
         Derivatives of the fields by x and y.
     white : (3, row, column)
@@ -37,6 +39,7 @@ class Planes:
         Distance of the points [px].
     """
 
+    fields: np.ndarray
     slopes: np.ndarray
     white: np.ndarray
     means: np.ndarray
@@ -98,7 +101,7 @@ def fit_planes(
     _fit(samples, half, planes)
     if discontinuous is not None and discontinuous.any():
         fit_masked(samples, _find_divided(discontinuous, half) & known, half, planes)
-    return Planes(*planes, half, spacing)
+    return Planes(fields, *planes, half, spacing)
 
 
 def _find_divided(discontinuous: np.ndarray, half: tuple[int, int]) -> np.ndarray:

@@ -151,13 +151,12 @@ def _compute_sigmas(cloud: xr.Dataset, planes: Planes, slope_noise: float) -> np
     in_plane = slope_noise * displacement_gains(window, method, planes.half, spacing)
     gains = np.array([height_gains(z_filter, after, planes.half, spacing) for after in (False, True)])
     h0 = float(cloud.attrs["camera_distance"])
-    positions = [np.ascontiguousarray(cloud[name], planes.slopes.dtype) for name in ("x", "y", "z", "u", "v", "w")]
     sigmas = np.empty((len(_SIGMAS), *planes.slopes.shape[2:]), planes.slopes.dtype)
     _propagate(
         planes.slopes,
         planes.white,
         planes.means,
-        np.stack(positions),
+        planes.fields,  # x, y, z, u, v, w
         _fit_pixel(cloud, h0),
         h0,
         np.stack([*gains, in_plane, in_plane]),
