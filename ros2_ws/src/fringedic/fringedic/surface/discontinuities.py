@@ -7,7 +7,8 @@ points at h and 2 h on either side differ at the place by
     jump(h) = f(h) - f(-h) - (f(2h) - f(h)) - (f(-h) - f(-2h))
 
 This is zero for any slope or curvature, small for a smooth field, and the jump at a discontinuity. Seen from twice as
-far, the jump of a discontinuity is the same and that of a smooth field 8 times as large.
+far, the jump of a discontinuity is the same and that of a smooth field 8 times as large. A slope that changes at one
+place gives the same jump from any distance, but no larger one than the change of the slope times h.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from numba import njit, prange
 JUMP = 6.0
 _REACH = 3 / 8  # of the window of the displacement, see above
 _SAME = (0.6, 1.5)  # jump from twice as far over the jump: 1 for a discontinuity, 8 for a smooth field
+_KINK = 1.5  # jump over that of a kink, which is 1 for a strain that changes from one point to the next
 _MOST = 0.75  # share of the jump in the difference between both sides, where there is no room to look from farther
 _FIELDS = (("z", "noise_z"), ("u", "sigma_u"), ("v", "sigma_v"), ("w", "sigma_w"))
 
@@ -91,13 +93,17 @@ def _find_measured(line: np.ndarray, start: int, way: int, farthest: int) -> int
 
 
 @njit(cache=True, nogil=True)
-def _jump(line: np.ndarray, before: int, after: int, h: int) -> tuple[float, float]:
-    """Return the jump between two places from the slopes over h beyond them, and their difference; NaN without room."""
+def _jump(line: np.ndarray, before: int, after: int, h: int) -> tuple[float, float, float]:
+    """Return the jump between two places from the slopes over h beyond them, their difference, and a kink's jump.
+
+    The last is the largest jump that the change of the slope imitates, where it changes between the places. NaN without
+    room.
+    """
     if before - h < 0 or after + h >= len(line):
-        return np.nan, np.nan
+        return np.nan, np.nan, np.nan
     left, right = line[before] - line[before - h], line[after + h] - line[after]
-    difference = line[after] - line[before]
-    return difference - (left + right) * (after - before) / (2.0 * h), difference
+    difference, share = line[after] - line[before], (after - before) / (2.0 * h)
+    return difference - share * (left + right), difference, share * abs(right - left)
 
 
 @njit(cache=True, nogil=True)
@@ -120,14 +126,15 @@ def _mark(values: np.ndarray, noise: np.ndarray, usual: np.float32, h: int, mark
             after = _find_measured(line, place + h, 1, 2 * h)
             if before < 0 or after < 0:
                 continue
-            jump, difference = _jump(line, before, after, h)
+            jump, difference, kink = _jump(line, before, after, h)
+            noisy = JUMP * math.sqrt(_variance(noise[i], before, after, h))
             # NaN is no jump, nor is any jump known where the noise is not
-            if not (abs(jump) > usual and jump * jump > JUMP**2 * _variance(noise[i], before, after, h)):
+            if not (abs(jump) > usual and abs(jump) > noisy and abs(jump) > _KINK * kink):
                 continue
             farther, confirmed = np.nan, abs(jump) > _MOST * abs(difference)
             outer, beyond = _find_measured(line, before - h, -1, h), _find_measured(line, after + h, 1, h)
             if outer >= 0 and beyond >= 0:
-                farther, _ = _jump(line, outer, beyond, 2 * h)
+                farther, _, _ = _jump(line, outer, beyond, 2 * h)
             if np.isfinite(farther):
                 confirmed = _SAME[0] < farther / jump < _SAME[1]
             if confirmed:

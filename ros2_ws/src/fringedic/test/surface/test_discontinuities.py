@@ -153,6 +153,15 @@ def test_noise_beside_dark_speckles_is_no_discontinuity(spacing: int) -> None:
     assert found.mean() < 1e-3, f"{found.mean():.4f} of the points count as discontinuous"
 
 
+def test_a_strain_that_changes_abruptly_is_no_discontinuity() -> None:
+    """Twice the strain in a band, as beside a hole, with a fold of the height at its border."""
+    column = np.tile(4.0 * np.arange(100), (60, 1))
+    stretched = STRAIN * column + STRAIN * np.clip(column - 140, 0, 100)
+    fold = 20e-6 * np.abs(column - 140)
+    found = find_discontinuities(flat_cloud(known_displacement(stretched, 0.001), fold))
+    assert not found.any(), f"{found.mean():.4f} of the points count as discontinuous"
+
+
 @pytest.mark.parametrize("period", [90.0, 150.0, 300.0])
 def test_waves_are_no_discontinuities(period: float) -> None:
     """Strain that changes from -6 % to 6 %, and noise."""
