@@ -127,9 +127,10 @@ def _mark(values: np.ndarray, noise: np.ndarray, usual: np.float32, h: int, mark
             if before < 0 or after < 0:
                 continue
             jump, difference, kink = _jump(line, before, after, h)
-            noisy = JUMP * math.sqrt(_variance(noise[i], before, after, h))
             # NaN is no jump, nor is any jump known where the noise is not
-            if not (abs(jump) > usual and abs(jump) > noisy and abs(jump) > _KINK * kink):
+            if not (abs(jump) > usual and abs(jump) > _KINK * kink):
+                continue
+            if not abs(jump) > JUMP * math.sqrt(_variance(noise[i], before, after, h)):
                 continue
             farther, confirmed = np.nan, abs(jump) > _MOST * abs(difference)
             outer, beyond = _find_measured(line, before - h, -1, h), _find_measured(line, after + h, 1, h)
