@@ -29,7 +29,7 @@ from fringedic.phase.finding_sentences import describe
 from fringedic.phase.findings import Finding, FindingKind
 from fringedic.phase.layout import check_frames, layout_of
 from fringedic.phase.settings import DEFAULT_SETTINGS, PhaseSettings
-from fringedic.phase.sinusoids import fit_wave
+from fringedic.phase.sinusoids import fit_wave, remove_harmonics, wave_levels
 
 # test_saturated_and_dark_stacks_are_named, test_a_projector_that_stands_still_is_named and
 # test_too_small_images_are_left_alone fix these limits
@@ -39,6 +39,7 @@ _SMALLEST_PART = 0.02  # of the image, with a modulation: less is not a surface
 _LEAST_CONTRAST = 0.03  # modulation over mean of visible fringes
 _DARK = 0.03  # of full scale
 _LEAST_COHERENCE = 0.4  # of the fringes at neighbouring pixels: 0 for noise, 1 for fringes
+_CONTRADICTION = 0.15  # residual over the modulation, RMS, of frames that show other patterns
 _SPARSE = 0.5  # part of the image: where less is usable, more pixels are sampled
 _DENSEST = 8.0  # times as many
 
@@ -152,9 +153,11 @@ def _find(frames: np.ndarray, patterns: Sequence[ProjectedPattern], settings: Ph
         return [bad]
     if 0 < usable.mean() < _SPARSE:
         sample = Sample.from_stack(frames, layout, round(SAMPLES * min(1 / usable.mean(), _DENSEST)), region)
-        usable = _usable_pixels(sample, sample.levels.max(axis=0) >= ceiling, settings)
+        saturated = sample.levels.max(axis=0) >= ceiling
+        usable = _usable_pixels(sample, saturated, settings)
     if usable.sum() < _FEWEST_PIXELS:
-        return []
+        fault = _find_contradiction(sample.select(~saturated), patterns)
+        return [] if fault is None else [fault]
     found = [Finding(FindingKind.SATURATED, value=saturated.mean())] if saturated.mean() > _SMALLEST_PART else []
     sample = sample.select(usable)
     noise = settings.noise if settings.noise is not None else estimate_sample_noise(sample)
@@ -165,7 +168,10 @@ def _find(frames: np.ndarray, patterns: Sequence[ProjectedPattern], settings: Ph
     ):
         if fault is not None:
             return [*found, fault]
-    return found + find_changes(sample, noise, settings.largest_error, settings.largest_motion)
+    changes = find_changes(sample, noise, settings.largest_error, settings.largest_motion)
+    if not changes and (fault := _find_contradiction(sample, patterns)) is not None:
+        changes = [fault]
+    return found + changes
 
 
 def _usable_pixels(sample: Sample, saturated: np.ndarray, settings: PhaseSettings) -> np.ndarray:
@@ -184,7 +190,7 @@ def _usable_pixels(sample: Sample, saturated: np.ndarray, settings: PhaseSetting
 def _find_bad_exposure(
     sample: Sample, saturated: np.ndarray, usable: np.ndarray, ceiling: float, patterns: Sequence[ProjectedPattern]
 ) -> Finding | None:
-    """Return the fault of a stack that is too bright, too dark or always the same.
+    """Return the fault of a stack that is too bright, too dark, always the same or contradicts itself everywhere.
 
     Noise can look like fringes of some modulation. Fringes are distinguished from it by the coherence of neighbouring
     pixels.
@@ -199,9 +205,8 @@ def _find_bad_exposure(
     if np.mean(~saturated & (mean > _DARK * full_scale)) < _SMALLEST_PART:
         return Finding(FindingKind.DARK, True, value=float(np.median(mean)))
     if not noisy:
-        return None
-    frames = range(len(patterns))[sample.layout.slices()[noisy[0]]]
-    return Finding(FindingKind.FROZEN, True, tuple(frames), tuple(patterns[frame] for frame in frames))
+        return _find_contradiction(sample.select(~saturated), patterns)
+    return _of_pitch(FindingKind.FROZEN, sample.layout.slices()[noisy[0]], patterns)
 
 
 def _coherence(sample: Sample, number: int, allowed: np.ndarray) -> float:
@@ -211,3 +216,24 @@ def _coherence(sample: Sample, number: int, allowed: np.ndarray) -> float:
     together = np.sum(first[1] * second[1] + first[2] * second[2])
     apart = np.sum(np.hypot(first[1], first[2]) * np.hypot(second[1], second[2]))
     return float(together / apart) if apart else 0.0
+
+
+def _find_contradiction(sample: Sample, patterns: Sequence[ProjectedPattern]) -> Finding | None:
+    """Return the first pitch whose frames no sinusoid fits, from what neighbours have in common beside their own."""
+    for where, angles in zip(sample.layout.slices(), sample.angles, strict=True):
+        if len(angles) < 4:
+            continue
+        both = [each[where] for each in sample.along_fringes()]
+        fits = [fit_wave(each, angles) for each in both]
+        rests = [
+            remove_harmonics(each - wave_levels(fit, angles), fit, angles) for each, fit in zip(both, fits, strict=True)
+        ]
+        strength = np.vdot(*(np.hypot(fit[1], fit[2]) for fit in fits))
+        if np.vdot(*rests) / (len(angles) - 3) > _CONTRADICTION**2 * strength:
+            return _of_pitch(FindingKind.UNIDENTIFIED_FRAME, where, patterns)
+    return None
+
+
+def _of_pitch(kind: FindingKind, where: slice, patterns: Sequence[ProjectedPattern]) -> Finding:
+    frames = range(len(patterns))[where]
+    return Finding(kind, True, tuple(frames), tuple(patterns[frame] for frame in frames))

@@ -190,6 +190,25 @@ def test_a_projector_that_stands_still_is_named(plate: VirtualRig) -> None:
         check_stack(good, sequence.patterns)
 
 
+def test_frames_taken_long_before_their_patterns_are_named(plate: VirtualRig) -> None:
+    """The projector is dark at first and up to four patterns late, in 60 random rhythms of the camera."""
+    rows, columns = plate.projector_shape
+    sequence = fringe_sequence(columns, rows, [columns, 16], shifts=4)
+    images = [np.zeros((rows, columns), np.uint8), *sequence]
+    seen = [plate.expose(image, 0.0, k).astype(float) for k, image in enumerate(images)]
+    random = np.random.default_rng(8)
+    for trial in range(60):
+        shown = np.cumsum(random.uniform(15.0, random.choice([20.0, 30.0, 60.0]), len(sequence)))
+        lit = shown + 80.0
+        end = shown + 15.0  # of exposures of 10 ms
+        shares = np.array([np.clip(end - each, 0.0, 10.0) / 10 for each in (-np.inf, *lit, np.inf)])
+        late = np.einsum("pf,prc->frc", shares[:-1] - shares[1:], np.array(seen))
+        noise = random.normal(0.0, 0.7, late.shape)
+        with pytest.raises(StepError) as told:
+            check_stack(np.clip(np.round(late + noise), 0, 255).astype(np.uint8), sequence.patterns)
+        assert told.value.code in (ErrorCode.WRONG_PATTERN, ErrorCode.FRAMES_OUT_OF_ORDER), f"rhythm {trial}"
+
+
 def test_saturated_and_dark_stacks_are_named(plate: VirtualRig) -> None:
     sequence = sequence_of(plate, 4)
     bright = np.array([plate.expose(image, 0.0, k, exposure_factor=12.0) for k, image in enumerate(sequence)])
