@@ -6,9 +6,7 @@ import cv2
 import numpy as np
 
 NOT_MEASURED = (128, 128, 128)
-LONGEST_SIDE = (
-    512  # [px] of the preview of a displacement, which is smooth: at every pixel it would take a tenth of a second
-)
+LONGEST_SIDE = 512  # [px] of the preview of a displacement, which is smooth; every pixel would take 0.1 s
 
 
 def phase_preview(phase: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
@@ -74,3 +75,8 @@ class Finding:
     light_change: float = float("nan")
     coarser: ProjectedPattern | None = None
     exposure_time: float | None = None
+
+    @classmethod
+    def of_pitch(cls, kind: FindingKind, where: slice, patterns: Sequence[ProjectedPattern]) -> Finding:
+        """Return the fault that all frames of a pitch share; `where` are its frames in the stack."""
+        return cls(kind, True, tuple(range(where.start, where.stop)), tuple(patterns[where]))

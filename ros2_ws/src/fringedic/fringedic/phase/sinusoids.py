@@ -32,6 +32,12 @@ def waves(angles: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(angles), np.cos(angles), np.sin(angles)], axis=1)
 
 
+def residual_maker(angles: np.ndarray) -> np.ndarray:
+    """Return 1 - (hat matrix), which gives the residuals of the fitted sinusoids from grey levels; (frame, frame)."""
+    basis = waves(angles)
+    return np.asarray(np.eye(len(angles)) - basis @ np.linalg.pinv(basis))
+
+
 def remove_harmonics(rest: np.ndarray, fit: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Return residuals (frame, pixel) without the harmonics of the response, whose strength all pixels share.
 
@@ -66,9 +72,7 @@ def harmonic_levels(fit: np.ndarray, angles: np.ndarray) -> np.ndarray:
 @lru_cache(maxsize=1024)
 def _harmonic_sides(angles: tuple[float, ...]) -> list[np.ndarray | None]:
     """Return what cos(m a) and sin(m a) leave beside a sinusoid, (frame, 2), for each harmonic m; None for nothing."""
-    basis = waves(np.array(angles))
-    left = np.eye(len(angles)) - basis @ np.linalg.pinv(basis)
-    shifts = [left @ np.exp(-1j * harmonic * np.array(angles)) for harmonic in HARMONICS]
+    shifts = [residual_maker(np.array(angles)) @ np.exp(-1j * harmonic * np.array(angles)) for harmonic in HARMONICS]
     return [
         np.stack([each.real, -each.imag], axis=1).astype(np.float32) if np.abs(each).max() > 1e-6 else None
         for each in shifts

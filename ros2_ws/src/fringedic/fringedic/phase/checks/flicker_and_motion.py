@@ -19,7 +19,7 @@ from fringedic.frames.noise import CameraNoise
 from fringedic.phase.checks.light import light_changes
 from fringedic.phase.checks.sampling import Sample
 from fringedic.phase.findings import Finding, FindingKind
-from fringedic.phase.sinusoids import harmonic_levels, wave_levels, waves
+from fringedic.phase.sinusoids import harmonic_levels, residual_maker, wave_levels, waves
 
 # The scenes of benchmarks/stack_checks.py fix these limits
 _FALSE_ALARMS = 1e-6  # of each chi-square test, when nothing but noise changes
@@ -169,9 +169,7 @@ def _fit_changes(sample: Sample, fringes: _Fringes, camera: CameraNoise) -> _Cha
     weight = _weights(rest, fringes, camera)
     rest = rest * weight
     parts = _design(sample, fringes, weight).reshape(6 * count, pixels)
-    basis = waves(fringes.angles)
-    left = np.eye(count) - basis @ np.linalg.pinv(basis)
-    normal = np.tile(left, (6, 6)) * (parts @ parts.T)
+    normal = np.tile(residual_maker(fringes.angles), (6, 6)) * (parts @ parts.T)
     right = np.einsum("fkp,kp->fk", parts.reshape(6, count, pixels), rest).ravel()
     harmonics = harmonic_levels(fringes.fit, fringes.angles) * weight
     normal, right, explained = _without_harmonics(normal, right, parts, rest, harmonics)

@@ -56,7 +56,7 @@ class Explanation:
 
 
 def check_order(
-    sample: Sample, noise: CameraNoise, jumps: CodeJumps, patterns: Sequence[ProjectedPattern]
+    sample: Sample, evidence: Evidence, noise: CameraNoise, jumps: CodeJumps, patterns: Sequence[ProjectedPattern]
 ) -> Finding | None:
     """Return the fault when frames show other patterns than recorded.
 
@@ -64,6 +64,8 @@ def check_order(
     ----------
     sample
         Pixels that are lit and modulated.
+    evidence
+        Their deviations from the recorded patterns.
     noise
         Of the camera.
     jumps
@@ -78,7 +80,6 @@ def check_order(
         explains the misfit best.
     """
     recorded = tuple(range(len(patterns)))
-    evidence = Misfit(sample, noise)(recorded)
     if evidence.is_small:
         found = _interchanged_bits(jumps, sample.layout.code, recorded) if jumps.are_suspicious else None
         return None if found is None else _finding(found, patterns)
@@ -96,6 +97,15 @@ def check_order(
     if best[0] < _EXPLAINED * misfit(recorded).total:
         return _of_three_shifts(best[1], sample, patterns)
     return _unexplained(sample, evidence, patterns)
+
+
+def find_contradiction(
+    residuals: Sequence[float], slices: Sequence[slice], patterns: Sequence[ProjectedPattern]
+) -> Finding | None:
+    """Return the first pitch whose frames no sinusoid fits; for stacks that nothing else explains."""
+    wrong = (where for residual, where in zip(residuals, slices, strict=True) if residual > _NO_SINUSOID)
+    where = next(wrong, None)
+    return None if where is None else Finding.of_pitch(FindingKind.UNIDENTIFIED_FRAME, where, patterns)
 
 
 def _finding(found: Explanation, patterns: Sequence[ProjectedPattern]) -> Finding:
@@ -148,8 +158,7 @@ def _of_three_shifts(found: Finding | None, sample: Sample, patterns: Sequence[P
     where = sample.layout.slices()[0]
     if found.frames[0] < where.start:
         return found
-    frames = tuple(range(where.start, where.stop))
-    return Finding(FindingKind.UNIDENTIFIED_FRAME, True, frames, tuple(patterns[where]))
+    return Finding.of_pitch(FindingKind.UNIDENTIFIED_FRAME, where, patterns)
 
 
 def _best_lag(misfit: Misfit, sample: Sample) -> Finding:
@@ -197,8 +206,7 @@ def _unexplained(sample: Sample, evidence: Evidence, patterns: Sequence[Projecte
         )
     worst = int(np.argmax(evidence.residual))
     if evidence.is_uneven or (evidence.residual[worst] > _NO_SINUSOID and _same_phase(sample, worst)):
-        frames = tuple(range(slices[worst].start, slices[worst].stop))
-        return Finding(FindingKind.UNIDENTIFIED_FRAME, True, frames, tuple(patterns[slices[worst]]))
+        return Finding.of_pitch(FindingKind.UNIDENTIFIED_FRAME, slices[worst], patterns)
     if evidence.has_wrong_bits:
         return Finding(FindingKind.CODE_DISAGREES, True, value=evidence.wrong_bits)
     return None

@@ -147,7 +147,11 @@ class Misfit:
 
     def least(self, shown: Shown) -> float:
         """Return a lower bound of the total deviation, which takes less time: the residuals alone."""
-        return sum(self._wave(number, shown).residual ** 2 for number in range(len(self._layout.periods)))
+        return sum(each**2 for each in self.residuals(shown))
+
+    def residuals(self, shown: Shown) -> tuple[float, ...]:
+        """Return the residual of the fit of each pitch, over its modulation."""
+        return tuple(self._wave(number, shown).residual for number in range(len(self._layout.periods)))
 
     def lagging(self, share: float) -> Evidence:
         """Return the deviations under the assumption that every frame shows this share of the pattern before."""

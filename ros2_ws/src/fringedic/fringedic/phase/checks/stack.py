@@ -16,11 +16,12 @@ from dataclasses import replace
 import numpy as np
 
 from fringedic.errors import StepError
-from fringedic.frames.noise import saturation_level
+from fringedic.frames.noise import CameraNoise, saturation_level
 from fringedic.patterns.pattern import ProjectedPattern
 from fringedic.phase.checks.code_jumps import CodeJumps
 from fringedic.phase.checks.flicker_and_motion import find_changes
-from fringedic.phase.checks.frame_order import check_order
+from fringedic.phase.checks.frame_order import check_order, find_contradiction
+from fringedic.phase.checks.misfit import Misfit
 from fringedic.phase.checks.projector_lag import find_lag
 from fringedic.phase.checks.sample_noise import estimate_sample_noise
 from fringedic.phase.checks.sampling import SAMPLES, Sample
@@ -29,7 +30,7 @@ from fringedic.phase.finding_sentences import describe
 from fringedic.phase.findings import Finding, FindingKind
 from fringedic.phase.layout import check_frames, layout_of
 from fringedic.phase.settings import DEFAULT_SETTINGS, PhaseSettings
-from fringedic.phase.sinusoids import fit_wave, remove_harmonics, wave_levels
+from fringedic.phase.sinusoids import fit_wave
 
 # test_saturated_and_dark_stacks_are_named, test_a_projector_that_stands_still_is_named and
 # test_too_small_images_are_left_alone fix these limits
@@ -39,7 +40,6 @@ _SMALLEST_PART = 0.02  # of the image, with a modulation: less is not a surface
 _LEAST_CONTRAST = 0.03  # modulation over mean of visible fringes
 _DARK = 0.03  # of full scale
 _LEAST_COHERENCE = 0.4  # of the fringes at neighbouring pixels: 0 for noise, 1 for fringes
-_CONTRADICTION = 0.15  # residual over the modulation, RMS, of frames that show other patterns
 _SPARSE = 0.5  # part of the image: where less is usable, more pixels are sampled
 _DENSEST = 8.0  # times as many
 
@@ -148,7 +148,7 @@ def _find(frames: np.ndarray, patterns: Sequence[ProjectedPattern], settings: Ph
     usable = _usable_pixels(sample, saturated, settings)
     if region is not None and usable.sum() < _FEWEST_PIXELS:  # the specimen has moved out of the region
         return _find(frames, patterns, replace(settings, region=None))
-    bad = _find_bad_exposure(sample, saturated, usable, ceiling, patterns)
+    bad = _find_bad_exposure(sample, saturated, usable, ceiling, settings, patterns)
     if bad is not None:
         return [bad]
     if 0 < usable.mean() < _SPARSE:
@@ -156,27 +156,29 @@ def _find(frames: np.ndarray, patterns: Sequence[ProjectedPattern], settings: Ph
         saturated = sample.levels.max(axis=0) >= ceiling
         usable = _usable_pixels(sample, saturated, settings)
     if usable.sum() < _FEWEST_PIXELS:
-        fault = _find_contradiction(sample.select(~saturated), patterns)
+        fault = _find_contradiction(sample.select(~saturated), settings, patterns)
         return [] if fault is None else [fault]
     found = [Finding(FindingKind.SATURATED, value=saturated.mean())] if saturated.mean() > _SMALLEST_PART else []
     sample = sample.select(usable)
-    noise = settings.noise if settings.noise is not None else estimate_sample_noise(sample)
+    noise = _estimate_noise(sample, settings)
+    evidence = Misfit(sample, noise)(range(len(patterns)))
     jumps = CodeJumps(frames, layout, vertical=sample.is_vertical)
     for fault in (
-        check_order(sample, noise, jumps, patterns),
+        check_order(sample, evidence, noise, jumps, patterns),
         find_lag(sample, settings.largest_error * layout.periods[-1][0].shifts),
     ):
         if fault is not None:
             return [*found, fault]
     changes = find_changes(sample, noise, settings.largest_error, settings.largest_motion)
-    if not changes and (fault := _find_contradiction(sample, patterns)) is not None:
-        changes = [fault]
-    return found + changes
+    if changes:
+        return found + changes
+    fault = find_contradiction(evidence.residual, layout.slices(), patterns)
+    return found if fault is None else [*found, fault]
 
 
 def _usable_pixels(sample: Sample, saturated: np.ndarray, settings: PhaseSettings) -> np.ndarray:
     """Return the pixels that are lit and modulated at every pitch."""
-    noise = settings.noise if settings.noise is not None else estimate_sample_noise(sample)
+    noise = _estimate_noise(sample, settings)
     mean = np.mean([fit[0] for fit in sample.fits], axis=0)
     deviation = np.sqrt(noise.variance(np.maximum(mean, 0)))
     least = np.maximum(_LEAST_CONTRAST * mean, settings.minimum_modulation)
@@ -188,7 +190,12 @@ def _usable_pixels(sample: Sample, saturated: np.ndarray, settings: PhaseSetting
 
 
 def _find_bad_exposure(
-    sample: Sample, saturated: np.ndarray, usable: np.ndarray, ceiling: float, patterns: Sequence[ProjectedPattern]
+    sample: Sample,
+    saturated: np.ndarray,
+    usable: np.ndarray,
+    ceiling: float,
+    settings: PhaseSettings,
+    patterns: Sequence[ProjectedPattern],
 ) -> Finding | None:
     """Return the fault of a stack that is too bright, too dark, always the same or contradicts itself everywhere.
 
@@ -205,8 +212,8 @@ def _find_bad_exposure(
     if np.mean(~saturated & (mean > _DARK * full_scale)) < _SMALLEST_PART:
         return Finding(FindingKind.DARK, True, value=float(np.median(mean)))
     if not noisy:
-        return _find_contradiction(sample.select(~saturated), patterns)
-    return _of_pitch(FindingKind.FROZEN, sample.layout.slices()[noisy[0]], patterns)
+        return _find_contradiction(sample.select(~saturated), settings, patterns)
+    return Finding.of_pitch(FindingKind.FROZEN, sample.layout.slices()[noisy[0]], patterns)
 
 
 def _coherence(sample: Sample, number: int, allowed: np.ndarray) -> float:
@@ -218,22 +225,13 @@ def _coherence(sample: Sample, number: int, allowed: np.ndarray) -> float:
     return float(together / apart) if apart else 0.0
 
 
-def _find_contradiction(sample: Sample, patterns: Sequence[ProjectedPattern]) -> Finding | None:
-    """Return the first pitch whose frames no sinusoid fits, from what neighbours have in common beside their own."""
-    for where, angles in zip(sample.layout.slices(), sample.angles, strict=True):
-        if len(angles) < 4:
-            continue
-        both = [each[where] for each in sample.along_fringes()]
-        fits = [fit_wave(each, angles) for each in both]
-        rests = [
-            remove_harmonics(each - wave_levels(fit, angles), fit, angles) for each, fit in zip(both, fits, strict=True)
-        ]
-        strength = np.vdot(*(np.hypot(fit[1], fit[2]) for fit in fits))
-        if np.vdot(*rests) / (len(angles) - 3) > _CONTRADICTION**2 * strength:
-            return _of_pitch(FindingKind.UNIDENTIFIED_FRAME, where, patterns)
-    return None
+def _estimate_noise(sample: Sample, settings: PhaseSettings) -> CameraNoise:
+    return settings.noise if settings.noise is not None else estimate_sample_noise(sample)
 
 
-def _of_pitch(kind: FindingKind, where: slice, patterns: Sequence[ProjectedPattern]) -> Finding:
-    frames = range(len(patterns))[where]
-    return Finding(kind, True, tuple(frames), tuple(patterns[frame] for frame in frames))
+def _find_contradiction(
+    sample: Sample, settings: PhaseSettings, patterns: Sequence[ProjectedPattern]
+) -> Finding | None:
+    """Return the pitch whose frames no sinusoid fits in pixels that are not usable otherwise."""
+    misfit = Misfit(sample, _estimate_noise(sample, settings))
+    return find_contradiction(misfit.residuals(range(len(patterns))), sample.layout.slices(), patterns)
