@@ -18,6 +18,7 @@ from fringedic.rig.model import RigModel
 from fringedic.steps.parameters import CouplingParameters
 from fringedic.steps.shape_tracker import ShapeTracker, StepSurface
 from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult, displacement_field
+from fringedic.warm_up.rehearsal import rehearse_coupling
 from fringedic_msgs.msg import Exposure, NodeStatus, Reference, RigCalibration
 from fringedic_ros.clouds import cloud_message
 from fringedic_ros.images import image_array
@@ -42,7 +43,7 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
     """
 
     def __init__(self) -> None:
-        super().__init__("coupling", CouplingParameters)
+        super().__init__("coupling", CouplingParameters, rehearse_coupling)
         self._shape = self.create_publisher(PointCloud2, "coupling/shape", DERIVED)
         self._displacement = self.create_publisher(PointCloud2, "coupling/displacement", DERIVED)
         self._strain = self.create_publisher(PointCloud2, "coupling/strain", DERIVED)

@@ -14,6 +14,7 @@ from fringedic.patterns.pattern import PatternKind
 from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import DicParameters
 from fringedic.steps.step_results import DicResult
+from fringedic.warm_up.rehearsal import rehearse_displacement
 from fringedic_msgs.msg import NodeStatus, Reference
 from fringedic_ros.frame_steps import FrameSteps
 from fringedic_ros.images import image_array, image_message
@@ -32,7 +33,7 @@ class DicNode(ProcessingNode[DicParameters]):
     """
 
     def __init__(self) -> None:
-        super().__init__("dic", DicParameters)
+        super().__init__("dic", DicParameters, rehearse_displacement)
         self._frame = frame_id(self, CAMERA_FRAME)
         self._displacement = self._image_publisher("displacement")
         self._sigma = self._image_publisher("sigma")

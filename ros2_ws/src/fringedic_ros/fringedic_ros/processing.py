@@ -155,14 +155,17 @@ class ProcessingNode(RigNode, Generic[ModelT]):
         Name of the node and first part of its topics.
     model
         Declares its parameters.
+    rehearse
+        Loads the machine code of its kernels, in the background thread, before the first step.
     """
 
-    def __init__(self, name: str, model: type[ModelT]) -> None:
+    def __init__(self, name: str, model: type[ModelT], rehearse: Callable[[], None]) -> None:
         require_kernels(get_logger(name).warning)
         super().__init__(name)
         self.parameters = declare(self, model)
         self.diagnostics = NodeDiagnostics(self)
         self.worker = Worker(self)
+        self.worker.submit(rehearse)
         self._answered: OrderedDict[tuple[str, int], None] = OrderedDict()
         self._unjoined = 0
         self._statuses = self.create_publisher(NodeStatus, f"{name}/status", EVENTS)

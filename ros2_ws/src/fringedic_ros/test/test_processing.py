@@ -38,9 +38,14 @@ def peer() -> Iterator[Peer]:
     rclpy.try_shutdown()
 
 
+def fail() -> None:
+    raise RuntimeError("no rehearsal")
+
+
 @pytest.fixture
 def node(peer: Peer) -> Iterator[ProcessingNode[NoParameters]]:
-    node = TestedNode("tested", NoParameters)
+    """A node whose rehearsal fails, which must not matter to its steps."""
+    node = TestedNode("tested", NoParameters, fail)
     node.subscribe_to_steps()
     peer.serve_also(node)
     yield node

@@ -13,6 +13,7 @@ from fringedic.patterns.pattern import PatternKind
 from fringedic.phase.finding_sentences import describe
 from fringedic.steps.parameters import PhaseParameters
 from fringedic.steps.phase import phase_step
+from fringedic.warm_up.rehearsal import rehearse_phase
 from fringedic_msgs.msg import Exposure, NodeStatus
 from fringedic_ros.frame_steps import FrameSteps
 from fringedic_ros.images import image_message
@@ -26,7 +27,7 @@ class PhaseNode(ProcessingNode[PhaseParameters]):
     """Collects the frames of a step and publishes the result of `phase_step`."""
 
     def __init__(self) -> None:
-        super().__init__("phase", PhaseParameters)
+        super().__init__("phase", PhaseParameters, rehearse_phase)
         self._frame = frame_id(self, CAMERA_FRAME)
         self._map = self._image_publisher("map")
         self._sigma = self._image_publisher("sigma")

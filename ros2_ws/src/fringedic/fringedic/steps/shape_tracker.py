@@ -97,6 +97,8 @@ class ShapeTracker:
 
     def set_calibration(self, calibration: RigModel) -> None:
         """Set the rig's model, with which the following steps and their reference are reconstructed."""
+        if calibration.camera_distortion is not None:
+            calibration.camera_distortion.field()  # it is kept there: the first step need not wait for it
         self._calibration = calibration
 
     def refuse_calibration(self, reason: str) -> None:
