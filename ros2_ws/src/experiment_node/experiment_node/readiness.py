@@ -65,10 +65,19 @@ class Readiness:
         """Check all connections again before the next step: a node has started."""
         self._graph_changed, self._connected_at = True, time.monotonic()
 
-    async def await_nodes(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+    async def await_nodes(self, step: RunningStep, parameters: ExperimentParameters, witness: str = "") -> None:
         """Wait until all nodes of a step are connected, once per experiment and after each change of the graph.
 
         A message that is published before a node is connected never reaches that node.
+
+        Parameters
+        ----------
+        step
+            That is to begin.
+        parameters
+            Of the experiment.
+        witness
+            Topic of a recorder of results; empty without one.
 
         Raises
         ------
@@ -93,7 +102,7 @@ class Readiness:
         )
         await self._await_quiet_graph(step)
         await self._frames.await_responses(step, parameters)
-        await self.reach_readers(step.goal, step.nodes, timeout)
+        await self.reach_readers(step.goal, step.nodes, timeout, witness)
         self._known_endpoints = self._endpoints()
 
     def _doubled(self) -> list[str]:
@@ -117,15 +126,17 @@ class Readiness:
         """Return how many readers of the camera's topics and servers of frames are listed."""
         return [self._node.count_subscribers(topic) for topic in _QUIET_TOPICS] + self._frames.servers()
 
-    async def reach_readers(self, goal: ActiveGoal, nodes: Collection[str], timeout_s: float) -> None:
-        """Wait until the publishers of these nodes are connected to all readers of their topics.
+    async def reach_readers(
+        self, goal: ActiveGoal, nodes: Collection[str], timeout_s: float, witness: str = ""
+    ) -> None:
+        """Wait until the publishers of these nodes are connected to all readers of their topics, see `Matching`.
 
         Raises
         ------
         StepFailure
             NO_SUBSCRIBER.
         """
-        self._matching.forget()
+        self._matching.forget(witness)
         await goal.wait_polling(
             lambda: not self._matching.unmatched(nodes),
             timeout_s,

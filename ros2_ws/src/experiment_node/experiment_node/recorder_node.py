@@ -101,6 +101,7 @@ class RecorderNode(RigNode):
         self._confirmed = "", 0, 0, 0  # fields of the status, set by the writing thread
 
         parameters = self.parameters.value
+        self._status.derived = parameters.derived
         self._topics = RAW_TOPICS + (DERIVED_TOPICS if parameters.derived else ())
         if parameters.bag_path:
             self._open(parameters)

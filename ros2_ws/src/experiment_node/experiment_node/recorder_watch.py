@@ -15,6 +15,7 @@ from fringedic_msgs.msg import RecorderStatus
 from fringedic_ros.qos import LATCHED
 
 Result = MeasureStep.Result
+RECORDER = "recorder/status"
 CONFIRM_TIMEOUT = 15.0  # [s] from the last frame; a recorder that was started again is not heard for some seconds
 
 
@@ -33,7 +34,7 @@ class RecorderWatch:
         self._node = node
         self._on_status = on_status
         self._latest: RecorderStatus | None = None
-        node.create_subscription(RecorderStatus, "recorder/status", self._take, LATCHED)
+        node.create_subscription(RecorderStatus, RECORDER, self._take, LATCHED)
 
     def _take(self, message: RecorderStatus) -> None:
         self._latest = message
@@ -42,9 +43,14 @@ class RecorderWatch:
     @property
     def state(self) -> int:
         """State of the recorder; IDLE when there is none."""
-        if self._latest is None or not self._node.count_publishers("recorder/status"):
+        if self._latest is None or not self._node.count_publishers(RECORDER):
             return RecorderStatus.IDLE
         return self._latest.state
+
+    @property
+    def records_results(self) -> bool:
+        """Whether a recorder records the results of the processing nodes."""
+        return self.state == RecorderStatus.RECORDING and self._latest is not None and self._latest.derived
 
     async def await_start(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         """Wait until the required recorder records.

@@ -17,7 +17,7 @@ from experiment_node.frame_taker import FrameTaker
 from experiment_node.input_watch import InputWatch
 from experiment_node.load_watch import LoadWatch
 from experiment_node.readiness import Readiness
-from experiment_node.recorder_watch import RecorderWatch
+from experiment_node.recorder_watch import RECORDER, RecorderWatch
 from experiment_node.result_codes import failure_of
 from experiment_node.running_step import RunningStep
 from experiment_node.topics import PROCESSING_INPUTS
@@ -146,13 +146,13 @@ class StepRunner:
     async def _become_ready(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         if not self.readiness.is_outdated(step):
             return
-        await self.readiness.await_nodes(step, parameters)
+        await self._recorder.await_start(step, parameters)
+        await self.readiness.await_nodes(step, parameters, RECORDER if self._recorder.records_results else "")
         await step.goal.wait_polling(
             lambda: self._steps.get_subscription_count() >= self._node.count_subscribers("experiment/step"),
             parameters.start_timeout_s,
             lambda: (Result.NO_SUBSCRIBER, "a subscriber of experiment/step is not connected; compare its QoS"),
         )
-        await self._recorder.await_start(step, parameters)
 
     def _begin_step(self, step: RunningStep) -> None:
         if step.is_reference:

@@ -11,11 +11,13 @@ from collections.abc import Collection, Iterable, Mapping
 
 from rclpy.node import Node
 from rclpy.task import Future
+from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from fringedic_msgs.srv import CountReaders
 
 ASK_AGAIN_S = 0.05  # [s] after a response with missing readers
 UNANSWERED_S = 1.0  # [s] after which a request may be lost, or its server has ended
+_PREFIX = 12  # bytes of an identifier that all endpoints of a process share (DDS-RTPS 2.5, 9.3.1.1)
 
 
 def offer_reader_counts(node: Node, name: str) -> None:
@@ -34,6 +36,11 @@ def discovered_readers(node: Node, topic: str) -> str:
     """Return the GIDs of the subscriptions of a topic that a node has discovered, in hexadecimal digits."""
     found = node.get_subscriptions_info_by_topic(topic)
     return " ".join(sorted(bytes(each.endpoint_gid).hex() for each in found))
+
+
+def participant_of(endpoint: TopicEndpointInfo) -> bytes:
+    """Return what identifies the process of a publisher or subscription."""
+    return bytes(endpoint.endpoint_gid[:_PREFIX])
 
 
 class Matching:
@@ -59,10 +66,18 @@ class Matching:
         self._clients = {name: node.create_client(CountReaders, f"{name}/count_readers") for name in self._topics}
         self._asked: dict[str, tuple[Future | None, float]] = {}
         self._missing: dict[str, list[str]] = {}
+        self._witness = ""
         self.forget()
 
-    def forget(self) -> None:
-        """Start again: the graph has changed."""
+    def forget(self, witness: str = "") -> None:
+        """Start again: the graph has changed.
+
+        Parameters
+        ----------
+        witness
+            Name of a topic whose publisher has to read all topics, such as that of a recorder; empty when none has to.
+        """
+        self._witness = witness
         for name, (future, _) in self._asked.items():
             if future is not None:
                 self._clients[name].remove_pending_request(future)
@@ -84,7 +99,9 @@ class Matching:
             self._missing[name] = [
                 topic
                 for topic, count, readers in answered
-                if count < self._known_readers(topic) or readers != discovered_readers(self._node, topic)
+                if count < self._known_readers(topic)
+                or readers != discovered_readers(self._node, topic)
+                or not self._is_witnessed(topic)
             ]
             self._asked[name] = (None, time.monotonic())
             return
@@ -94,6 +111,13 @@ class Matching:
             client.remove_pending_request(future)
         if client.service_is_ready():
             self._asked[name] = (client.call_async(CountReaders.Request(topics=topics)), time.monotonic())
+
+    def _is_witnessed(self, topic: str) -> bool:
+        """Return whether the witness reads a topic; processes are known earlier than the names of their nodes."""
+        if not self._witness:
+            return True
+        witnesses = {participant_of(each) for each in self._node.get_publishers_info_by_topic(self._witness)}
+        return any(participant_of(each) in witnesses for each in self._node.get_subscriptions_info_by_topic(topic))
 
     def _known_readers(self, topic: str) -> int:
         return sum(each.node_name in self._readers for each in self._node.get_subscriptions_info_by_topic(topic))

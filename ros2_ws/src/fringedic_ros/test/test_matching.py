@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 import rclpy
+from rclpy.context import Context
 from rclpy.node import Node
 from std_msgs.msg import Empty
 
@@ -80,3 +81,26 @@ def test_a_reader_that_only_one_of_both_knows_is_waited_for(peer: Peer) -> None:
     peer.wait(lambda: not matching.unmatched(["phase"]), "the end of the lease")
     for each in (phase, reader):
         each.destroy_node()
+
+
+def test_a_recorder_of_results_that_does_not_read_them_yet_is_waited_for(peer: Peer) -> None:
+    phase = node(peer, "phase")
+    phase.create_publisher(Empty, "phase/map", EVENTS)
+    offer_reader_counts(phase, "phase")
+    context = Context()  # a process of its own, for the middleware
+    rclpy.init(context=context)
+    recorder = Node("recorder", context=context)
+    recorder.create_publisher(Empty, "recorder/status", LATCHED)
+    matching = Matching(peer, {"phase": ["phase/map"]}, ("recorder",))
+    peer.wait(lambda: peer.count_publishers("recorder/status"), "the recorder")
+    peer.wait(lambda: not matching.unmatched(["phase"]), "the answer about a topic without readers")
+    matching.forget("recorder/status")
+    deadline = time.monotonic() + 1.0
+    while time.monotonic() < deadline:
+        assert matching.unmatched(["phase"]) == ["/phase/map"]
+        peer.serve(0.05)
+    recorder.create_subscription(Empty, "phase/map", lambda _: None, EVENTS)
+    peer.wait(lambda: not matching.unmatched(["phase"]), "the recorder, which reads the topic now")
+    recorder.destroy_node()
+    rclpy.try_shutdown(context=context)
+    phase.destroy_node()

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 
 from rclpy.action import ActionClient
 from rclpy.client import Client
 from rclpy.node import Node
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from experiment_node.topics import DERIVED_TOPICS, RAW_TOPICS
 from fringedic.errors import StepFailedError
 from fringedic_msgs.msg import NodeParameters, RecorderStatus
+from fringedic_ros.matching import participant_of
 from fringedic_ros.qos import LATCHED, LATCHED_BY_MANY
 from fringedic_ros.stamps import to_nanoseconds
 
-_PREFIX = 12  # bytes of an identifier that all endpoints of a process share (DDS-RTPS 2.5, 9.3.1.1)
 SERVICES = {"camera": "camera/capture", "projector": "projector/show", "load_frame": "load_frame/hold"}
 
 
@@ -98,13 +97,10 @@ class Readiness:
         """
         return int(self._node.count_services(self._node.resolve_service_name(f"{name}/get_parameters")))
 
-    def _topics(self, names: Iterable[str] = (*RAW_TOPICS, *DERIVED_TOPICS)) -> list[str]:
-        return [self._node.resolve_topic_name(name) for name in names]
-
     def _is_recorded(self, topic: str) -> bool:
         statuses = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name("recorder/status"))
-        recorders = {_participant(each) for each in statuses}
-        return any(_participant(each) in recorders for each in self._node.get_subscriptions_info_by_topic(topic))
+        recorders = {participant_of(each) for each in statuses}
+        return any(participant_of(each) in recorders for each in self._node.get_subscriptions_info_by_topic(topic))
 
     def _unrecorded(self) -> list[str]:
         """Return the topics that have a publisher and that the recorder has not subscribed to yet."""
@@ -112,11 +108,9 @@ class Readiness:
             raise StepFailedError(f"the recorder failed: {self._recorder.error_message}")
         if self._recorder is None or self._recorder.state != RecorderStatus.RECORDING:
             return ["everything"]
-        topics = self._topics()
-        heard = [topic for topic in topics if self._is_recorded(topic)]
-        derived = set(self._topics(DERIVED_TOPICS))
-        wanted = topics if derived & set(heard) else [topic for topic in topics if topic not in derived]
-        return [topic for topic in wanted if topic not in heard and self._node.count_publishers(topic)]
+        names = (*RAW_TOPICS, *(DERIVED_TOPICS if self._recorder.derived else ()))
+        topics = [self._node.resolve_topic_name(name) for name in names]
+        return [topic for topic in topics if self._node.count_publishers(topic) and not self._is_recorded(topic)]
 
     def _take_recorder(self, message: RecorderStatus) -> None:
         self._recorder = message
@@ -124,7 +118,3 @@ class Readiness:
     def _take_parameters(self, message: NodeParameters) -> None:
         stamp = to_nanoseconds(message.header.stamp)
         self._started[message.node] = max(stamp, self._started.get(message.node, 0))
-
-
-def _participant(endpoint: TopicEndpointInfo) -> bytes:
-    return bytes(endpoint.endpoint_gid[:_PREFIX])

@@ -13,7 +13,7 @@ from fringedic.calibration import RigCalibration, RigCheck, check_rig
 from fringedic.calibration.history import record_check
 from fringedic.configuration.rig_file import RigFile
 from fringedic.configuration.sections import VIRTUAL_RIG
-from fringedic.errors import CalibrationError
+from fringedic.errors import CalibrationError, RecordingError
 from fringedic.frames.messages import image_array
 from fringedic.frames.records import stamp_of
 from fringedic.recording.reader import BagReader
@@ -116,11 +116,21 @@ def _age(rig: RigFile, rig_path: Path) -> float:
 
 
 def phase_maps(bag: Path, stamps: list[int]) -> list[xr.Dataset]:
-    """Return the phase map of each stamp with its own sigma."""
+    """Return the phase map of each stamp with its own sigma.
+
+    Raises
+    ------
+    RecordingError
+        The recording has no map of a stamp.
+    """
     reader = BagReader(bag)
     names = {full: name for name, full in reader.find("phase/map", "phase/sigma").items()}
     images = {(names[topic], stamp_of(each)): image_array(each) for topic, each, _ in reader.messages(names)}
     over = ("row", "column")
+    for number, stamp in enumerate(stamps, start=1):
+        for name in ("phase/map", "phase/sigma"):
+            if (name, stamp) not in images:
+                raise RecordingError(f"{bag} has no message of {name} of plane {number}: measure the planes again")
     return [
         xr.Dataset({"phase": (over, images["phase/map", stamp]), "sigma": (over, images["phase/sigma", stamp])})
         for stamp in stamps
