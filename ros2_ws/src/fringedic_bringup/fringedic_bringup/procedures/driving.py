@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -282,17 +282,19 @@ class _Driver:
                 request(INTERRUPTION_S)
 
     def _restart(self, death: NodeDiedError) -> None:
-        without_reference: set[str] = set()
+        begin, names = time.monotonic(), set[str]()
         while True:
             try:
-                without_reference.update(name for name in self._running.dead() if name in WITH_REFERENCE)
+                names.update(self._running.dead())
                 self._start_again(death)
                 self._rig.wait_until_ready(self._running.graph.names)
                 self._restarted = True
+                self._progress.note(f"{_in_words(names)} ready again after {time.monotonic() - begin:.0f} s")
+                without_reference = names.intersection(WITH_REFERENCE)
                 if without_reference and self._rig.reference >= 0:
                     self._rig.set_reference()
                     self._progress.note(
-                        f"{' and '.join(sorted(without_reference))} lost the reference: until the end of the programme "
+                        f"{_in_words(without_reference)} lost the reference: until the end of the programme "
                         "displacements count from the next step; afterwards all steps are measured again against the "
                         "first"
                     )
@@ -338,6 +340,11 @@ class _Driver:
         if name == "camera" and entry.parameters.get("truth_folder"):
             return {"truth_folder": ""}  # a new file would start with another reference
         return {}
+
+
+def _in_words(names: Iterable[str]) -> str:
+    """Return names as they stand in a sentence."""
+    return " and ".join(sorted(names))
 
 
 def next_part(bag: Path) -> Path:
