@@ -41,6 +41,7 @@ SHIFTS = (4, 4, 4, 8)
 FINER, MORE_SHIFTS = 8.0, (3, 3, 3, 11)  # as many frames, for dark speckles: docs/validation/limits.md
 SPACING = 4
 STRAIN_WINDOW = 85
+LIGHT_TRAVEL = 0.3  # of the steps whose light changes
 FIGURES, TIMES = "<!-- figures -->\n", "Best times [ms]"
 FRINGE, PIXEL = 0.002, 0.0026  # noise of phase and displacement of such frames
 Row = tuple[str, float, float | None]
@@ -335,6 +336,33 @@ def spacing_rows(rendered: Rendered, spacing: int) -> list[Row]:
     ]
 
 
+def light_rows() -> list[Row]:
+    """Best processor times of a coupling step with its light corrected, and over that of one without; one thread."""
+    threads = numba.get_num_threads()
+    numba.set_num_threads(1)
+    rows: list[Row] = []
+    for name in ("plate", "skin", "leather"):
+        rendered = render(VirtualRig.from_preset(name, seed=SEED), LIGHT_TRAVEL)
+        bare = [replace(each, maps=each.maps[["phase", "sigma"]]) for each in rendered.phases]
+        for spacing in (SPACING, 1):
+            dic = DisplacementTracker(DicParameters(spacing=spacing))
+            fields = [dic.step("bench", each.step, each.stamp, each.texture) for each in rendered.phases]
+            best = dict.fromkeys(("with", "without"), np.inf)
+            for words, phases in (("with", rendered.phases), ("without", bare)) * RUNS:
+                coupling = ShapeTracker(CouplingParameters())
+                coupling.set_calibration(rendered.rig)
+                for phase, field in zip(phases, fields, strict=True):
+                    coupling.step(phase, field)  # the last one measures the responses of the reference
+                begin = time.thread_time()
+                coupling.step(replace(phases[-1], step=2), fields[-1])
+                best[words] = min(best[words], 1e3 * (time.thread_time() - begin))
+            where = f"{name}, every {spacing} px: coupling step"
+            rows.append((f"{where} with its light, processor time", best["with"], None))
+            rows.append((f"{where}, over that without [1]", best["with"] / best["without"], None))
+    numba.set_num_threads(threads)
+    return rows
+
+
 def with_crack(cloud: xr.Dataset) -> xr.Dataset:
     """Open a crack of 300 px along the middle row of a displacement by 100 µm."""
     row, column = np.meshgrid(cloud.row.values, cloud.column.values, indexing="ij")
@@ -418,7 +446,7 @@ def main() -> None:
         }
     load = os.getloadavg()[0]  # of other programs: these figures alone depend on it
     times = f"{TIMES}, 1280x960, {numba.get_num_threads()} threads, load average before {load:.0f}"
-    tables[times] = time_rows(rendered)
+    tables[times] = time_rows(rendered) + light_rows()
     text = "\n\n".join(shown(title, rows) for title, rows in tables.items())
     print(text)
     if options.page is not None:

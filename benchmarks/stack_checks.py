@@ -13,6 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from datetime import date
+from itertools import pairwise
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -30,7 +31,7 @@ from fringedic.virtual_rig import FringeScene
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "validation" / "stack_checks.md"
 ROWS = 8  # of the projector's image: all are alike
-Exposures = Callable[[int], np.ndarray]
+DELAY_MS, EXPOSURE_MS = 80.0, 10.0
 
 
 @dataclass(frozen=True)
@@ -137,6 +138,20 @@ def lagging(trial: Trial) -> Faulty:
     return Faulty(np.array(frames), codes)
 
 
+def delayed(trial: Trial) -> Faulty:
+    """Frames follow irregularly and show what was projected 80 ms before: patterns late, the first ones dark."""
+    count = len(trial.images)
+    lights = [trial.scene.light(each) for each in (np.zeros_like(trial.images[0]), *trial.images)]
+    begins = np.cumsum(trial.random.uniform(15, trial.random.choice([20, 30, 60, 90]), count + 1))  # [ms]
+    seen = begins[:-1] + DELAY_MS
+    frames = []
+    for k, begin in enumerate(begins[:-1] + 5):
+        edges = [begin, *seen[(seen > begin) & (seen < begin + EXPOSURE_MS)], begin + EXPOSURE_MS]
+        parts = [(end - start) * lights[np.sum(seen <= start)] for start, end in pairwise(edges)]
+        frames.append(trial.scene.record(np.sum(parts, axis=0) / EXPOSURE_MS, k))
+    return Faulty(np.array(frames), {ErrorCode.WRONG_PATTERN, ErrorCode.FRAMES_OUT_OF_ORDER})
+
+
 def swapped(trial: Trial) -> Faulty:
     """Two frames are interchanged."""
     order = list(range(len(trial.images)))
@@ -201,6 +216,7 @@ FAULTS: dict[str, Callable[[Trial], Faulty]] = {
     "one frame with the pattern before": stale,
     "all frames late by one": late,
     "all frames with a part of the pattern before": lagging,
+    "projector late by 80 ms, frames every 15 to 90 ms": delayed,
     "two frames interchanged": swapped,
     "flicker of 3 to 15 %": flicker,
     "motion of 0.3 to 1.5 px across the image": motion,
@@ -224,7 +240,7 @@ def good_outcome(seed: int) -> str:
 
 def fault_outcome(name: str, seed: int) -> tuple[str, str]:
     """Return whether a fault was named, misnamed or missed, and the message."""
-    trial = Trial(seed, fewest_shifts=4 if FAULTS[name] in (flicker, motion, approach) else 3)
+    trial = Trial(seed, fewest_shifts=4 if FAULTS[name] in (delayed, flicker, motion, approach) else 3)
     fault = FAULTS[name](trial)
     codes, index, message = verdict(trial, fault.frames)
     if not message:
@@ -254,7 +270,7 @@ limits of the checks were set with scenes 0 to 99. Specimen on 10 to 100 % of th
 image, dark or lit background, gamma 1 to 2.4, noise 0.3 to 2.5 grey levels, 8 or 12 bits or real numbers, fringe
 contrast 0.35 to 0.95, texture 0 to 35 %, 3 to 12 shifts (4 or more above gamma 1.1), 2 to 8 pitches or a Gray code. No
 noise model is given. A remark counts as a false alarm; a message that the image saturates does not. Flicker and motions
-are injected into the finest fringes, of 4 shifts or more.*
+are injected into the finest fringes, of 4 shifts or more; with a late projector, all sequences have 4 or more.*
 
 False alarms: {alarms} of {good} good stacks (target: 0 of 1000).
 
