@@ -72,7 +72,7 @@ def _doubled(finding: Finding) -> str:
 def _missing(finding: Finding) -> str:
     return (
         f"frame {finding.frames[0]} is missing: it and all frames after it show the pattern of the frame after; the "
-        "camera or its driver dropped a frame"
+        f"camera or its driver dropped a frame, or {_LAG}"
     )
 
 
@@ -106,7 +106,7 @@ def _unrelated_pitch(finding: Finding) -> str:
             f"{words}: in the image their pitch is {finding.value:.3g} px if the other is right; the projector shows "
             "another pattern than recorded, or scales its image"
         )
-    return f"{words}: they are displaced; the projector shows other shifts than recorded, or frames are out of order"
+    return f"{words}: they are displaced; the projector shows other shifts than recorded, or {_LAG}"
 
 
 def _unidentified_frame(finding: Finding) -> str:
@@ -126,7 +126,7 @@ def _unidentified_frame(finding: Finding) -> str:
 def _code_disagrees(finding: Finding) -> str:
     return (
         f"Gray code and fringes disagree at {finding.value:.0%} of the image: the projector showed other patterns than "
-        "recorded, or frames were taken while they changed"
+        f"recorded, or {_LAG}"
     )
 
 

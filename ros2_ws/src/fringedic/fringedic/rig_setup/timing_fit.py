@@ -24,6 +24,7 @@ _WORTH = 40.0
 _OUTLIERS = 0.02  # share of the samples that may have any value, such as those of a delayed frame
 _RESOLUTION = 0.02  # of delays, over the exposure time
 _MOST_CELLS = 300
+_UNLIKELY = 1e-6  # likelihood of a delay over that of the best one
 _DIM = 0.2  # exposures between two pulses are too dark to locate the change
 _MARGIN = 0.03  # parts nearer to 0 or 1 count as dark or bright
 
@@ -193,7 +194,7 @@ class _Likelihood:
 
 
 def fit_changes(model: BrightnessModel, part: Array, noise: float) -> ChangesFit:
-    """Return the maximum-likelihood fit; the sigma of the delay follows from the curvature of the likelihood."""
+    """Return the maximum-likelihood fit; the delay and its sigma are mean and width of its likelihood."""
     likelihood = _Likelihood(model, part, noise)
     shortest = _RESOLUTION * model.exposure_time / 4
 
@@ -202,16 +203,29 @@ def fit_changes(model: BrightnessModel, part: Array, noise: float) -> ChangesFit
         return _best_delay(likelihood, cells, model.exposure_time)
 
     rise, fall, of_decay = _decays(with_decays, model.exposure_time)
-    least, found = with_decays(rise, fall)
-    delay = float(found[0])
+    _, found = with_decays(rise, fall)
     jitter = shortest + math.exp(float(found[1]))
     cells = np.vstack([likelihood.of_cells(0, rise), likelihood.of_cells(1, fall)])
-    step, worse = shortest, 0.0
-    while worse < 0.5 and step < 100 * model.exposure_time:
-        step *= 2.0
-        worse = float(likelihood.cost(cells, delay + np.array([step, -step]), jitter).mean()) - least
-    sigma = step / math.sqrt(2.0 * worse) if worse > 0.0 else math.nan
+    delay, sigma = _mean_and_sigma(likelihood, cells, jitter)
     return ChangesFit(delay, math.hypot(sigma, of_decay), jitter if jitter > 8 * shortest else 0.0, rise, fall)
+
+
+def _mean_and_sigma(likelihood: _Likelihood, cells: Array, jitter: float) -> tuple[float, float]:
+    """Return mean and standard deviation of the delay, distributed as its likelihood.
+
+    Exposures tell about the delay where they contain the change, and pulsing light is dark in between: the likelihood
+    has flat parts with steep ends, where the curvature at its maximum is far from its width.
+    """
+    first, last = float(likelihood.edges[0]), float(likelihood.edges[-1])
+    for _ in range(3):  # towards the delays that are likely
+        tried = np.linspace(first, last, _MOST_CELLS)
+        cost = likelihood.cost(cells, tried, jitter)
+        weight = np.exp(cost.min() - cost)
+        likely = np.flatnonzero(weight > _UNLIKELY)
+        first, last = float(tried[max(likely[0] - 1, 0)]), float(tried[min(likely[-1] + 1, len(tried) - 1)])
+    weight /= weight.sum()
+    mean = float(weight @ tried)
+    return mean, math.sqrt(float(weight @ (tried - mean) ** 2) + (tried[1] - tried[0]) ** 2 / 12)
 
 
 def _best_delay(likelihood: _Likelihood, cells: Array, exposure_time: float) -> tuple[float, Array]:

@@ -21,7 +21,13 @@ START = 1_700_000_000_000_000_000
 
 
 def frames(
-    projector: ProjectorConfiguration, *, changes: int = 80, reach: float = 9e-3, seed: int = 1, noise: float = 0.1
+    projector: ProjectorConfiguration,
+    *,
+    changes: int = 80,
+    reach: float = 9e-3,
+    seed: int = 1,
+    noise: float = 0.1,
+    exposure: float = EXPOSURE,
 ) -> TimingSamples:
     """Mean brightness of 4 dark and 110 bright grey levels, with noise, around each change and at rest."""
     random = np.random.default_rng(seed)
@@ -34,12 +40,12 @@ def frames(
         for since in (near, *random.uniform(0.1, 0.14, 3 if bright else 1)):
             since = max(since, 0.002)
             middle = shown[-1] + round(1e9 * since)
-            weights = pattern_weights(projector, seed, shown, middle - round(0.5e9 * EXPOSURE), EXPOSURE)
+            weights = pattern_weights(projector, seed, shown, middle - round(0.5e9 * exposure), exposure)
             # the latest pattern is bright or not, and those before it in turn
             lit = weights[::-1][0 if bright else 1 :: 2].sum()
             rows.append((since, 1e-9 * (middle - START), bright, 4.0 + 106.0 * lit + random.normal(0.0, noise)))
     since, stamp, lit, level = np.array(rows).T
-    return TimingSamples(since, stamp, lit > 0, level, EXPOSURE)
+    return TimingSamples(since, stamp, lit > 0, level, exposure)
 
 
 def assert_delay(timing: ProjectorTiming, delay_ms: float, largest_sigma_ms: float) -> None:
@@ -95,6 +101,17 @@ def test_errors_of_the_waveform_are_not_taken_for_a_slow_rise(seed: int) -> None
     )
     assert abs(1e3 * timing.delay - 37.0) < 4e3 * timing.delay_sigma, timing
     assert (timing.rise, timing.fall) == (0.0, 0.0)
+
+
+def test_the_uncertainty_of_the_delay_covers_the_dark_between_pulses() -> None:
+    """Few exposures of 1 ms contain the change and a pulse; without one, a delay is as likely as its neighbours."""
+    projector = ProjectorConfiguration(delay_ms=37.0, refresh_hz=60.0, refresh_duty=0.5)
+    found = [
+        measure_timing(frames(projector, changes=60, seed=seed, noise=1.0, exposure=1e-3)) for seed in range(100, 116)
+    ]
+    scores = np.array([(timing.delay - 0.037) / timing.delay_sigma for timing in found])
+    assert 0.6 < np.sqrt(np.mean(scores**2)) < 1.5, scores.round(1)
+    assert np.median([timing.delay_sigma for timing in found]) < 0.4e-3
 
 
 def test_jitter_is_not_taken_for_a_slow_rise() -> None:
