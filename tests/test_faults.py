@@ -216,6 +216,7 @@ def test_camera_that_was_killed_and_started_again(rig: Rig) -> None:
     rig.running.restart("camera")
 
     def works() -> bool:
+        rig.running.check()
         try:
             rig.measure()
         except StepFailedError:  # the new node is starting, and the graph still lists the one that was killed

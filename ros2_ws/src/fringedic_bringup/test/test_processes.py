@@ -127,6 +127,22 @@ def test_shared_memory_in_use_is_left_alone_and_the_rest_removed() -> None:
             path.unlink(missing_ok=True)
 
 
+def test_the_port_of_a_killed_node_stays_for_its_successor_while_its_domain_is_used() -> None:
+    killed, other = (SHARED_MEMORY / f"fastrtps_port{7400 + 250 * 225 + number}" for number in (10, 12))
+    try:
+        for path in (killed, other):
+            path.write_bytes(b"port")
+        with other.open("r+b") as file, mmap.mmap(file.fileno(), 0):
+            remove_stale_segments()
+            assert killed.exists()
+        remove_stale_segments()
+        assert not killed.exists()
+        assert not other.exists()
+    finally:
+        for path in (killed, other):
+            path.unlink(missing_ok=True)
+
+
 def test_nodes_listen_to_this_computer_alone(tmp_path: Path) -> None:
     graph = Graph("rig", (NodeEntry("coupling", "coupling_node", "coupling"),))
     with private_domain() as domain, RunningGraph(graph, tmp_path, domain=domain) as running:

@@ -45,6 +45,7 @@ def node_environment(domain: int | None = None) -> dict[str, str]:
         "OPENBLAS_NUM_THREADS": "1",
         "MKL_NUM_THREADS": "1",
         "PYTHONUNBUFFERED": "1",
+        "PYTHONFAULTHANDLER": "1",  # a crash of compiled code is found in the log
         "RCUTILS_COLORIZED_OUTPUT": "0",
     }
     # memory that a process keeps between steps need not be cleared again by the kernel
@@ -99,7 +100,9 @@ def remove_stale_segments() -> set[str]:
 
     Killed processes leave their segments behind, others their ports. A segment is in use when a process has mapped it
     or locked one of its files (``_el``: exclusively, ``_sl``: shared). It is removed when it is unused twice in
-    succession, because a process maps a new segment only after it was created.
+    succession, because a process maps a new segment only after it was created. A node that is started again opens the
+    port of its predecessor, and nobody would hear it on a removed one: the ports of a domain stay as long as a process
+    uses one of them.
     """
     stale = _unused_segments()
     if stale:
@@ -113,9 +116,22 @@ def remove_stale_segments() -> set[str]:
 def _unused_segments() -> dict[Path, str]:
     """Return the files of this user's segments that no process has mapped or locked, with the names of the segments."""
     files = [(found, path) for path in SHARED_MEMORY.iterdir() if (found := _SEGMENT.fullmatch(path.name))]
-    names = {found["name"] for found, _ in files} - mapped_segments()
-    names -= {found["name"] for found, path in files if found["lock"] and _is_locked(path)}
-    return {path: found["name"] for found, path in files if found["name"] in names and _is_mine(path)}
+    mapped = mapped_segments()
+    domains = {_domain_of(name) for name in mapped} - {None}
+    unmapped = [
+        (found, path)
+        for found, path in files
+        if found["name"] not in mapped and _domain_of(found["name"]) not in domains and _is_mine(path)
+    ]
+    # only these are tried: a process that starts must find its own locks free
+    locked = {found["name"] for found, path in unmapped if found["lock"] and _is_locked(path)}
+    return {path: found["name"] for found, path in unmapped if found["name"] not in locked}
+
+
+def _domain_of(name: str) -> int | None:
+    """Return the ROS domain of a port (DDS-RTPS 2.5, 9.6.2.3); None for the memory of a process."""
+    port = name.removeprefix("fastrtps_port")
+    return (int(port) - 7400) // 250 if port != name else None
 
 
 def mapped_segments() -> set[str]:
