@@ -13,11 +13,15 @@ from experiment_node.load_watch import LoadWatch
 from experiment_node.running_step import RunningStep
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic_msgs.action import MeasureStep
+from fringedic_msgs.msg import ReferencePlane
 from fringedic_msgs.srv import CaptureFrame, ShowPattern
+from fringedic_ros.qos import LATCHED
 from fringedic_ros.stamps import to_nanoseconds
 
 Result = MeasureStep.Result
 AGAIN_S = 1.0
+PLACED_S = 2.0  # longest wait for the state of a stage, which an inactive one does not publish
+PLACE = "reference_plane/state"
 CAPTURE_ERRORS = {
     CaptureFrame.Request.CAMERA_TIMEOUT: Result.CAMERA_TIMEOUT,
     CaptureFrame.Request.CAMERA_FAILED: Result.CAMERA_FAILED,
@@ -38,7 +42,8 @@ class FrameTaker:
     Attributes
     ----------
     placed
-        Stamp of `reference_plane/state` for the object in front of the camera; the camera waits for that message.
+        Stamp of the latest `reference_plane/state`, of the object in front of the camera: the camera waits for that
+        message, which it may receive later than this node.
     """
 
     def __init__(self, node: Node, load: LoadWatch) -> None:
@@ -47,13 +52,17 @@ class FrameTaker:
         self._load = load
         self._show = node.create_client(ShowPattern, "projector/show")
         self._capture = node.create_client(CaptureFrame, "camera/capture")
+        node.create_subscription(ReferencePlane, PLACE, self._take_place, LATCHED)
 
     def servers(self) -> list[int]:
         """Return how many servers of each service are known."""
         return [self._node.count_services(client.srv_name) for client in (self._show, self._capture)]
 
+    def _take_place(self, message: ReferencePlane) -> None:
+        self.placed = message.header.stamp
+
     async def await_responses(self, step: RunningStep, parameters: ExperimentParameters) -> None:
-        """Wait until projector and camera have discovered this node, so that no response is lost.
+        """Wait until projector and camera have discovered this node, and this node the stage: nothing is lost then.
 
         Raises
         ------
@@ -68,6 +77,9 @@ class FrameTaker:
             await step.goal.call(
                 client, request, parameters.start_timeout_s, code, "before the first frame", again_s=AGAIN_S
             )
+        end = time.monotonic() + PLACED_S
+        while self._node.count_publishers(PLACE) and not to_nanoseconds(self.placed) and time.monotonic() < end:
+            await step.goal.pause(0.05)
 
     async def show(self, step: RunningStep, pattern: ProjectedPattern, parameters: ExperimentParameters) -> Time:
         """Show a pattern and return the stamp of it.

@@ -36,6 +36,7 @@ from fringedic_msgs.msg import (
     NodeStatus,
     RecorderStatus,
     Reference,
+    ReferencePlane,
     RigCalibration,
     StepStatus,
 )
@@ -137,8 +138,8 @@ class Rig(Peer):
         if self.capture_error:
             response.error_code, response.error_message = self.capture_error, "no frame"
             return response
-        self.capturing = request.index < request.count - 1
         start = self.time(passed_ns=1) - 3_000_000_000 * (request.index == self.jump_before)
+        self.capturing = request.index < request.count - 1
         self.clock_ns += EXPOSURE_NS
         exposure = Exposure(
             experiment=request.experiment,
@@ -600,6 +601,17 @@ def test_absent_node_is_named(rig: Rig) -> None:
     assert "coupling/status" in failed.error_message
     rig.statuses["coupling"] = rig.create_publisher(NodeStatus, "coupling/status", EVENTS)
     assert rig.step().error_code == Result.NONE
+
+
+def test_the_camera_waits_for_what_the_stage_has_placed(rig: Rig) -> None:
+    stage = rig.create_publisher(ReferencePlane, "reference_plane/state", LATCHED)
+    state = ReferencePlane(kind=ReferencePlane.PLANE)
+    state.header.stamp = to_msg(rig.time())
+    stage.publish(state)
+    rig.wait(stage.get_subscription_count, "the experiment node")
+    assert rig.step().error_code == Result.NONE
+    assert {to_nanoseconds(each.placed) for each in rig.captured[-FRAMES:]} == {to_nanoseconds(state.header.stamp)}
+    rig.destroy_publisher(stage)
 
 
 def test_results_that_would_not_reach_the_next_node_are_waited_for(rig: Rig) -> None:
