@@ -96,6 +96,12 @@ def render(twin: VirtualRig, travel: float = 0.2, pitch: float = PITCH, shifts: 
     )
 
 
+def displacements(rendered: Rendered, spacing: int) -> list[DicResult]:
+    """Correlate the textures of both steps again, at points of a spacing [px]."""
+    tracker = DisplacementTracker(DicParameters(spacing=spacing))
+    return [tracker.step("bench", each.step, each.stamp, each.texture) for each in rendered.phases]
+
+
 def finer_rows() -> list[Row]:
     """Return the raw figures of the plate from as many frames with a finer pitch and more shifts of it."""
     rendered = render(VirtualRig.from_preset("plate", seed=SEED), pitch=FINER, shifts=MORE_SHIFTS)
@@ -345,8 +351,7 @@ def light_rows() -> list[Row]:
         rendered = render(VirtualRig.from_preset(name, seed=SEED), LIGHT_TRAVEL)
         bare = [replace(each, maps=each.maps[["phase", "sigma"]]) for each in rendered.phases]
         for spacing in (SPACING, 1):
-            dic = DisplacementTracker(DicParameters(spacing=spacing))
-            fields = [dic.step("bench", each.step, each.stamp, each.texture) for each in rendered.phases]
+            fields = displacements(rendered, spacing)
             best = dict.fromkeys(("with", "without"), np.inf)
             for words, phases in (("with", rendered.phases), ("without", bare)) * RUNS:
                 coupling = ShapeTracker(CouplingParameters())

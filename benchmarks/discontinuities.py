@@ -16,12 +16,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import xarray as xr
 from correlation_study.scenes import Speckle, camera
-from coupling import PITCH, STRAIN_WINDOW, Rendered, render
+from coupling import PITCH, STRAIN_WINDOW, displacements, render
 
 from fringedic.correlation import measure_displacement
 from fringedic.rig.model import RigModel
-from fringedic.steps.displacement_tracker import DisplacementTracker
-from fringedic.steps.parameters import DicParameters
 from fringedic.surface import couple, surface_strain
 from fringedic.surface.discontinuities import find_discontinuities
 from fringedic.virtual_rig import VirtualRig
@@ -45,18 +43,12 @@ def surface_rows() -> Iterator[str]:
         for seed in SEEDS:
             rendered = render(VirtualRig.from_preset(name, seed=seed), TRAVEL)
             for spacing in SPACINGS:
-                cloud = couple(*rendered.shapes(), in_plane(rendered, spacing), calibration=rendered.rig, z_filter=2.0)
+                field = displacements(rendered, spacing)[1].field
+                cloud = couple(*rendered.shapes(), field, calibration=rendered.rig, z_filter=2.0)
                 measured = np.isfinite(cloud.u.values)
                 found = find_discontinuities(cloud)[measured].mean()
                 without = np.isnan(surface_strain(cloud, window=STRAIN_WINDOW).e_11.values[measured]).mean()
                 yield f"| {name}, {seed} | {spacing} px | {100 * found:.3f} | {100 * without:.1f} |"
-
-
-def in_plane(rendered: Rendered, spacing: int) -> xr.Dataset:
-    """Return the displacement of the second step at points of a spacing [px]."""
-    tracker = DisplacementTracker(DicParameters(spacing=spacing))
-    *_, last = (tracker.step("bench", each.step, each.stamp, each.texture) for each in rendered.phases)
-    return last.field
 
 
 def crack_rows() -> Iterator[str]:

@@ -65,7 +65,7 @@ class Readiness:
         """Check all connections again before the next step: a node has started."""
         self._graph_changed, self._connected_at = True, time.monotonic()
 
-    async def await_nodes(self, step: RunningStep, parameters: ExperimentParameters, witness: str = "") -> None:
+    async def await_nodes(self, step: RunningStep, parameters: ExperimentParameters, witness: str) -> None:
         """Wait until all nodes of a step are connected, once per experiment and after each change of the graph.
 
         A message that is published before a node is connected never reaches that node.

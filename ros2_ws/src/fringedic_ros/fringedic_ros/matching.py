@@ -38,8 +38,16 @@ def discovered_readers(node: Node, topic: str) -> str:
     return " ".join(sorted(bytes(each.endpoint_gid).hex() for each in found))
 
 
-def participant_of(endpoint: TopicEndpointInfo) -> bytes:
-    """Return what identifies the process of a publisher or subscription."""
+def is_read_by(node: Node, topic: str, witness: str) -> bool:
+    """Return whether a process that publishes the topic `witness` subscribes to `topic`, as `node` has discovered them.
+
+    Processes are known earlier than the names of their nodes.
+    """
+    witnesses = {_participant(each) for each in node.get_publishers_info_by_topic(witness)}
+    return any(_participant(each) in witnesses for each in node.get_subscriptions_info_by_topic(topic))
+
+
+def _participant(endpoint: TopicEndpointInfo) -> bytes:
     return bytes(endpoint.endpoint_gid[:_PREFIX])
 
 
@@ -101,7 +109,7 @@ class Matching:
                 for topic, count, readers in answered
                 if count < self._known_readers(topic)
                 or readers != discovered_readers(self._node, topic)
-                or not self._is_witnessed(topic)
+                or (self._witness and not is_read_by(self._node, topic, self._witness))
             ]
             self._asked[name] = (None, time.monotonic())
             return
@@ -111,13 +119,6 @@ class Matching:
             client.remove_pending_request(future)
         if client.service_is_ready():
             self._asked[name] = (client.call_async(CountReaders.Request(topics=topics)), time.monotonic())
-
-    def _is_witnessed(self, topic: str) -> bool:
-        """Return whether the witness reads a topic; processes are known earlier than the names of their nodes."""
-        if not self._witness:
-            return True
-        witnesses = {participant_of(each) for each in self._node.get_publishers_info_by_topic(self._witness)}
-        return any(participant_of(each) in witnesses for each in self._node.get_subscriptions_info_by_topic(topic))
 
     def _known_readers(self, topic: str) -> int:
         return sum(each.node_name in self._readers for each in self._node.get_subscriptions_info_by_topic(topic))

@@ -213,8 +213,8 @@ def fit_changes(model: BrightnessModel, part: Array, noise: float) -> ChangesFit
 def _mean_and_sigma(likelihood: _Likelihood, cells: Array, jitter: float) -> tuple[float, float]:
     """Return mean and standard deviation of the delay, distributed as its likelihood.
 
-    Exposures tell about the delay where they contain the change, and pulsing light is dark in between: the likelihood
-    has flat parts with steep ends, where the curvature at its maximum is far from its width.
+    Only exposures that contain the change and light locate it, and between pulses it is dark: the likelihood has flat
+    parts with steep ends, whose width the curvature at the maximum does not give.
     """
     first, last = float(likelihood.edges[0]), float(likelihood.edges[-1])
     for _ in range(3):  # towards the delays that are likely

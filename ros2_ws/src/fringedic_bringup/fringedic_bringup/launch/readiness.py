@@ -11,7 +11,7 @@ from rclpy.node import Node
 from experiment_node.topics import DERIVED_TOPICS, RAW_TOPICS
 from fringedic.errors import StepFailedError
 from fringedic_msgs.msg import NodeParameters, RecorderStatus
-from fringedic_ros.matching import participant_of
+from fringedic_ros.matching import is_read_by
 from fringedic_ros.qos import LATCHED, LATCHED_BY_MANY
 from fringedic_ros.stamps import to_nanoseconds
 
@@ -97,11 +97,6 @@ class Readiness:
         """
         return int(self._node.count_services(self._node.resolve_service_name(f"{name}/get_parameters")))
 
-    def _is_recorded(self, topic: str) -> bool:
-        statuses = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name("recorder/status"))
-        recorders = {participant_of(each) for each in statuses}
-        return any(participant_of(each) in recorders for each in self._node.get_subscriptions_info_by_topic(topic))
-
     def _unrecorded(self) -> list[str]:
         """Return the topics that have a publisher and that the recorder has not subscribed to yet."""
         if self._recorder is not None and self._recorder.state == RecorderStatus.FAILED:
@@ -109,8 +104,9 @@ class Readiness:
         if self._recorder is None or self._recorder.state != RecorderStatus.RECORDING:
             return ["everything"]
         names = (*RAW_TOPICS, *(DERIVED_TOPICS if self._recorder.derived else ()))
-        topics = [self._node.resolve_topic_name(name) for name in names]
-        return [topic for topic in topics if self._node.count_publishers(topic) and not self._is_recorded(topic)]
+        recorder, *topics = (self._node.resolve_topic_name(name) for name in ("recorder/status", *names))
+        published = (topic for topic in topics if self._node.count_publishers(topic))
+        return [topic for topic in published if not is_read_by(self._node, topic, recorder)]
 
     def _take_recorder(self, message: RecorderStatus) -> None:
         self._recorder = message
