@@ -19,12 +19,12 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def _load_exact_images() -> ModuleType:
-    """Import the images of the tests.
+def load_test(file: str) -> ModuleType:
+    """Import a file of the tests of the library, for the exactly known images and light in it.
 
     Numba's cached loops refer to their module by its name. It is that of the tests, which share them.
     """
-    path = ROOT / "ros2_ws" / "src" / "fringedic" / "test" / "conftest.py"
+    path = ROOT / "ros2_ws" / "src" / "fringedic" / "test" / file
     name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
     spec = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(spec)
@@ -33,7 +33,7 @@ def _load_exact_images() -> ModuleType:
     return module
 
 
-_EXACT = _load_exact_images()
+_EXACT = load_test("conftest.py")
 Speckle, camera = _EXACT.Speckle, _EXACT.camera
 
 Motion = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
