@@ -6,7 +6,9 @@ as it is triggered, without waiting for the end of an exposure.
 
 from __future__ import annotations
 
+import socket
 import struct
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -178,6 +180,41 @@ def test_stream_of_a_region_is_complete_and_evenly_stamped() -> None:
         assert clock is not None
         assert clock.samples == 4
         assert opened.expose(SCENE).image.shape == (240, 320)
+
+
+@contextmanager
+def busy_network() -> Iterator[None]:
+    """Send the header of DDS messages to another program on this network all the time."""
+    ended = threading.Event()
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver,
+    ):
+        receiver.bind((FakeCamera.address, 0))
+
+        def send() -> None:
+            while not ended.wait(0.0005):
+                sender.sendto(b"RTPS\x02\x02\x01\x0f", receiver.getsockname())
+
+        thread = threading.Thread(target=send)
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()
+
+
+@pytest.mark.usefixtures("camera")
+def test_packets_of_other_programs_are_not_those_of_the_camera() -> None:
+    with busy_network():
+        for _ in range(5):
+            with driver(region=SMALL_REGION) as opened:
+                opened.start(60.0)
+                for _ in range(3):
+                    assert_complete(opened.expose(SCENE).image)
+                assert opened.dropped == 0
+                assert not any(opened.counts.values()), opened.counts
 
 
 @pytest.mark.parametrize(

@@ -19,14 +19,6 @@ from fringedic.recording.clocks import ClockEstimate, DeviceClock
 
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 8.0  # between two attempts to find a lost camera
 _ATTEMPTS = 3  # to take a frame of which packets are lost, while its pattern is on the screen
-# counts of the receiver of a GigE Vision camera: name in the diagnostics, and name in Aravis
-_COUNTED = {
-    "packets_lost": "n_missing_packets",
-    "packets_asked_for_again": "n_resend_requests",
-    "packets_resent": "n_resent_packets",
-    "frames_incomplete": "n_failures",
-    "packets_without_buffer": "n_underruns",
-}
 _PIXEL_FORMATS = {name: f"PIXEL_FORMAT_MONO_{name.removeprefix('Mono')}" for name in PIXEL_TYPES}
 
 
@@ -82,10 +74,7 @@ class AravisDriver:
     @property
     def counts(self) -> Mapping[str, int]:
         """Losses between camera and computer since the camera was connected."""
-        connection = self._connection
-        if connection is None or not connection.camera.is_gv_device():
-            return {}
-        return {name: connection.stream.get_info_uint64_by_name(key) for name, key in _COUNTED.items()}
+        return {} if self._connection is None else self._connection.counts()
 
     def start(self, rate_hz: float) -> None:
         """Start to expose at a rate [Hz]; `expose` then returns one frame after the other.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -12,6 +13,18 @@ from fringedic.errors import CameraError
 from fringedic.recording.clocks import DeviceClock
 
 _BUFFERS = 16  # frames that may wait in this process: half a second at 30 frames/s
+# A stream that may read packets of the network card receives those of all programs for some milliseconds, until its
+# filter is set, and takes them for parts of a frame. It reads them within 5 ms, and drops them as long as it has no
+# buffers.
+_OTHER_PACKETS_S = 0.1
+# counts of the receiver of a GigE Vision camera: name in the diagnostics, and name in Aravis
+_COUNTED = {
+    "packets_lost": "n_missing_packets",
+    "packets_asked_for_again": "n_resend_requests",
+    "packets_resent": "n_resent_packets",
+    "frames_incomplete": "n_failures",
+    "packets_without_buffer": "n_underruns",
+}
 _LARGEST_DEVIATION = 0.05  # of the exposure time that a camera sets, relative to the requested one
 
 
@@ -43,6 +56,19 @@ class AravisConnection:
     clocks: dict[float, DeviceClock] = field(default_factory=dict)
     last_frame: int | None = None
     running: bool = False
+    _counted_before: dict[str, int] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._counted_before = self._counted()
+
+    def counts(self) -> dict[str, int]:
+        """Return the losses between camera and computer since the camera was connected; none of USB3 Vision."""
+        return {name: count - self._counted_before[name] for name, count in self._counted().items()}
+
+    def _counted(self) -> dict[str, int]:
+        if not self.camera.is_gv_device():
+            return {}
+        return {name: self.stream.get_info_uint64_by_name(key) for name, key in _COUNTED.items()}
 
     @property
     def lost(self) -> bool:
@@ -117,9 +143,12 @@ def connect(aravis: Aravis, settings: AravisSettings) -> AravisConnection:
         ask("packet size", lambda: _set_packet_size(camera, settings.packet_size))
     set_trigger(aravis, camera, settings)
     stream = ask("stream", lambda: camera.create_stream(None, None))
+    if camera.is_gv_device():
+        time.sleep(_OTHER_PACKETS_S)
+    connection = AravisConnection(camera, stream, settings.exposure_time, exposure_time, automatic)
     for _ in range(_BUFFERS):
         stream.push_buffer(aravis.module.Buffer.new_allocate(camera.get_payload()))
-    return AravisConnection(camera, stream, settings.exposure_time, exposure_time, automatic)
+    return connection
 
 
 def set_trigger(aravis: Aravis, camera: Any, settings: AravisSettings) -> None:
