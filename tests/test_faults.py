@@ -31,6 +31,8 @@ from fringedic_ros.images import image_message
 from fringedic_ros.qos import IMAGES
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 
+AHEAD_NS = 60_000_000_000  # [ns] of frames of another node
+
 
 class Rig:
     """A running tiny virtual rig and its client."""
@@ -61,7 +63,8 @@ class Rig:
                 done.append(mine[-1])
                 record = mine[-1]
                 record.index = index
-                stamp = to_nanoseconds(record.header.stamp) + 1000
+                # later than the real frames that may overtake it: of frames that wait, those older than a pair are lost
+                stamp = to_nanoseconds(record.header.stamp) + AHEAD_NS
                 record.header.stamp = to_msg(stamp)
                 self.images.publish(image_message(image, stamp_ns=stamp, frame_id="camera_optical_frame"))
                 self.records.publish(record)
