@@ -6,6 +6,7 @@ import ipaddress
 import shutil
 import signal
 import threading
+import time
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from fringedic.page.server import Address
 
 LOCAL, PORT, FOXGLOVE_PORT = "127.0.0.1", 8090, 8765
+LOOK_S = 0.5  # between two looks for Ctrl-C
 Port = Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")]
 Host = Annotated[str, typer.Option("--address", help="Address of this computer at which the page is served.")]
 Certificate = Annotated[Path | None, typer.Option(help="TLS certificate (PEM).")]
@@ -60,7 +62,8 @@ def view_page(bag: Path, place: Address) -> None:
         server = PageServer(RecordedRig(bag), place)
         try:
             announce(place, "see the recording")
-            threading.Event().wait()
+            while True:  # a signal that comes just before a wait is noticed at the end of the wait
+                time.sleep(LOOK_S)
         finally:
             server.close()
 
