@@ -65,7 +65,9 @@ class Readiness:
         """Check all connections again before the next step: a node has started."""
         self._graph_changed, self._connected_at = True, time.monotonic()
 
-    async def await_nodes(self, step: RunningStep, parameters: ExperimentParameters, witness: str) -> None:
+    async def await_nodes(
+        self, step: RunningStep, parameters: ExperimentParameters, witness: Callable[[], str]
+    ) -> None:
         """Wait until all nodes of a step are connected, once per experiment and after each change of the graph.
 
         A message that is published before a node is connected never reaches that node.
@@ -77,7 +79,7 @@ class Readiness:
         parameters
             Of the experiment.
         witness
-            Topic of a recorder of results; empty without one.
+            Returns the topic of a recorder of results; empty while there is none.
 
         Raises
         ------
@@ -127,7 +129,7 @@ class Readiness:
         return [self._node.count_subscribers(topic) for topic in _QUIET_TOPICS] + self._frames.servers()
 
     async def reach_readers(
-        self, goal: ActiveGoal, nodes: Collection[str], timeout_s: float, witness: str = ""
+        self, goal: ActiveGoal, nodes: Collection[str], timeout_s: float, witness: Callable[[], str] = lambda: ""
     ) -> None:
         """Wait until the publishers of these nodes are connected to all readers of their topics, see `Matching`.
 

@@ -147,11 +147,8 @@ class StepRunner:
         if not self.readiness.is_outdated(step):
             return
         await self._recorder.await_start(step, parameters)
-        try:
-            await self.readiness.await_nodes(step, parameters, RECORDER if self._recorder.records_results else "")
-        except StepFailure:
-            self._recorder.check(parameters)  # one that stopped meanwhile reads nothing: its reason comes first
-            raise
+        await self.readiness.await_nodes(step, parameters, lambda: RECORDER if self._recorder.records_results else "")
+        self._recorder.check(parameters)  # it may have stopped meanwhile
         await step.goal.wait_polling(
             lambda: self._steps.get_subscription_count() >= self._node.count_subscribers("experiment/step"),
             parameters.start_timeout_s,

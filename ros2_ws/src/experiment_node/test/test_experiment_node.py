@@ -591,6 +591,25 @@ def test_no_step_without_the_recorder(rig: Rig) -> None:
     assert "disk full" in stopped.error_message
 
 
+def test_a_recorder_of_results_that_stops_is_no_longer_waited_for(rig: Rig) -> None:
+    """Its disk is full before it reads the results."""
+    rig.change(recording_required=True, start_timeout_s=600.0)
+    rig.publish_recorder(RecorderStatus.IDLE)
+    assert rig.recorder is not None
+    rig.recorder.publish(RecorderStatus(state=RecorderStatus.RECORDING, derived=True))
+    rig.taken(rig.recorder)
+    rig.destroy_publisher(rig.statuses.pop("phase"))  # a change makes the experiment node check all connections again
+    rig.statuses["phase"] = rig.create_publisher(NodeStatus, "phase/status", EVENTS)
+    rig.wait(rig.statuses["phase"].get_subscription_count, "the experiment node")
+    begun, running = len(rig.captured), rig.request()
+    rig.serve(2.5)
+    assert len(rig.captured) == begun
+    rig.publish_recorder(RecorderStatus.FAILED)
+    stopped = rig.result(running)[1]
+    assert (stopped.error_code, len(rig.captured)) == (Result.DISK_FULL, begun)
+    rig.change(start_timeout_s=START_TIMEOUT)
+
+
 def test_absent_node_is_named(rig: Rig) -> None:
     rig.change(start_timeout_s=1.0)
     rig.destroy_publisher(rig.statuses.pop("coupling"))

@@ -7,7 +7,7 @@ connected; the node that publishes reports it on request.
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 
 from rclpy.node import Node
 from rclpy.task import Future
@@ -74,16 +74,16 @@ class Matching:
         self._clients = {name: node.create_client(CountReaders, f"{name}/count_readers") for name in self._topics}
         self._asked: dict[str, tuple[Future | None, float]] = {}
         self._missing: dict[str, list[str]] = {}
-        self._witness = ""
         self.forget()
 
-    def forget(self, witness: str = "") -> None:
+    def forget(self, witness: Callable[[], str] = lambda: "") -> None:
         """Start again: the graph has changed.
 
         Parameters
         ----------
         witness
-            Name of a topic whose publisher has to read all topics, such as that of a recorder; empty when none has to.
+            Returns the name of a topic whose publisher has to read all topics, such as that of a recorder; empty when
+            none has to, or no longer.
         """
         self._witness = witness
         for name, (future, _) in self._asked.items():
@@ -103,13 +103,14 @@ class Matching:
         client, topics = self._clients[name], self._topics[name]
         future, since = self._asked.get(name, (None, 0.0))
         if future is not None and future.done() and future.result() is not None:
+            witness = self._witness()
             answered = zip(topics, future.result().counts, future.result().readers, strict=True)
             self._missing[name] = [
                 topic
                 for topic, count, readers in answered
                 if count < self._known_readers(topic)
                 or readers != discovered_readers(self._node, topic)
-                or (self._witness and not is_read_by(self._node, topic, self._witness))
+                or (witness and not is_read_by(self._node, topic, witness))
             ]
             self._asked[name] = (None, time.monotonic())
             return

@@ -94,13 +94,22 @@ def test_a_recorder_of_results_that_does_not_read_them_yet_is_waited_for(peer: P
     matching = Matching(peer, {"phase": ["phase/map"]}, ("recorder",))
     peer.wait(lambda: peer.count_publishers("recorder/status"), "the recorder")
     peer.wait(lambda: not matching.unmatched(["phase"]), "the answer about a topic without readers")
-    matching.forget("recorder/status")
+    witness = ["recorder/status"]
+    matching.forget(lambda: "".join(witness))
     deadline = time.monotonic() + 1.0
     while time.monotonic() < deadline:
         assert matching.unmatched(["phase"]) == ["/phase/map"]
         peer.serve(0.05)
     recorder.create_subscription(Empty, "phase/map", lambda _: None, EVENTS)
     peer.wait(lambda: not matching.unmatched(["phase"]), "the recorder, which reads the topic now")
+    recorder.destroy_subscription(next(iter(recorder.subscriptions)))
+    matching.forget(lambda: "".join(witness))
+    peer.wait(lambda: not peer.count_subscribers("phase/map"), "the end of the subscription")
+    matching.unmatched(["phase"])
+    peer.serve(0.3)
+    assert matching.unmatched(["phase"]) == ["/phase/map"]
+    witness.clear()
+    peer.wait(lambda: not matching.unmatched(["phase"]), "the end of the wait for a recorder that has stopped")
     recorder.destroy_node()
     rclpy.try_shutdown(context=context)
     phase.destroy_node()
