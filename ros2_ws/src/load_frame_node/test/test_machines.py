@@ -26,6 +26,7 @@ from fringedic.errors import ConfigurationError, CrossheadRangeError, MachineErr
 from fringedic_msgs.action import MoveCrosshead
 from fringedic_msgs.msg import ClockDrift, LoadState
 from fringedic_ros.qos import LATCHED, STATE
+from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
 from load_frame_node.machines import LoadMode, Machine, Sample, load_machine, open_machine
 from load_frame_node.machines.machine import Motion
@@ -296,8 +297,14 @@ class Operator(Peer):
         return self.ask(self._hold, Trigger.Request(), "the hold")
 
     def until(self, mode: int) -> LoadState:
-        self.states.clear()
-        self.wait(lambda: self.states and self.states[-1].mode == mode, f"mode {mode}")
+        """Return a sample of this mode that was taken from now on; earlier ones may still be on their way."""
+        begin = time.time_ns()
+
+        def is_there() -> bool:
+            latest = self.states[-1] if self.states else LoadState()
+            return latest.mode == mode and to_nanoseconds(latest.header.stamp) > begin
+
+        self.wait(is_there, f"mode {mode}")
         return self.states[-1]
 
 
