@@ -86,6 +86,7 @@ class FakeCamera:
         command = ["arv-fake-gv-camera-0.8", "-i", self.address, "-r", str(lost_per_thousand)]
         if description is not None:
             command += ["-g", str(description)]
+        assert not _port_is_open(), "another camera listens on this computer; end it"
         self._process = subprocess.Popen(command)
         deadline = time.monotonic() + 30
         while not _port_is_open():
