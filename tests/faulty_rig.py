@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -19,6 +20,7 @@ from fringedic.recording.reader import BagReader
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_msgs.action import MeasureStep, MoveCrosshead
+from fringedic_ros.stamps import to_nanoseconds
 
 FRAMES = 12
 MM = 1e-3
@@ -100,12 +102,11 @@ class Rig:
         assert "load_frame/hold stopped the move" in result.error_message
 
     def holds(self) -> bool:
-        """Return whether the machine publishes that it does not move."""
-        self.client.sleep(0.1)  # receives the earlier samples
-        before = self.client.load
+        """Return whether the machine publishes that it does not move; samples from before may still be on their way."""
+        begin = time.time_ns()
         self.client.sleep(0.1)
         load = self.client.load
-        return load is not None and load is not before and load.mode in (load.HOLD, load.IDLE)
+        return load is not None and to_nanoseconds(load.header.stamp) > begin and load.mode in (load.HOLD, load.IDLE)
 
 
 @contextmanager

@@ -85,7 +85,7 @@ def test_second_controller(rig: Rig) -> None:
                 sent.add_done_callback(lambda _: refusals.append(sent.result().get_result_async()))
 
         assert rig.client.measure(feedback=interfere).valid_fraction > WORKING
-        rig.client.wait_for(lambda: bool(refusals) and refusals[0].done(), 10.0, lambda: "the refusal")
+        rig.client.wait_for(lambda: bool(refusals) and refusals[0].done(), 60.0, lambda: "the refusal")
     result = refusals[0].result().result
     assert result.error_code == MeasureStep.Result.BUSY
     assert "is being measured for tension; fatigue has to wait" in result.error_message

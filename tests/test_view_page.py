@@ -151,7 +151,7 @@ def test_cloud_is_drawn_and_turns(page: Page) -> None:
     before = page.evaluate(script)
     page.focus("#space")
     page.keyboard.press("ArrowRight")
-    wait_until(lambda: page.evaluate(script) != before, "another picture", 5)
+    wait_until(lambda: page.evaluate(script) != before, "another picture")
 
 
 def test_curve_of_force_and_position_shows_every_step(page: Page, dataset: xr.Dataset) -> None:

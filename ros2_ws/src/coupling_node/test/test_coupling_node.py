@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -81,7 +82,7 @@ class CouplingBench(Bench):
 
     def publish_calibration(self) -> None:
         self.calibrations.publish(calibration_message(self.calibration, stamp_ns=1, frame_id="reference_plane"))
-        self.serve(0.2)
+        self.taken()
 
     def send_status(self, name: str, experiment: str, step: int, error_code: int = NodeStatus.NONE) -> None:
         status = NodeStatus(node=name, experiment=experiment, step=step, error_code=error_code, frames=16)
@@ -125,6 +126,7 @@ class CouplingBench(Bench):
 
     def assert_identical(self, result: CouplingResult) -> None:
         for heard, fields in ((self.shape, result.shape), (self.displacement, result.displacement)):
+            self.wait(partial(of_stamp, heard, result.stamp), "the clouds")
             (message,) = of_stamp(heard, result.stamp)
             assert message.header.frame_id == "reference_plane"
             clouds = cloud_arrays(message)
@@ -266,7 +268,7 @@ def test_reference_of_the_following_steps(bench: CouplingBench, name: str) -> No
     expected(bench, tracker, name, 0)
     bench.references.publish(Reference(experiment=name, step=1))
     tracker.set_reference(name, 1)
-    bench.serve(0.1)
+    bench.taken()
     for step in (1, 2):
         bench.send_step(name, step)
         result = expected(bench, tracker, name, step)
@@ -305,7 +307,7 @@ def test_abort_answers_a_step_that_waits(bench: CouplingBench, name: str) -> Non
     bench.publish_calibration()
     for part in bench.parts(name, 0)[:-1]:
         part()
-    bench.serve(0.1)
+    bench.taken()
     bench.abort(name, 0, bench.stamp(0))
     status = bench.status_of(name, 0)
     assert status.error_code == NodeStatus.STEP_ABORTED
@@ -328,7 +330,7 @@ def test_calibration_of_another_rig_fails_the_step(
     bench.calibrations.publish(
         calibration_message(replace(bench.calibration, **changes), stamp_ns=1, frame_id="reference_plane")
     )
-    bench.serve(0.2)
+    bench.taken()
     status = bench.send_step(name, 0)
     assert status.error_code == NodeStatus.NO_CALIBRATION
     assert words in status.error_message

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 import pytest
@@ -68,6 +69,7 @@ class DicBench(Bench):
 
     def assert_identical(self, result: DicResult) -> None:
         for heard, array in ((self.displacement, result.displacement), (self.sigma, result.sigma)):
+            self.wait(partial(of_stamp, heard, result.stamp), "the images")
             (message,) = of_stamp(heard, result.stamp)
             assert message.encoding == "32FC2"
             assert image_array(message).tobytes() == array.tobytes()
@@ -97,11 +99,11 @@ def test_displacement_is_that_of_the_library_bit_by_bit(
     for step, texture in enumerate(bench.textures):
         if step % 2:  # either order
             bench.send_phase_status(name, step)
-            bench.serve(0.05)
+            bench.taken()
             bench.send_texture(step)
         else:
             bench.send_texture(step)
-            bench.serve(0.05)
+            bench.taken()
             bench.send_phase_status(name, step)
         status = bench.status_of(name, step)
         result = tracker.step(name, step, bench.stamp(step), texture)
@@ -114,7 +116,7 @@ def test_displacement_is_that_of_the_library_bit_by_bit(
 
 def test_a_step_is_received_when_all_its_messages_are(bench: DicBench, name: str) -> None:
     bench.send_texture(0)
-    bench.serve(0.2)
+    bench.taken()
     assert not bench.received(name, 0)
     bench.send_phase_status(name, 0)
     bench.status_of(name, 0)
@@ -125,8 +127,9 @@ def test_a_step_is_received_when_all_its_messages_are(bench: DicBench, name: str
 def test_preview_is_published_to_subscribers(bench: DicBench, name: str, tracker: DisplacementTracker) -> None:
     previews: list[Image] = []
     viewer = bench.create_subscription(Image, "dic/preview", previews.append, DERIVED)
-    bench.serve(1.0)
+    bench.until_read("dic/preview")
     bench.send_step(name, 0)
+    bench.wait(lambda: previews, "the preview")
     bench.destroy_subscription(viewer)
     assert [message.encoding for message in previews] == ["rgb8"]
     itself = tracker.step(name, 0, bench.stamp(0), bench.textures[0])
@@ -158,7 +161,7 @@ def test_reference_of_the_following_steps(bench: DicBench, name: str, tracker: D
         assert bench.send_step(name, step).error_code == NodeStatus.NONE
         tracker.step(name, step, bench.stamp(step), bench.textures[step])
     bench.set_reference(name, 2)  # before the step itself
-    bench.serve(0.1)
+    bench.taken()
     bench.send_step(name, 2)
     tracker.set_reference(name, 2)
     itself = tracker.step(name, 2, bench.stamp(2), bench.textures[2])
@@ -166,7 +169,7 @@ def test_reference_of_the_following_steps(bench: DicBench, name: str, tracker: D
     assert np.nanmax(np.abs(itself.displacement)) == 0
     assert np.isfinite(itself.displacement).any()
     bench.set_reference(name, 1)  # one that was measured earlier
-    bench.serve(0.1)
+    bench.taken()
     bench.send_step(name, 3)
     tracker.set_reference(name, 1)
     bench.assert_identical(tracker.step(name, 3, bench.stamp(3), bench.textures[3]))
@@ -174,12 +177,12 @@ def test_reference_of_the_following_steps(bench: DicBench, name: str, tracker: D
 
 def test_missing_reference(bench: DicBench, name: str) -> None:
     bench.set_reference(name, 7)
-    bench.serve(0.1)
+    bench.taken()
     status = bench.send_step(name, 0)
     assert status.error_code == NodeStatus.NO_REFERENCE
     assert "step 7" in status.error_message
     bench.set_reference(name, 1)
-    bench.serve(0.1)
+    bench.taken()
     assert bench.send_step(name, 1).error_code == NodeStatus.NONE
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 import rclpy
+from rclpy.duration import Duration
 from scipy.ndimage import gaussian_filter, map_coordinates
 from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, Float64
@@ -60,8 +60,8 @@ class Rig(Peer):
         """Strain and sigma of one frame; the NaN of the time without frames before is ignored."""
         self.forget()
         self.send(strain)
-        self.wait(lambda: any(flag.data for flag in self.valid), "a valid strain", 10)
-        self.wait(lambda: self._numbers(self.strains) and self._numbers(self.sigmas), "its numbers", 10)
+        self.wait(lambda: any(flag.data for flag in self.valid), "a valid strain")
+        self.wait(lambda: self._numbers(self.strains) and self._numbers(self.sigmas), "its numbers")
         return self._numbers(self.strains)[-1], self._numbers(self.sigmas)[-1]
 
     def _numbers(self, messages: list[Float64]) -> list[float]:
@@ -69,7 +69,8 @@ class Rig(Peer):
 
     def finish_step(self, *, reference: bool) -> None:
         self._steps.publish(StepStatus(stage=StepStatus.END, reference=reference))
-        self.serve(0.1)
+        assert self._steps.wait_for_all_acked(Duration(seconds=10))
+        self.meet("extensometer")  # before it answers, a node takes one message of each topic
 
     def zero(self) -> None:
         self.ask(self._zero, Trigger.Request(), "the zero")
@@ -119,22 +120,18 @@ def test_frames_with_a_pattern_are_ignored(rig: Rig) -> None:
     rig.forget()
     rig.send(0.005, PatternKind.FRINGES)
     rig.send(0.001, PatternKind.WHITE)
-    rig.wait(lambda: any(flag.data for flag in rig.valid), "a valid strain", 10)
-    rig.wait(lambda: any(strain.data == pytest.approx(0.001, abs=1e-4) for strain in rig.strains), "its number", 10)
+    rig.wait(lambda: any(flag.data for flag in rig.valid), "a valid strain")
+    rig.wait(lambda: any(strain.data == pytest.approx(0.001, abs=1e-4) for strain in rig.strains), "its number")
     assert not any(strain.data == pytest.approx(0.005, abs=1e-3) for strain in rig.strains)
 
 
 def test_missing_frames_are_reported_once(rig: Rig) -> None:
     rig.read(0.0)
-    rig.forget()
-    begin = time.monotonic()
-    rig.wait(lambda: rig.valid, "the report that frames are missing", 5)
-    assert time.monotonic() - begin < 2.0
-    assert not rig.valid[0].data
-    rig.wait(lambda: rig.strains, "its number", 5)
-    assert np.isnan(rig.strains[0].data)
+    rig.wait(lambda: not rig.valid[-1].data, "the report that frames are missing")
+    rig.wait(lambda: np.isnan(rig.strains[-1].data), "its number")
     rig.serve(0.6)
-    assert len(rig.valid) == 1
+    flags = [flag.data for flag in rig.valid]
+    assert flags[flags.index(True) :] == [True, False]
     assert rig.read(0.001)[0] == pytest.approx(0.001, abs=1e-4)
 
 
@@ -145,7 +142,7 @@ def test_every_frame_of_a_stream_is_answered_or_replaced_by_a_newer_one(rig: Rig
     for k in range(1, 11):
         rig.send(0.0005 * k)
         rig.serve(0.02)
-    rig.wait(lambda: rig.strains and abs(rig.strains[-1].data - 0.005) < 1e-4, "the strain of the last frame", 10)
+    rig.wait(lambda: rig.strains and abs(rig.strains[-1].data - 0.005) < 1e-4, "the strain of the last frame")
     read = [strain.data for strain in rig.strains if not np.isnan(strain.data)]
     assert read == sorted(read)
 

@@ -37,7 +37,7 @@ class Audience(Peer):
         return self.ask(self._show, ShowPattern.Request(**request), "the projector's answer")
 
     def seen(self, stamp_ns: int) -> np.ndarray:
-        self.wait(lambda: any(to_nanoseconds(image.header.stamp) == stamp_ns for image in self.images), "the image", 10)
+        self.wait(lambda: any(to_nanoseconds(image.header.stamp) == stamp_ns for image in self.images), "the image")
         return image_array(next(image for image in self.images if to_nanoseconds(image.header.stamp) == stamp_ns))
 
 
@@ -86,7 +86,7 @@ def test_late_camera_gets_the_present_pattern(audience: Audience) -> None:
     shown = to_nanoseconds(audience.show(kind=int(PatternKind.WHITE)).shown)
     late = Peer("late_camera")
     images = late.listen(Image, "projector/image", LATCHED)
-    late.wait(lambda: images, "the latched image", 10)
+    late.wait(lambda: images, "the latched image")
     assert [to_nanoseconds(image.header.stamp) for image in images] == [shown]
     late.destroy_node()
 
@@ -115,10 +115,10 @@ def test_inactive_projector_refuses(audience: Audience) -> None:
 
     def transition(number: int) -> bool:
         future = change.call_async(ChangeState.Request(transition=Transition(id=number)))
-        audience.wait(future.done, "the transition", 10)
+        audience.wait(future.done, "the transition")
         return future.result().success
 
-    audience.wait(change.service_is_ready, "the lifecycle service", 10)
+    audience.wait(change.service_is_ready, "the lifecycle service")
     audience.meet("projector")
     assert transition(Transition.TRANSITION_DEACTIVATE)
     response = audience.show(kind=int(PatternKind.WHITE))

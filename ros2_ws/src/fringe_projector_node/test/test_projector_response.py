@@ -33,7 +33,7 @@ def test_patterns_make_up_for_the_response_curve(tmp_path: Path) -> None:
         with NodeProcess("fringe_projector_node.projector_node", tmp_path, parameters):
             request = ShowPattern.Request(kind=int(fringes.kind), pitch=25.0, shift=1, shifts=4)
             stamp = audience.ask(show, request, "the projector's answer").shown
-            audience.wait(lambda: any(image.header.stamp == stamp for image in images), "the image", 10)
+            audience.wait(lambda: any(image.header.stamp == stamp for image in images), "the image")
     finally:
         audience.destroy_node()
         rclpy.shutdown()

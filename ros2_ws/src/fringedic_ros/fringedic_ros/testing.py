@@ -18,6 +18,7 @@ import numpy as np
 import rclpy
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.client import Client
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -31,6 +32,7 @@ from fringedic.patterns.render import render_pattern
 from fringedic.patterns.sequences import fringe_sequence
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, StepStatus
+from fringedic_msgs.srv import CountReaders
 from fringedic_ros.images import image_message
 from fringedic_ros.main import CLEAN_ENDS
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED_BY_MANY
@@ -204,6 +206,23 @@ class Bench(Peer):
     def _all_connected(self, publisher: Publisher) -> bool:
         return publisher.get_subscription_count() >= self.count_subscribers(publisher.topic_name)
 
+    def until_read(self, topic: str) -> None:
+        """Wait until the node has discovered a subscription to one of its topics."""
+        client = self.create_client(CountReaders, f"{self._tested}/count_readers")
+        request = CountReaders.Request(topics=[self.resolve_topic_name(topic)])
+        self.wait(lambda: self.ask(client, request, "the number of readers").counts[0], f"a reader of {topic}")
+        self.destroy_client(client)
+
+    def taken(self, messages: int = 1) -> None:
+        """Wait until the node has taken what was published, at most so many messages of each topic.
+
+        Before it answers a request, a node takes one message of each topic.
+        """
+        for publisher in self.publishers:
+            assert publisher.wait_for_all_acked(Duration(seconds=10)), publisher.topic_name
+        for _ in range(messages):
+            self.change()
+
     def send(self, frames: Iterable[Frame], *, exposures_first: bool = False) -> None:
         """Publish frames with their records."""
         messages = [
@@ -245,7 +264,7 @@ class Bench(Peer):
         return answers()[0]
 
     def change(self, **values: Any) -> None:
-        """Change parameters of the node."""
+        """Change parameters of the node, or none."""
         changes = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         response = self.ask(self._set_parameters, SetParameters.Request(parameters=changes), "the change of parameters")
         assert all(result.successful for result in response.results), response

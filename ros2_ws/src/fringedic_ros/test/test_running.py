@@ -290,7 +290,7 @@ def test_process_ends_as_it_should(which: str, sent: signal.Signals | None, code
         if sent is not None:
             time.sleep(1.0)
             process.send_signal(sent)
-        _, log = process.communicate(timeout=20)
+        _, log = process.communicate(timeout=60)
     assert process.returncode == code, log
     assert words in log
     assert which != "refused" or "Traceback" not in log
@@ -306,7 +306,7 @@ def test_signals_tear_nothing() -> None:
         assert written.readline() == "made\n"
         assert written.readline() == "closing\n"
         process.send_signal(signal.SIGINT)
-        rest, log = process.communicate(timeout=20)
+        rest, log = process.communicate(timeout=60)
     assert (process.returncode, rest, log) == (0, "closed\n", "")
 
 
@@ -317,5 +317,5 @@ def test_other_signals_do_not_end_a_node() -> None:
             process.send_signal(signal.SIGUSR1)
             assert written.readline() == "minded\n"
         process.send_signal(signal.SIGTERM)
-        rest, log = process.communicate(timeout=20)
+        rest, log = process.communicate(timeout=60)
     assert (process.returncode, rest, log) == (0, "", "")

@@ -45,12 +45,12 @@ class Operator(Peer):
         self.meet("load_frame")
         goal = MoveCrosshead.Goal(position=position, speed=speed, controller=controller, **limits)
         future = self._move.send_goal_async(goal, lambda message: self.feedback.append(message.feedback))
-        self.wait(future.done, "the answer to the goal", 10)
+        self.wait(future.done, "the answer to the goal")
         return future.result()
 
     def end(self, goal: ClientGoalHandle) -> Any:
         future = goal.get_result_async()
-        self.wait(future.done, "the result", 20)
+        self.wait(future.done, "the result")
         return future.result()
 
     def move(self, position: float, speed: float, controller: str = "") -> Any:
@@ -62,7 +62,7 @@ class Operator(Peer):
     def now(self) -> LoadState:
         """Return a sample that was taken from now on; earlier ones may still be on their way."""
         begin = time.time_ns()
-        self.wait(lambda: self.states and to_nanoseconds(self.states[-1].header.stamp) > begin, "samples", 10)
+        self.wait(lambda: self.states and to_nanoseconds(self.states[-1].header.stamp) > begin, "samples")
         return self.states[-1]
 
 
@@ -96,7 +96,7 @@ def test_three_topics_say_the_same(operator: Operator) -> None:
 
     topics = (operator.states, operator.wrenches, operator.joints)
     operator.forget()
-    operator.wait(lambda: len(told_by_all()) > 15, "samples", 10)
+    operator.wait(lambda: len(told_by_all()) > 15, "samples")
     for state, wrench, joint in told_by_all():
         assert wrench.wrench.force.z == state.force == joint.effort[0]
         assert joint.position[0] == state.position
@@ -132,7 +132,7 @@ def test_cancelling_holds_where_it_is(operator: Operator) -> None:
     goal = operator.start(0.9 * MM, 0.2 * MM)
     operator.wait(lambda: operator.now().position > 0.05 * MM, "a start")
     cancelling = goal.cancel_goal_async()
-    operator.wait(cancelling.done, "the cancelling", 10)
+    operator.wait(cancelling.done, "the cancelling")
     answer = operator.end(goal)
     assert (answer.status, answer.result.error_code) == (GoalStatus.STATUS_CANCELED, Result.CANCELLED)
     first, second = operator.now(), operator.now()

@@ -288,9 +288,9 @@ class Operator(Peer):
         self.wait(self._move.server_is_ready, "the action server")
         self.meet("load_frame")
         sending = self._move.send_goal_async(MoveCrosshead.Goal(position=position, speed=speed))
-        self.wait(sending.done, "the answer to the goal", 10)
+        self.wait(sending.done, "the answer to the goal")
         ending = sending.result().get_result_async()
-        self.wait(ending.done, "the result", 20)
+        self.wait(ending.done, "the result")
         return ending.result().result
 
     def hold(self) -> Trigger.Response:

@@ -48,6 +48,7 @@ def expected(frames: Frames, parameters: PhaseParameters) -> PhaseResult:
 
 
 def assert_identical(bench: PhaseBench, result: PhaseResult) -> None:
+    bench.wait(lambda: len(bench.published(result.stamp)) == len(MAPS), "the maps")  # they may be later than the status
     published = bench.published(result.stamp)
     for name, array in zip(MAPS, (result.phase, result.sigma, result.modulation, result.texture), strict=True):
         assert published[name].dtype == array.dtype == np.float32
@@ -95,10 +96,11 @@ def test_parameters_change_from_the_next_step_on(bench: PhaseBench, name: str) -
 def test_preview_is_published_to_subscribers(bench: PhaseBench, name: str) -> None:
     previews: list[Image] = []
     viewer = bench.create_subscription(Image, "phase/preview", previews.append, DERIVED)
-    bench.serve(1.0)
+    bench.until_read("phase/preview")
     frames = fringe_step(bench.rig, 0.0, name, 0)
     bench.send(frames)
     bench.status_of(name, 0)
+    bench.wait(lambda: previews, "the preview")
     bench.destroy_subscription(viewer)
     assert [message.encoding for message in previews] == ["rgb8"]
     np.testing.assert_array_equal(image_array(previews[0]), phase_preview(expected(frames, PhaseParameters()).phase))
@@ -286,7 +288,7 @@ def test_steps_that_never_end_are_given_up(bench: PhaseBench, name: str) -> None
 def test_abort_answers_an_unfinished_step_once(bench: PhaseBench, name: str) -> None:
     frames = fringe_step(bench.rig, 0.0, name, 0)
     bench.send(frames[:4])
-    bench.serve(0.3)
+    bench.taken(messages=4)
     bench.abort(name, 0)
     status = bench.status_of(name, 0)
     assert status.error_code == NodeStatus.STEP_ABORTED
