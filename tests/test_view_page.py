@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from browser import NARROW, low_contrasts, opened, page_address
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, Page, Route, expect
 from running_system import RecordedExperiment, free_port, wait_until, without_ros
 
 import fringedic
@@ -142,6 +142,73 @@ def test_profile_and_extensometer_follow_clicks(page: Page, dataset: xr.Dataset)
     curve = page.locator("#probe polyline").get_attribute("points")
     assert curve is not None
     assert len(curve.split()) == int(dataset.column[30] - dataset.column[10]) + 1
+
+
+class Held:
+    """The first request of a page that fits a pattern; its response waits until it is released."""
+
+    def __init__(self, page: Page, pattern: str) -> None:
+        self._page = page
+        self._first: Route | None = None
+        page.route(pattern, self._hold)
+
+    def _hold(self, route: Route) -> None:
+        if self._first is None:
+            self._first = route
+        else:
+            route.continue_()
+
+    def wait(self) -> None:
+        """Wait until there is a request."""
+        wait_until(lambda: self._page.evaluate("true") and self._first, "a request")
+
+    def release(self) -> None:
+        """Let the server answer, and return when the page has used the answer."""
+        assert self._first is not None
+        with self._page.expect_event("requestfinished"):
+            self._first.continue_()
+        self._page.wait_for_timeout(200)
+
+
+def test_an_answer_about_earlier_points_that_comes_late_is_not_shown(page: Page, dataset: xr.Dataset) -> None:
+    choose(page, dataset, 2, "v")
+    held = Held(page, "**/gauge?*")
+    page.select_option("#tool", "gauge")
+    click_at(page, dataset, (20, 8), (20, 22))
+    held.wait()
+    page.select_option("#tool", "profile")
+    click_at(page, dataset, (10, 15), (30, 15))
+    expect(page.locator("#probe h2")).to_have_text("Profile of v")
+    held.release()
+    expect(page.locator("#probe h2")).to_have_text("Profile of v")
+
+
+def test_a_cloud_of_an_earlier_choice_that_comes_late_is_not_drawn(page: Page) -> None:
+    drawn = "() => document.querySelector('#space').toDataURL()"
+    page.click("text=3D")
+    expect(page.locator("main p[role=status]")).to_contain_text("points")
+    page.select_option("#space-quantity", "v")
+    page.wait_for_load_state("networkidle")
+    page.wait_for_timeout(200)
+    expected = page.evaluate(drawn)
+    held = Held(page, "**/cloud/*/w")
+    page.select_option("#space-quantity", "w")
+    held.wait()
+    with page.expect_response("**/cloud/*/v"):
+        page.select_option("#space-quantity", "v")
+    held.release()
+    assert page.evaluate(drawn) == expected
+
+
+def test_a_view_that_was_left_before_it_came_is_not_shown(page: Page) -> None:
+    held = Held(page, "**/page/curves.js")
+    page.click("text=Curves")
+    held.wait()
+    page.click("text=3D")
+    expect(page.locator("#space")).to_be_visible()
+    held.release()
+    expect(page.locator("#space")).to_be_visible()
+    expect(page.locator("#curve-x")).to_have_count(0)
 
 
 def test_cloud_is_drawn_and_turns(page: Page) -> None:

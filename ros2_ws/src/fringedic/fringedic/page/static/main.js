@@ -1,12 +1,13 @@
 // The frame of the page: views, who drives, the hold button, and the state in one line.
 
 import { make, repaint } from "./elements.js";
-import { command, say } from "./server.js";
+import { command, newest, say } from "./server.js";
 import { connect, latest, listen } from "./stream.js";
 
 const OF_A_RIG = { setup: "Set up", live: "Live", run: "Run", maps: "Maps", curves: "Curves", space: "3D", log: "Log" };
 const OF_A_RECORDING = { maps: "Maps", curves: "Curves", space: "3D" };
 const place = document.getElementById("view");
+const chosen = newest();
 let leave = () => {}, current = "";
 
 function views() {
@@ -21,8 +22,10 @@ async function route() {
   if (name === current) return;
   current = name;
   leave();
+  leave = () => {};
   say("");
-  leave = (await import(`/page/${name}.js`)).show(place);
+  const view = await chosen(import(`/page/${name}.js`));
+  if (view) leave = view.show(place);
 }
 
 function takeRig(rig) {

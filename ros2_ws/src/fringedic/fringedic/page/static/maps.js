@@ -4,7 +4,7 @@ import { chart } from "./chart.js";
 import { make, number, options, withSigma } from "./elements.js";
 import { extensometer, strains } from "./extensometer.js";
 import { MapCanvas, usualRange, valueAt } from "./map_canvas.js";
-import { line, palettes, tile, tried } from "./server.js";
+import { line, newest, palettes, tile, tried } from "./server.js";
 import { listen } from "./stream.js";
 
 const PREFERRED = ["v", "displacement_y", "shape_z"];
@@ -22,6 +22,7 @@ class MapsView {
     this.quantities = [];
     this.steps = [];
     this.points = [];
+    this.latestProbe = newest();
     this.map = new MapCanvas((place) => this.read(place), (place) => this.click(place));
     this.step = make("select", { id: "step", onchange: () => { kept.follow = this.step.selectedIndex === this.step.length - 1; this.load(); } });
     this.quantity = make("select", { id: "quantity", onchange: () => { kept.quantity = this.quantity.value; this.auto(); this.takeSteps(this.steps); } });
@@ -86,14 +87,14 @@ class MapsView {
     Object.assign(this, found);
     if (!this.fixed) this.auto();
     this.paint();
-    if (this.points.length === 2) this.probe();
+    this.probe();
   }
 
   // The map, that of its standard deviation if there is one, and the palettes.
   async fetch(step, quantity) {
     const [values, sigma, colours] = await Promise.all([
       tile(step, quantity.name), quantity.sigma ? tile(step, quantity.sigma).catch(() => null) : null, this.colours ?? palettes()]);
-    return { values, sigma, colours, chosen: quantity };
+    return { values, sigma, colours, chosen: quantity, shown: step };
   }
 
   auto() {
@@ -108,7 +109,7 @@ class MapsView {
     if (!this.values) return;
     const { factor, unit, meaning } = this.chosen, colours = this.colours[this.palette.value];
     const [low, high] = [Number(this.low.value), Number(this.high.value)];
-    this.map.show(this.values, colours, low * factor, high * factor, `${meaning}, step ${this.step.value}`);
+    this.map.show(this.values, colours, low * factor, high * factor, `${meaning}, step ${this.shown}`);
     this.map.mark(this.points);
     this.lowText.textContent = `${number(low)} ${unit}`;
     this.highText.textContent = `${number(high)} ${unit}`;
@@ -134,17 +135,18 @@ class MapsView {
     if (this.tool.value === "gauge") extensometer.points = points;
     this.map.mark(points);
     const asked = { look: "Choose a tool to draw a profile or an extensometer.", profile: "Click both ends of the line.", gauge: "Click both gauge points." };
-    if (points.length === 2) this.probe();
-    else this.result.replaceChildren(make("h2", {}, "Probe"), make("p", { class: "soft" }, asked[this.tool.value]));
+    this.probe();
+    if (points.length < 2) this.result.replaceChildren(make("h2", {}, "Probe"), make("p", { class: "soft" }, asked[this.tool.value]));
   }
 
   async probe() {
-    const shown = await tried(this.tool.value === "profile" ? this.profile() : this.extensometer());
+    const asked = this.points.length < 2 ? null : this.tool.value === "profile" ? this.profile() : this.extensometer();
+    const shown = await tried(this.latestProbe(asked));
     if (shown) this.result.replaceChildren(...shown);
   }
 
   async profile() {
-    const { name, unit, factor, meaning } = this.chosen, found = await line(this.step.value, name, ...this.points);
+    const { name, unit, factor, meaning } = this.chosen, found = await line(this.shown, name, ...this.points);
     const points = found.position.map((at, k) => [at, found.value[k] === null ? NaN : found.value[k] / factor, (found.sigma?.[k] ?? 0) / factor]);
     return [make("h2", {}, `Profile of ${name}`), make("p", { class: "soft" }, `${meaning}; the band is ± 2 standard deviations.`),
       chart(points, { x: "distance [px]", y: `${name} [${unit}]` })];

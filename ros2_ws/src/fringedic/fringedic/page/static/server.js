@@ -46,6 +46,21 @@ export async function tried(request) {
   }
 }
 
+// Returns a function that awaits one request after the other: the answer to an earlier one that comes late is null.
+export function newest() {
+  let asked = 0;
+  return async (request) => {
+    const own = ++asked;
+    try {
+      const answer = await request;
+      return own === asked ? answer : null;
+    } catch (error) {
+      if (own === asked) throw error;
+      return null;
+    }
+  };
+}
+
 export async function tile(step, name) {
   const answer = await get(`/maps/${step}/${name}`);
   const values = new Float32Array(await answer.arrayBuffer());

@@ -2,7 +2,7 @@
 
 import { make, options } from "./elements.js";
 import { usualRange } from "./map_canvas.js";
-import { cloud, palettes, tried } from "./server.js";
+import { cloud, newest, palettes, tried } from "./server.js";
 import { listen } from "./stream.js";
 
 const VERTEX = `
@@ -30,9 +30,10 @@ export function show(place) {
   const words = make("p", { class: "soft", role: "status" });
   place.replaceChildren(make("section", { class: "panel" }, make("div", { class: "row" }, make("label", {}, "Step", step),
     make("label", {}, "Colour", quantity), make("label", {}, "Displacement times", magnified)), canvas, words));
+  const chosen = newest();
   const load = async () => {
     if (!step.value || !quantity.value) return;
-    const [points, colours] = await tried(Promise.all([cloud(step.value, quantity.value), palettes()])) ?? [];
+    const [points, colours] = await tried(chosen(Promise.all([cloud(step.value, quantity.value), palettes()]))) ?? [];
     if (!points) return;
     scene.take(points, colours.viridis);
     words.textContent = `${points.length / 7} points; drag to turn, wheel to zoom`;
