@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -38,6 +40,10 @@ from fringedic.campaign import (
 from fringedic.errors import CampaignError
 
 RECORDED = ROOT / "ros2_ws" / "src" / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
+ENDING = """import socket, sys
+listening = socket.socket(fileno=int(sys.argv[1]))
+while True:
+    listening.accept()[0].close()"""
 NAMES = {f"plate-{number}" for number in range(1, 5)}
 pytestmark = [
     pytest.mark.filterwarnings("ignore::ResourceWarning"),  # of connections to killed processes
@@ -191,7 +197,10 @@ class Cluster:
 
     def __init__(self, folder: Path, processes: ExitStack) -> None:
         self._folder, self._processes = folder, processes
-        self.certificate, self.key = write_certificate(folder)
+        certificate, key = map(str, write_certificate(folder))
+        self._tls = ["--tls-ca-file", certificate, "--tls-cert", certificate, "--tls-key", key]
+        files = {"ca-file": certificate, "client.cert": certificate, "client.key": key}
+        self.settings = {f"distributed.comm.tls.{name}": file for name, file in files.items()}
         self.scheduler = self._start(
             "scheduler", "--host", "tls://127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0"
         )
@@ -207,9 +216,8 @@ class Cluster:
 
     def _start(self, program: str, *options: str) -> subprocess.Popen[bytes]:
         command = [sys.executable, "-m", f"distributed.cli.dask_{program}", "--scheduler-file", str(self._file)]
-        tls = ["--tls-ca-file", self.certificate, "--tls-cert", self.certificate, "--tls-key", self.key]
         process = subprocess.Popen(
-            [*command, *options, *map(str, tls)],
+            [*command, *options, *self._tls],
             env={**os.environ, **ONE_THREAD},
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -227,9 +235,7 @@ def test_one_two_and_three_workers_of_an_encrypted_cluster_write_the_same(
         assert cluster.address.startswith("tls://127.0.0.1:")
         with pytest.raises(CampaignError, match=r"tls://.* cannot be reached: .*distributed.comm.tls"):
             list(Dask(1, cluster.address).outcomes([]))
-        files = {"ca-file": str(cluster.certificate), "client.cert": str(cluster.certificate)}
-        settings = {f"distributed.comm.tls.{name}": value for name, value in files.items()}
-        with dask.config.set({**settings, "distributed.comm.tls.client.key": str(cluster.key)}):
+        with dask.config.set(cluster.settings):
             for count in (1, 2, 3):
                 folder = tmp_path / str(count)
                 folder.mkdir()
@@ -238,10 +244,37 @@ def test_one_two_and_three_workers_of_an_encrypted_cluster_write_the_same(
                 with distributed.Client(cluster.address) as client:
                     client.wait_for_workers(count, timeout=60)
                 assert digests(Dask(1, cluster.address).outcomes(units(campaign))) == expected
-            lost = campaign_in(tmp_path, recordings)
-            outcomes = Dask(1, cluster.address).outcomes(units(lost))
-            assert isinstance(next(outcomes), Receipt)
-            cluster.scheduler.kill()
-            with pytest.raises(CampaignError, match=r"the Dask scheduler of .* is lost.*repeat the command"):
-                list(outcomes)
-    assert 0 < len(units(lost)) < len(NAMES)
+
+
+@pytest.mark.parametrize("proxy", [False, True])
+def test_a_lost_scheduler_is_told_in_one_sentence(campaign: Campaign, tmp_path: Path, *, proxy: bool) -> None:
+    """A proxy still accepts connections in place of the scheduler, and ends them at once."""
+    with ExitStack() as processes:
+        cluster = Cluster(tmp_path, processes)
+        cluster.add_worker()
+        settings = {
+            f"DASK_{name.upper().replace('.', '__').replace('-', '_')}": file for name, file in cluster.settings.items()
+        }
+        command = subprocess.Popen(
+            ["fringedic", "campaign", "run", str(campaign.folder), "--scheduler", cluster.address],
+            env=os.environ | settings,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        processes.enter_context(command)
+        processes.callback(command.kill)
+        wait_for(lambda: receipts(campaign), command)
+        command.send_signal(signal.SIGSTOP)
+        cluster.scheduler.kill()
+        cluster.scheduler.wait(60)
+        if proxy:
+            with socket.create_server(("127.0.0.1", int(cluster.address.rpartition(":")[2]))) as listening:
+                ending = [sys.executable, "-c", ENDING, str(listening.fileno())]
+                process = processes.enter_context(subprocess.Popen(ending, pass_fds=[listening.fileno()]))
+            processes.callback(process.kill)
+        command.send_signal(signal.SIGCONT)
+        said = command.communicate(timeout=60)[1]
+    assert command.returncode == 1
+    assert re.fullmatch(r"the connection to the Dask scheduler of tls://\S+ is lost: repeat the command.*\n", said)
+    assert 0 < len(units(campaign)) < len(NAMES)

@@ -199,8 +199,14 @@ class Dask:
                     "tcp://computer:port, or tls://computer:port with the files of distributed.comm.tls in the "
                     "settings of Dask"
                 ) from error
-            with client:
-                yield client
+            with self._distributed.utils.silence_logging_cmgr(logging.CRITICAL):  # `_lost` says it in a sentence
+                try:
+                    yield client
+                finally:
+                    try:
+                        client.close()
+                    except Exception:  # of a lost connection over TLS: not only OSError
+                        client.status = "closed"  # or it tries again for 10 s when the process ends
             return
         # to the end: a worker that has died is started again
         with _environment(ONE_THREAD | _KEPT_MEMORY), self._dask.config.set(_UNWATCHED):
