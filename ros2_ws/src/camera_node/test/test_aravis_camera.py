@@ -11,7 +11,7 @@ import struct
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -183,8 +183,8 @@ def test_stream_of_a_region_is_complete_and_evenly_stamped() -> None:
 
 
 @contextmanager
-def busy_network() -> Iterator[None]:
-    """Send the header of DDS messages to another program on this network all the time."""
+def busy_network(packet: bytes = b"RTPS\x02\x02\x01\x0f") -> Iterator[None]:
+    """Send a packet, by default the header of DDS messages, to another program on this network all the time."""
     ended = threading.Event()
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender,
@@ -194,7 +194,7 @@ def busy_network() -> Iterator[None]:
 
         def send() -> None:
             while not ended.wait(0.0005):
-                sender.sendto(b"RTPS\x02\x02\x01\x0f", receiver.getsockname())
+                sender.sendto(packet, receiver.getsockname())
 
         thread = threading.Thread(target=send)
         thread.start()
@@ -215,6 +215,19 @@ def test_packets_of_other_programs_are_not_those_of_the_camera() -> None:
                     assert_complete(opened.expose(SCENE).image)
                 assert opened.dropped == 0
                 assert not any(opened.counts.values()), opened.counts
+
+
+@pytest.mark.usefixtures("camera")
+def test_frames_behind_those_of_another_camera_are_not_old() -> None:
+    """Another camera on this network sends its frame 65 450 while the stream is opened; this one begins at 65 400."""
+    packet = struct.pack(">HHI", 0, 65_450, 3 << 24 | 5) + bytes(20)
+    with ExitStack() as closing:
+        with busy_network(packet):
+            opened = closing.enter_context(driver(region=SMALL_REGION, timeout=0.5))
+        for _ in range(3):
+            assert_complete(opened.expose(SCENE).image)
+        assert opened.dropped <= 1
+        assert not any(opened.counts.values()), opened.counts
 
 
 @pytest.mark.parametrize(

@@ -19,11 +19,12 @@ from fringedic.recording.clocks import ClockEstimate, DeviceClock
 
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 8.0  # between two attempts to find a lost camera
 _ATTEMPTS = 3  # to take a frame of which packets are lost, while its pattern is on the screen
+_TRANSFER_S = 0.25  # of a frame, from the end of its exposure
 _PIXEL_FORMATS = {name: f"PIXEL_FORMAT_MONO_{name.removeprefix('Mono')}" for name in PIXEL_TYPES}
 
 
 class IncompleteFrameError(CameraError):
-    """Packets of a frame were lost."""
+    """Packets of a frame were lost, or ignored."""
 
 
 class AravisDriver:
@@ -138,6 +139,7 @@ class AravisDriver:
         """Take one frame that begins now."""
         connection.start()
         connection.discard_waiting()
+        connection.expect_frame()
         asked = time.time_ns()
         if self._settings.trigger is Trigger.SOFTWARE:
             connection.camera.software_trigger()
@@ -194,18 +196,28 @@ class AravisDriver:
     # frames
 
     def _next(self, connection: AravisConnection) -> Frame:
-        patience = self._settings.timeout + connection.exposure_time + 1 / (self._rate or np.inf)
-        buffer = connection.stream.timeout_pop_buffer(round(1e6 * patience))
+        begun = connection.exposure_time + 1 / (self._rate or np.inf)
+        transfer = min(_TRANSFER_S, self._settings.timeout)
+        buffer = connection.stream.timeout_pop_buffer(round(1e6 * (begun + transfer)))
+        if buffer is None and connection.ignores_frame:
+            self.dropped += 1
+            if self._rate is None:
+                connection.stop()  # a frame that comes later must not be taken for the next one
+            connection.restart_receiver(self._aravis)
+            raise IncompleteFrameError("Aravis ignored a frame as an old one; check which cameras use this network")
+        if buffer is None:
+            buffer = connection.stream.timeout_pop_buffer(round(1e6 * (self._settings.timeout - transfer)))
         if buffer is None:
             connection.camera.get_exposure_time()  # raises an error when the camera is lost
             raise CameraTimeoutError(
-                f"no frame within {patience:.3g} s; "
+                f"no frame within {begun + self._settings.timeout:.3g} s; "
                 + (
                     "check the cable of the trigger"
                     if self._settings.trigger in (Trigger.EXTERNAL_EDGE, Trigger.EXTERNAL_LEVEL)
                     else "the camera answers but sends nothing: check the network's firewall and packet size"
                 )
             )
+        connection.expect_frame()
         try:
             return self._frame(connection, buffer)
         finally:

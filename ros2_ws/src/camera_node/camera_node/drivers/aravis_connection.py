@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +16,7 @@ from fringedic.recording.clocks import DeviceClock
 _BUFFERS = 16  # frames that may wait in this process: half a second at 30 frames/s
 # A stream that may read packets of the network card receives those of all programs for some milliseconds, until its
 # filter is set, and takes them for parts of a frame. It reads them within 5 ms, and drops them as long as it has no
-# buffers.
+# buffers; but the number of the first one is then its last frame, and it ignores frames up to 100 numbers before.
 _OTHER_PACKETS_S = 0.1
 # counts of the receiver of a GigE Vision camera: name in the diagnostics, and name in Aravis
 _COUNTED = {
@@ -56,19 +57,49 @@ class AravisConnection:
     clocks: dict[float, DeviceClock] = field(default_factory=dict)
     last_frame: int | None = None
     running: bool = False
-    _counted_before: dict[str, int] = field(init=False)
+    _lost_before: Counter[str] = field(init=False, default_factory=Counter)
+    _counted_before: Counter[str] = field(init=False, default_factory=Counter)
+    _ignored_before: int = field(init=False, default=0)
 
-    def __post_init__(self) -> None:
-        self._counted_before = self._counted()
+    def supply(self, aravis: Aravis) -> None:
+        """Give the receiver its buffers, when it has dropped the packets of other programs."""
+        if self.camera.is_gv_device():
+            time.sleep(_OTHER_PACKETS_S)
+            self._counted_before = self._counted()
+        self.expect_frame()
+        for _ in range(_BUFFERS):
+            self.stream.push_buffer(aravis.module.Buffer.new_allocate(self.camera.get_payload()))
+
+    def expect_frame(self) -> None:
+        """Begin to look for packets that the receiver ignores."""
+        self._ignored_before = self._ignored()
+
+    @property
+    def ignores_frame(self) -> bool:
+        """Whether the receiver has ignored packets of the camera since `expect_frame`."""
+        return self._ignored() > self._ignored_before
+
+    def restart_receiver(self, aravis: Aravis) -> None:
+        """Start the receiver again: it forgets which frame was the last one."""
+        self._lost_before = Counter(self.counts())
+        self.stream.stop_thread(True)  # with its buffers
+        self.stream.start_thread()
+        self.supply(aravis)
 
     def counts(self) -> dict[str, int]:
         """Return the losses between camera and computer since the camera was connected; none of USB3 Vision."""
-        return {name: count - self._counted_before[name] for name, count in self._counted().items()}
+        return {
+            name: self._lost_before[name] + count - self._counted_before[name]
+            for name, count in self._counted().items()
+        }
 
-    def _counted(self) -> dict[str, int]:
+    def _counted(self) -> Counter[str]:
         if not self.camera.is_gv_device():
-            return {}
-        return {name: self.stream.get_info_uint64_by_name(key) for name, key in _COUNTED.items()}
+            return Counter()
+        return Counter({name: self.stream.get_info_uint64_by_name(key) for name, key in _COUNTED.items()})
+
+    def _ignored(self) -> int:
+        return int(self.stream.get_info_uint64_by_name("n_ignored_packets")) if self.camera.is_gv_device() else 0
 
     @property
     def lost(self) -> bool:
@@ -143,11 +174,8 @@ def connect(aravis: Aravis, settings: AravisSettings) -> AravisConnection:
         ask("packet size", lambda: _set_packet_size(camera, settings.packet_size))
     set_trigger(aravis, camera, settings)
     stream = ask("stream", lambda: camera.create_stream(None, None))
-    if camera.is_gv_device():
-        time.sleep(_OTHER_PACKETS_S)
     connection = AravisConnection(camera, stream, settings.exposure_time, exposure_time, automatic)
-    for _ in range(_BUFFERS):
-        stream.push_buffer(aravis.module.Buffer.new_allocate(camera.get_payload()))
+    connection.supply(aravis)
     return connection
 
 
