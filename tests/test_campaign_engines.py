@@ -204,12 +204,19 @@ class Cluster:
         self.scheduler = self._start(
             "scheduler", "--host", "tls://127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0"
         )
-        wait_for(self._file.exists, self.scheduler)
+        wait_for(self._is_described, self.scheduler)
         self.address = json.loads(self._file.read_text())["address"]
 
     @property
     def _file(self) -> Path:
         return self._folder / "scheduler.json"
+
+    def _is_described(self) -> bool:
+        """Whether the scheduler has written its file completely: it exists while it is still empty."""
+        try:
+            return "address" in json.loads(self._file.read_text())
+        except (OSError, ValueError):
+            return False
 
     def add_worker(self) -> None:
         self._start("worker", "--nthreads", "1", "--no-nanny", "--no-dashboard")
