@@ -240,7 +240,7 @@ def good_outcome(seed: int) -> str:
 
 def fault_outcome(name: str, seed: int) -> tuple[str, str]:
     """Return whether a fault was named, misnamed or missed, and the message."""
-    trial = Trial(seed, fewest_shifts=4 if FAULTS[name] in (delayed, flicker, motion, approach) else 3)
+    trial = Trial(seed, fewest_shifts=4 if FAULTS[name] in (flicker, motion, approach) else 3)
     fault = FAULTS[name](trial)
     codes, index, message = verdict(trial, fault.frames)
     if not message:
@@ -270,7 +270,7 @@ limits of the checks were set with scenes 0 to 99. Specimen on 10 to 100 % of th
 image, dark or lit background, gamma 1 to 2.4, noise 0.3 to 2.5 grey levels, 8 or 12 bits or real numbers, fringe
 contrast 0.35 to 0.95, texture 0 to 35 %, 3 to 12 shifts (4 or more above gamma 1.1), 2 to 8 pitches or a Gray code. No
 noise model is given. A remark counts as a false alarm; a message that the image saturates does not. Flicker and motions
-are injected into the finest fringes, of 4 shifts or more; with a late projector, all sequences have 4 or more.*
+are injected into the finest fringes, of 4 shifts or more.*
 
 False alarms: {alarms} of {good} good stacks (target: 0 of 1000).
 

@@ -36,7 +36,7 @@ def _saturated(finding: Finding) -> str:
 def _dark(finding: Finding) -> str:
     return (
         f"the image is dark, grey level {finding.value:.1f} at most pixels: check that the projector is on, the lens "
-        "open and the exposure long enough"
+        "open, the exposure long enough and settle_ms longer than the projector's delay (fringedic timing measures it)"
     )
 
 
@@ -104,7 +104,7 @@ def _unrelated_pitch(finding: Finding) -> str:
     if abs(finding.value / fine.pitch - 1) > _SAME_PITCH:
         return (
             f"{words}: in the image their pitch is {finding.value:.3g} px if the other is right; the projector shows "
-            "another pattern than recorded, or scales its image"
+            f"another pattern than recorded or scales its image, or {_LAG}"
         )
     return f"{words}: they are displaced; the projector shows other shifts than recorded, or {_LAG}"
 

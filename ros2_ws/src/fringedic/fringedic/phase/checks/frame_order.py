@@ -34,6 +34,7 @@ _UNKNOWN_FRAME = 0.001  # misfit that a frame without a known pattern has to rem
 _LAGS = (0.08, 0.95)  # parts of the pattern before that leave a misfit and are not a whole frame
 _FEWER_JUMPS = 0.5  # of the jumps remain at most with the right order of the bits
 _NO_SINUSOID = 0.15  # residual over the modulation, RMS, of frames that no explanation fits
+_ALIKE = 2.0  # times its pitch: a pitch that is seen smaller or larger shows another pattern
 _ONE_PHASE = 0.95  # of |mean of exp(i phi)|; fringes over a third of a pitch have 0.83
 _SMALLEST_DEVIATION = 0.5  # of a wrong frame from its pattern, over that of the pattern before
 
@@ -193,17 +194,13 @@ def _interchanged_bits(jumps: CodeJumps, bits: int, recorded: tuple[int, ...]) -
 
 
 def _unexplained(sample: Sample, evidence: Evidence, patterns: Sequence[ProjectedPattern]) -> Finding | None:
-    slices = sample.layout.slices()
-    for number in evidence.unrelated_pitches():
-        first = slices[number].start
-        return Finding(
-            FindingKind.UNRELATED_PITCH,
-            True,
-            (first,),
-            (patterns[first],),
-            value=_seen_pitch(sample, number),
-            coarser=patterns[slices[number - 1].start],
-        )
+    slices, pitches = sample.layout.slices(), sample.layout.pitches
+    unrelated = evidence.unrelated_pitches()
+    for number in range(1, len(slices)):
+        seen = _seen_pitch(sample, number)
+        if number in unrelated or not pitches[number] / _ALIKE < seen < pitches[number] * _ALIKE:
+            first, coarser = slices[number].start, patterns[slices[number - 1].start]
+            return Finding(FindingKind.UNRELATED_PITCH, True, (first,), (patterns[first],), value=seen, coarser=coarser)
     worst = int(np.argmax(evidence.residual))
     if evidence.is_uneven or (evidence.residual[worst] > _NO_SINUSOID and _same_phase(sample, worst)):
         return Finding.of_pitch(FindingKind.UNIDENTIFIED_FRAME, slices[worst], patterns)

@@ -19,9 +19,9 @@ _PIXELS = 2000  # 250 of each class: their median errs by some per cent
 def estimate_sample_noise(sample: Sample) -> CameraNoise:
     """Return the noise of a grey level from the differences of two pixels along the fringes.
 
-    A fault of a frame gives both pixels nearly the same residual, so that it does not count as noise. Three frames of a
-    pitch leave no residual; where no pitch has more, the means of the pitches are compared. A single pitch of three
-    frames gives the noise of rounding.
+    A fault of a frame gives both pixels residuals in proportion to their brightness, so that it does not count as
+    noise, on a texture neither. Three frames of a pitch leave no residual; where no pitch has more, the means of the
+    pitches are compared. A single pitch of three frames gives the noise of rounding.
     """
     freedom = sum(max(count - 3, 0) for count in sample.layout.counts)
     residuals = _residuals if freedom else _differences_of_means
@@ -29,8 +29,11 @@ def estimate_sample_noise(sample: Sample) -> CameraNoise:
     if freedom == 0 or sample.levels.shape[1] < _LEVELS:
         return CameraNoise(ROUNDING_NOISE)
     sample = sample.thin(_PIXELS)
-    first, second = (residuals(each, sample) for each in sample.along_fringes())
-    squares = 0.5 * np.sum((first - second) ** 2, axis=0)
+    neighbours = sample.along_fringes()
+    first, second = (residuals(each, sample) for each in neighbours)
+    one, other = (each[sample.layout.code :].mean(axis=0) for each in neighbours)
+    away = first * other - second * one  # 0 where both residuals are the same part of the brightness
+    squares = np.sum(away**2, axis=0) / np.maximum(one**2 + other**2, np.float32(1e-6))
     level = np.mean([fit[0] for fit in sample.fits], axis=0)
     classes = np.array_split(np.argsort(level, kind="stable"), _LEVELS)
     means = np.array([level[each].mean() for each in classes])

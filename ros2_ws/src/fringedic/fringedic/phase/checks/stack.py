@@ -42,6 +42,7 @@ _DARK = 0.03  # of full scale
 _LEAST_COHERENCE = 0.4  # of the fringes at neighbouring pixels: 0 for noise, 1 for fringes
 _SPARSE = 0.5  # part of the image: where less is usable, more pixels are sampled
 _DENSEST = 8.0  # times as many
+_SAME_AREA = 0.5  # of the pixels with the fringes of one pitch have those of each other pitch, too
 
 
 def check_stack(
@@ -156,7 +157,7 @@ def _find(frames: np.ndarray, patterns: Sequence[ProjectedPattern], settings: Ph
         saturated = sample.levels.max(axis=0) >= ceiling
         usable = _usable_pixels(sample, saturated, settings)
     if usable.sum() < _FEWEST_PIXELS:
-        fault = _find_contradiction(sample.select(~saturated), settings, patterns)
+        fault = _find_contradiction(sample, saturated, settings, patterns)
         return [] if fault is None else [fault]
     found = [Finding(FindingKind.SATURATED, value=saturated.mean())] if saturated.mean() > _SMALLEST_PART else []
     sample = sample.select(usable)
@@ -178,15 +179,19 @@ def _find(frames: np.ndarray, patterns: Sequence[ProjectedPattern], settings: Ph
 
 def _usable_pixels(sample: Sample, saturated: np.ndarray, settings: PhaseSettings) -> np.ndarray:
     """Return the pixels that are lit and modulated at every pitch."""
+    return np.asarray(np.logical_and.reduce(_modulated_pixels(sample, settings)) & ~saturated)
+
+
+def _modulated_pixels(sample: Sample, settings: PhaseSettings) -> list[np.ndarray]:
+    """Return the pixels that are lit and modulated, for each pitch."""
     noise = _estimate_noise(sample, settings)
     mean = np.mean([fit[0] for fit in sample.fits], axis=0)
     deviation = np.sqrt(noise.variance(np.maximum(mean, 0)))
     least = np.maximum(_LEAST_CONTRAST * mean, settings.minimum_modulation)
-    modulated = [
+    return [
         np.hypot(fit[1], fit[2]) > np.maximum(CONFIDENCE * math.sqrt(2 / count) * deviation, least)
         for fit, count in zip(sample.fits, sample.layout.counts, strict=True)
     ]
-    return np.asarray(np.logical_and.reduce(modulated) & ~saturated)
 
 
 def _find_bad_exposure(
@@ -212,7 +217,7 @@ def _find_bad_exposure(
     if np.mean(~saturated & (mean > _DARK * full_scale)) < _SMALLEST_PART:
         return Finding(FindingKind.DARK, True, value=float(np.median(mean)))
     if not noisy:
-        return _find_contradiction(sample.select(~saturated), settings, patterns)
+        return _find_contradiction(sample, saturated, settings, patterns)
     return Finding.of_pitch(FindingKind.FROZEN, sample.layout.slices()[noisy[0]], patterns)
 
 
@@ -230,8 +235,19 @@ def _estimate_noise(sample: Sample, settings: PhaseSettings) -> CameraNoise:
 
 
 def _find_contradiction(
-    sample: Sample, settings: PhaseSettings, patterns: Sequence[ProjectedPattern]
+    sample: Sample, saturated: np.ndarray, settings: PhaseSettings, patterns: Sequence[ProjectedPattern]
 ) -> Finding | None:
-    """Return the pitch whose frames no sinusoid fits in pixels that are not usable otherwise."""
-    misfit = Misfit(sample, _estimate_noise(sample, settings))
-    return find_contradiction(misfit.residuals(range(len(patterns))), sample.layout.slices(), patterns)
+    """Return the pitch whose frames no sinusoid fits, or that is not seen where another one is.
+
+    For stacks in which hardly a pixel is usable.
+    """
+    slices = sample.layout.slices()
+    exposed = sample.select(~saturated)
+    misfit = Misfit(exposed, _estimate_noise(exposed, settings))
+    fault = find_contradiction(misfit.residuals(range(len(patterns))), slices, patterns)
+    if fault is not None:
+        return fault
+    seen = [np.count_nonzero(each) for each in _modulated_pixels(exposed, settings)]
+    if max(seen) < _FEWEST_PIXELS or min(seen) > _SAME_AREA * max(seen):
+        return None
+    return Finding.of_pitch(FindingKind.FROZEN, slices[int(np.argmin(seen))], patterns)
