@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import dask
@@ -127,17 +127,23 @@ def kill(process: psutil.Process) -> None:
     process.wait(60)
 
 
-def started(campaign: Campaign, *options: str) -> subprocess.Popen[bytes]:
-    """Start the command with two workers."""
-    command = ["fringedic", "campaign", "run", str(campaign.folder), "--workers", "2", *options]
-    return subprocess.Popen(command, stdout=subprocess.DEVNULL)
+@contextmanager
+def started(campaign: Campaign, *options: str) -> Iterator[subprocess.Popen[bytes]]:
+    """Start the command with two workers, and kill what is left of them in the end."""
+    words = ["fringedic", "campaign", "run", str(campaign.folder), "--workers", "2", *options]
+    with subprocess.Popen(words, stdout=subprocess.DEVNULL, start_new_session=True) as command:
+        try:
+            yield command
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(command.pid, signal.SIGKILL)
 
 
 def test_a_killed_process_changes_nothing(campaign: Campaign, expected: dict[str, str]) -> None:
     with started(campaign, "--engine", "processes") as command:
         wait_for(lambda: processing(campaign), command)
         kill(random.Random(1).choice(workers(psutil.Process(command.pid))))
-    assert command.returncode == 0
+        assert command.wait(120) == 0
     assert written(campaign) == expected
 
 
@@ -169,8 +175,8 @@ def test_after_killed_workers_and_a_killed_command_only_the_rest_is_processed(
         wait_for(lambda: receipts_in(campaign) and processing(campaign), command)
         below = client.children(recursive=True)
         command.kill()
-    _, alive = psutil.wait_procs(below, timeout=60)
-    assert not alive
+        _, alive = psutil.wait_procs(below, timeout=60)
+        assert not alive
     before = receipts(campaign)
     waiting = units(campaign)
     assert {unit.name for unit in waiting} == NAMES - before.keys()
