@@ -54,7 +54,8 @@ class FreeRun:
         self._index = 0
         self._dropped_before = 0  # by the driver, when the free run started
         self._paused = False
-        self._resuming: Timer | None = None
+        # one for all captures: a callback group keeps a reference to every timer that it ever had
+        self._resuming = node.create_timer(_RESUME_S, self.resume, autostart=False)
 
     def begin(self) -> None:
         """Start with index 0, when the parameters ask for a free run."""
@@ -64,12 +65,12 @@ class FreeRun:
     def end(self) -> None:
         """Stop; nothing resumes."""
         self._paused = False
-        self._cancel_resume()
+        self._resuming.cancel()
         self._stop()
 
     async def pause(self) -> None:
         """Give the camera to a step, which requests each of its frames."""
-        self._cancel_resume()
+        self._resuming.cancel()
         if self._timer is None and not self._streaming:
             return
         self._stop()
@@ -81,7 +82,7 @@ class FreeRun:
 
     def resume(self) -> None:
         """Continue after a step; the index continues, too."""
-        self._cancel_resume()
+        self._resuming.cancel()
         if self._paused and self._node.active:
             self._paused = False
             try:
@@ -93,12 +94,7 @@ class FreeRun:
     def resume_later(self) -> None:
         """Continue after a time without a further capture, in case the end of the step is never published."""
         if self._paused:
-            self._resuming = self._node.create_timer(_RESUME_S, self.resume)
-
-    def _cancel_resume(self) -> None:
-        if self._resuming is not None:
-            self._node.destroy_timer(self._resuming)
-            self._resuming = None
+            self._resuming.reset()
 
     def _start(self) -> None:
         driver, rate = self._thread.driver, self._node.parameters.value.frame_rate_hz
