@@ -13,7 +13,7 @@ namespace: bench
 camera: {source: aravis, camera: 192.168.1.20, width: 1280, height: 960, first_row: 64, exposure_ms: 16.7, gain_db: 3}
 projector: {source: display, display: 1, width: 1920, height: 1080}
 sequence: {pitches_px: [1920, 120, 20], shifts: 4}
-load_frame: {source: machine, file: frame.yaml, rate_hz: 500}
+load_frame: {source: machine, file: frame.yaml, rate_hz: 500, position_tolerance_mm: 0.02}
 """
 
 
@@ -29,7 +29,9 @@ def test_real_devices_get_the_parameters_of_the_rig_file(tmp_path: Path) -> None
     assert (camera["camera"], camera["region_px"]) == ("192.168.1.20", [0, 64, 1280, 960])
     assert (camera["exposure_time_s"], camera["gain_db"], camera["trigger"]) == (0.0167, 3.0, "software")
     assert nodes["projector"] == {"width_px": 1920, "height_px": 1080, "screen": "display", "display": 1}
-    assert nodes["load_frame"] == {"source": "machine", "rate_hz": 500.0, "machine_file": str(tmp_path / "frame.yaml")}
+    machine_file = str(tmp_path / "frame.yaml")
+    expected = {"source": "machine", "rate_hz": 500.0, "position_tolerance_mm": 0.02, "machine_file": machine_file}
+    assert nodes["load_frame"] == expected
 
 
 def test_recorder_gets_the_limits_of_its_files(tmp_path: Path) -> None:
@@ -76,11 +78,14 @@ def test_controller_gets_its_topics(tmp_path: Path) -> None:
     assert load_frame == {
         "source": "controller",
         "rate_hz": 500.0,
+        "position_tolerance_mm": 0.02,
         "joint_states_topic": "/joint_states",
         "joint": "ram",
         "wrench_topic": "/wrench",
         "force_axis": "z",
         "force_sign": -1,
+        "slowest_mm_per_s": 0.01,
+        "motion_span_s": 0.2,
     }
 
 

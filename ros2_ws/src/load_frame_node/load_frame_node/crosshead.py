@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 
 from rclpy.node import Node
 
@@ -36,6 +37,7 @@ class Crosshead:
         self.hold_requested = False
         self.reached: Sample | None = None
         self._ends_move: Callable[[Sample], bool] = _never
+        self._hold_is_owed = False
         self._in_use = threading.Lock()
 
     def open(self, machine: Machine) -> None:
@@ -60,15 +62,13 @@ class Crosshead:
             return self._open_machine().sample()
 
     def take(self, sample: Sample) -> None:
-        """Make a sample the latest one, and request a hold when it ends the move."""
+        """Make a sample the latest one, and request a hold when it ends the move or when one is owed."""
         self.sample = sample
         if self._ends_move(sample):
-            try:
+            self.reached, self._ends_move, self._hold_is_owed = sample, _never, True
+        if self._hold_is_owed:
+            with suppress(MachineError):  # requested again at the next sample
                 self.hold()
-            except MachineError:
-                pass  # requested again at the next sample
-            else:
-                self.reached, self._ends_move = sample, _never
         self.changed.notify()
 
     def move_to(self, position: float, speed: float, ends_move: Callable[[Sample], bool]) -> None:
@@ -87,7 +87,7 @@ class Crosshead:
             The machine does not accept the request.
         """
         with self._in_use:
-            self.reached, self._ends_move = None, _never
+            self.reached, self._ends_move, self._hold_is_owed = None, _never, False
             self._open_machine().move_to(position, speed)
             self._ends_move = ends_move
 
@@ -96,15 +96,17 @@ class Crosshead:
         self._ends_move = _never
 
     def hold(self) -> None:
-        """Request a hold.
+        """Request a hold. Until the machine accepts it, or is moved again, it is requested with every sample.
 
         Raises
         ------
         MachineError
-            The machine does not accept the request.
+            The machine does not accept the request now.
         """
         with self._in_use:
+            self._hold_is_owed = True
             self._open_machine().hold()
+            self._hold_is_owed = False
 
     def _open_machine(self) -> Machine:
         if self.machine is None:

@@ -20,6 +20,7 @@ Result = MoveCrosshead.Result
 _FEEDBACK_PERIOD_S = 0.1
 _START_TIMEOUT_S = 5.0  # from the request to the first motion
 _STOP_TIMEOUT_S = 30.0
+_ENDS_OF_MOTION = (LoadMode.IDLE, LoadMode.HOLD, LoadMode.FAULT)
 _LOST_MODES = (LoadMode.FAULT, LoadMode.UNKNOWN)  # the machine does not follow the move any more
 
 
@@ -77,7 +78,6 @@ class MoveServer:
     async def _follow(self, goal: ServerGoalHandle, requested_ns: int, timeout_s: float) -> MoveCrosshead.Result:
         """Publish feedback until the move has ended, and return its result."""
         crosshead, started, moved = self._crosshead, time.monotonic(), False
-        tolerance = 1e-3 * self._node.parameters.value.position_tolerance_mm
 
         def is_over() -> bool:
             nonlocal moved
@@ -87,8 +87,9 @@ class MoveServer:
             if sample.stamp_ns < requested_ns:  # acquired before the request
                 return False
             moved |= sample.mode is LoadMode.MOVING
-            arrived = abs(sample.position - goal.request.position) <= tolerance
-            return sample.mode in _LOST_MODES or (sample.mode is not LoadMode.MOVING and (moved or arrived))
+            return sample.mode in _LOST_MODES or (
+                sample.mode is not LoadMode.MOVING and (moved or self._has_arrived(goal))
+            )
 
         while not is_over():
             passed = time.monotonic() - started
@@ -117,13 +118,30 @@ class MoveServer:
             await self._wait_until_still()
             return self._end(goal, Result.NONE, "", crosshead.reached)
         if not self._node.active or crosshead.sample.mode in _LOST_MODES:
-            message = "the machine stopped, or no longer reports its state; a hold was requested"
+            message = "the machine reports a fault, or no longer reports its state; a hold was requested"
             try:
                 crosshead.hold()  # an unreadable answer does not stop a move
             except MachineError as error:
-                message = f"the machine stopped, or no longer reports its state, and takes no request to hold: {error}"
+                message = (
+                    "the machine reports a fault, or no longer reports its state; a hold was not accepted and is "
+                    f"requested again with every sample: {error}"
+                )
             return self._end(goal, Result.MACHINE_FAULT, message)
+        if not self._has_arrived(goal):
+            return self._end(goal, Result.MACHINE_FAULT, self._short_of_target(goal))
         return self._end(goal, Result.NONE, "")
+
+    def _has_arrived(self, goal: ServerGoalHandle) -> bool:
+        tolerance_mm = self._node.parameters.value.position_tolerance_mm
+        return 1e3 * abs(self._crosshead.sample.position - goal.request.position) <= tolerance_mm
+
+    def _short_of_target(self, goal: ServerGoalHandle) -> str:
+        target, position = 1e3 * goal.request.position, 1e3 * self._crosshead.sample.position
+        return (
+            f"the crosshead stopped at {position:.4f} mm, {abs(position - target):.4f} mm from its target: it was "
+            "stopped at the machine or by a limit of the machine; if this is its usual accuracy, increase "
+            "position_tolerance_mm"
+        )
 
     async def _stop(self) -> None:
         """Request a hold and wait until the crosshead stands still."""
@@ -132,13 +150,24 @@ class MoveServer:
             await self._wait_until_still()
 
     async def _wait_until_still(self) -> None:
-        requested = time.time_ns()
+        """Wait until a sample reports standstill.
 
-        def is_still() -> bool:
-            sample = self._crosshead.sample
-            return not self._node.active or (sample.stamp_ns > requested and sample.mode is not LoadMode.MOVING)
+        Raises
+        ------
+        MachineError
+            The machine reports a fault.
+        WaitTimeoutError
+            No sample reports standstill in time.
+        """
+        requested, crosshead = time.time_ns(), self._crosshead
 
-        await self._crosshead.changed.wait(is_still, _STOP_TIMEOUT_S, "the end of the motion")
+        def is_over() -> bool:
+            sample = crosshead.sample
+            return not self._node.active or (sample.stamp_ns > requested and sample.mode in _ENDS_OF_MOTION)
+
+        await crosshead.changed.wait(is_over, _STOP_TIMEOUT_S, "a sample that reports the standstill of the crosshead")
+        if crosshead.sample.mode is LoadMode.FAULT:
+            raise MachineError("the machine reports a fault")
 
     def _end(
         self, goal: ServerGoalHandle, code: int, message: str, reached: Sample | None = None

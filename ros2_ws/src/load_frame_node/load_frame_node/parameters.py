@@ -26,13 +26,19 @@ class LoadFrameParameters(HardwareParameters):
     virtual_rig: VirtualRigText = "{preset: plate}"
     machine_file: str = Field("", description="Source `machine`: YAML file with its protocol, registers and units.")
     position_tolerance_mm: float = Field(
-        0.01, gt=0, le=10, description="A move ends without motion when the crosshead is this close to the target [mm]."
+        0.01, gt=0, le=10, description="A move has arrived when the crosshead stands this close to the target [mm]."
     )
     joint_states_topic: str = Field("/joint_states", description="Source `controller`: JointState of the crosshead.")
     joint: str = Field("crosshead", description="Source `controller`: name of the joint of the crosshead.")
     wrench_topic: str = Field("/wrench", description="Source `controller`: WrenchStamped of the load cell.")
     force_axis: Literal["x", "y", "z"] = Field("z", description="Source `controller`: axis of the force.")
     force_sign: int = Field(1, ge=-1, le=1, description="Source `controller`: -1 when tension is negative.")
+    slowest_mm_per_s: float = Field(
+        0.01, gt=0, le=100, description="Source `controller`: speed above which the crosshead counts as moving [mm/s]."
+    )
+    motion_span_s: float = Field(
+        0.2, gt=0, le=10, description="Source `controller`: time over which this speed is determined [s]."
+    )
 
     @model_validator(mode="after")
     def _machine_is_described(self) -> Self:
@@ -61,6 +67,8 @@ class LoadFrameParameters(HardwareParameters):
                     wrench=self.wrench_topic,
                     force_axis=self.force_axis,
                     force_sign=self.force_sign,
+                    slowest=1e-3 * self.slowest_mm_per_s,
+                    span=self.motion_span_s,
                 ),
             )
         configuration = virtual_configuration(self.virtual_rig)

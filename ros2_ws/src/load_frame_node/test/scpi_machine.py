@@ -16,14 +16,14 @@ class Conversation:
         configuration = VirtualRigConfiguration.from_dict({"preset": "plate"})
         self.machine = SimulatedMachine(SimulatedLoadFrame(configuration.load_frame, seed=1))
         self.speed = 1.0  # [mm/min]
-        self.silent = self.babbling = False
+        self.manner = "SPEAK"
 
     def answer(self, line: str) -> str | None:
         sample = self.machine.sample()
         command, _, value = line.partition(" ")
         match command:
             case "MEAS:FORC?":
-                return "?#!" if self.babbling else f"{1e-3 * sample.force:.6f}"  # [kN]
+                return "?#!" if self.manner == "BABBLE" else f"{1e-3 * sample.force:.6f}"  # [kN]
             case "MEAS:POS?":
                 return f"{1e6 * sample.position:.3f}"  # [um]
             case "STAT?":
@@ -34,18 +34,16 @@ class Conversation:
                 self.machine.move_to(1e-3 * float(value), 1e-3 / 60 * self.speed)
             case "STOP":
                 self.machine.hold()
-            case "SILENT":
-                self.silent = True
-            case "BABBLE":
-                self.babbling = True
-            case "SPEAK":
-                self.silent = self.babbling = False
-        return None
+            case "SILENT" | "BABBLE" | "ACKNOWLEDGE" | "SPEAK":
+                self.manner = command
+        return "0" if self.manner == "ACKNOWLEDGE" else None
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         while line := await reader.readline():
             answer = self.answer(line.decode().strip())
-            if answer is not None and not self.silent:
+            if self.manner == "ACKNOWLEDGE":
+                await asyncio.sleep(0.003)  # longer than the machine is waited for after a sample
+            if answer is not None and self.manner != "SILENT":
                 writer.write(f"{answer}\n".encode())
                 await writer.drain()
         writer.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 import subprocess
 import sys
 import time
@@ -19,6 +20,7 @@ from fuzzed_replies import fuzz
 from geometry_msgs.msg import WrenchStamped
 from pymodbus.client import ModbusTcpClient
 from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -184,6 +186,26 @@ def test_scpi_machine_that_babbles_or_is_silent(command: str, words: str, tmp_pa
             connected.sample()
 
 
+def test_scpi_machine_that_acknowledges_its_commands_is_refused(tmp_path: Path) -> None:
+    """Each acknowledgement would shift all later answers by one, the position to the place of the status."""
+    with machine("scpi", tmp_path, hold=["ACKNOWLEDGE"]) as (connected, _, _):
+        for _ in range(3):
+            connected.sample()
+        connected.hold()
+        with pytest.raises(MachineError, match=r"sent more than was requested, .* acknowledges commands"):
+            connected.sample()
+
+
+def test_modbus_value_that_does_not_fit_its_register(tmp_path: Path) -> None:
+    """A position in micrometres of 16 bits ends at 32.8 mm."""
+    position = {"register": 10, "type": "int16", "unit": "um"}
+    changes = {"move": {**MODBUS["move"], "position": position}, "limits": {**LIMITS, "highest_mm": 50.0}}
+    with machine("modbus", tmp_path, **changes) as (connected, _, _):
+        with pytest.raises(MachineError, match="move: 40000 does not fit register 10 of type int16"):
+            connected.move_to(40 * MM, MM)
+        assert connected.sample().mode is LoadMode.IDLE
+
+
 @pytest.mark.parametrize("protocol", ["modbus", "scpi"])
 def test_only_a_hold_that_the_machine_reports_is_believed(protocol: str) -> None:
     modes = fuzz(protocol, 1000)
@@ -285,11 +307,17 @@ class Operator(Peer):
         self._hold = self.create_client(Trigger, "load_frame/hold")
 
     def move(self, position: float, speed: float) -> MoveCrosshead.Result:
+        return self.end(self.start(position, speed))
+
+    def start(self, position: float, speed: float, **limits: list[float]) -> ClientGoalHandle:
         self.wait(self._move.server_is_ready, "the action server")
         self.meet("load_frame")
-        sending = self._move.send_goal_async(MoveCrosshead.Goal(position=position, speed=speed))
+        sending = self._move.send_goal_async(MoveCrosshead.Goal(position=position, speed=speed, **limits))
         self.wait(sending.done, "the answer to the goal")
-        ending = sending.result().get_result_async()
+        return sending.result()
+
+    def end(self, goal: ClientGoalHandle) -> MoveCrosshead.Result:
+        ending = goal.get_result_async()
         self.wait(ending.done, "the result")
         return ending.result().result
 
@@ -344,6 +372,39 @@ def test_node_drives_a_modbus_machine_that_is_lost_and_found(operator: Operator,
                 assert operator.move(0.1 * MM, 1.0 * MM).error_code == MoveCrosshead.Result.NONE
 
 
+def test_a_hold_that_was_not_accepted_is_requested_again(operator: Operator, tmp_path: Path) -> None:
+    """The machine does not answer for longer than the time-out in a move until a force, and goes on moving."""
+    path = tmp_path / "machine.yaml"
+    parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
+    with server("modbus_machine.py") as (process, port):
+        path.write_text(yaml.safe_dump({**description("modbus", port), "timeout_s": 0.3}))
+        with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters):
+            goal = operator.start(1.0 * MM, 0.02 * MM, force_above=[1000.0])
+            operator.until(LoadState.MOVING)
+            process.send_signal(signal.SIGSTOP)
+            time.sleep(0.8)
+            process.send_signal(signal.SIGCONT)
+            result = operator.end(goal)
+            assert result.error_code == MoveCrosshead.Result.MACHINE_FAULT
+            assert "a hold was not accepted and is requested again with every sample" in result.error_message
+            assert operator.until(LoadState.HOLD).force < 500
+
+
+def test_a_move_that_is_stopped_at_the_machine_has_not_arrived(operator: Operator, tmp_path: Path) -> None:
+    path = tmp_path / "machine.yaml"
+    parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
+    with server("modbus_machine.py") as (_, port):
+        path.write_text(yaml.safe_dump(description("modbus", port)))
+        with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters):
+            goal = operator.start(0.8 * MM, 0.05 * MM)
+            operator.until(LoadState.MOVING)
+            with ModbusTcpClient("127.0.0.1", port=port) as technician:
+                technician.write_coil(1, True, device_id=1)
+            result = operator.end(goal)
+    assert result.error_code == MoveCrosshead.Result.MACHINE_FAULT
+    assert "mm from its target: it was stopped at the machine" in result.error_message
+
+
 def test_node_publishes_the_drift_of_the_clock_of_the_machine(operator: Operator, tmp_path: Path) -> None:
     path = tmp_path / "machine.yaml"
     clocks = operator.listen(ClockDrift, "load_frame/clock", LATCHED)
@@ -394,5 +455,6 @@ def test_node_listens_to_a_controller(operator: Operator, tmp_path: Path) -> Non
         assert operator.until(LoadState.MOVING).force == 120.0
         operator.destroy_timer(ramp)
         operator.until(LoadState.HOLD)
+        joints.publish(JointState(name=["ram"]))  # a joint without position, which the message allows
         operator.destroy_timer(timer)
         operator.until(LoadState.UNKNOWN)

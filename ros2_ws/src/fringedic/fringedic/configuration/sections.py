@@ -239,6 +239,15 @@ class LoadFrameSection(Section):
     wrench_topic: str = Field("/wrench", description="Wrench of the source 'controller'.")
     force_axis: Literal["x", "y", "z"] = Field("z", description="Axis of the force of the source 'controller'.")
     force_sign: Literal[-1, 1] = Field(1, description="-1 when the controller's tension is negative.")
+    slowest_mm_per_s: float = Field(
+        0.01, gt=0, le=100, description="Speed above which the crosshead of the source 'controller' moves [mm/s]."
+    )
+    motion_span_s: float = Field(
+        0.2, gt=0, le=10, description="Time over which the source 'controller' determines this speed [s]."
+    )
+    position_tolerance_mm: float = Field(
+        0.01, gt=0, le=10, description="A move has arrived when the crosshead stands this close to its target [mm]."
+    )
     rate_hz: float = Field(100.0, ge=2, le=1000, description="Rate of the samples of force and position [Hz].")
     hold_required: bool = Field(True, description="Whether a step fails when the machine does not hold.")
     load_drift_n: float = Field(

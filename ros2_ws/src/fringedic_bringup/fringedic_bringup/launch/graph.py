@@ -327,13 +327,18 @@ def _extensometer(section: ExtensometerSection) -> dict[str, Any]:
 def _load_frame(rig: RigFile, rig_path: Path) -> dict[str, Any]:
     load_frame = rig.load_frame
     assert load_frame is not None, "checked by the caller"
-    parameters: dict[str, Any] = {"source": load_frame.source, "rate_hz": load_frame.rate_hz}
+    parameters: dict[str, Any] = {
+        "source": load_frame.source,
+        "rate_hz": load_frame.rate_hz,
+        "position_tolerance_mm": load_frame.position_tolerance_mm,
+    }
     if load_frame.file is not None:
         parameters["machine_file"] = str((rig_path.parent / load_frame.file).absolute())
     if load_frame.source == "simulated":
         parameters["virtual_rig"] = _virtual_rig(rig)
     if load_frame.source == "controller":
-        names = ("joint_states_topic", "joint", "wrench_topic", "force_axis", "force_sign")
+        topics = ("joint_states_topic", "joint", "wrench_topic", "force_axis", "force_sign")
+        names = (*topics, "slowest_mm_per_s", "motion_span_s")
         parameters |= {name: getattr(load_frame, name) for name in names}
     return parameters
 

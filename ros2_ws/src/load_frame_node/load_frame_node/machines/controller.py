@@ -16,13 +16,11 @@ from fringedic_ros.stamps import to_nanoseconds
 from load_frame_node.machines.machine import LoadMode, Motion, Sample
 
 _OLDEST_S = 1.0  # older messages do not describe the present state
-_SLOWEST_M_PER_S = 1e-5
-_SPAN_S = 0.2
 
 
 @dataclass(frozen=True)
 class ControllerTopics:
-    """Topics that contain the state of the machine.
+    """Topics that contain the state of the machine, and how its motion is recognised.
 
     Attributes
     ----------
@@ -30,6 +28,8 @@ class ControllerTopics:
         Topic and joint that contain the position of the crosshead [m].
     wrench, force_axis, force_sign
         Topic and axis that contain the force [N], and the sign that makes tension positive.
+    slowest, span
+        Speed above which the crosshead counts as moving [m/s], and the time over which it is determined [s].
     """
 
     joint_states: str
@@ -37,6 +37,8 @@ class ControllerTopics:
     wrench: str
     force_axis: str
     force_sign: int
+    slowest: float
+    span: float
 
 
 class ControllerMachine:
@@ -55,7 +57,7 @@ class ControllerMachine:
         self._source = topics
         self._position: tuple[int, float] | None = None
         self._force: tuple[int, float] | None = None
-        self._motion = Motion(_SLOWEST_M_PER_S, _SPAN_S)
+        self._motion = Motion(topics.slowest, topics.span)
         self._mode = LoadMode.UNKNOWN
         self._subscriptions = [
             node.create_subscription(JointState, topics.joint_states, self._take_joints, qos_profile_sensor_data),
@@ -105,10 +107,8 @@ class ControllerMachine:
         self._subscriptions = []
 
     def _take_joints(self, message: JointState) -> None:
-        if self._source.joint not in message.name:
-            return
-        position = message.position[message.name.index(self._source.joint)]
-        if math.isfinite(position):
+        position = dict(zip(message.name, message.position, strict=False)).get(self._source.joint, math.nan)
+        if math.isfinite(position):  # a message may name joints without their positions
             stamp = to_nanoseconds(message.header.stamp)
             self._mode = self._motion.mode(stamp, position)
             self._position = stamp, position

@@ -152,7 +152,7 @@ class Link:
         MachineGoneError
             The machine is not connected or does not answer.
         MachineError
-            The machine refuses the request. Both messages name the machine and the request.
+            The machine refuses the request, or its answer cannot be used. The messages name machine and request.
         """
         self._connect(what)
         try:
@@ -162,6 +162,8 @@ class Link:
             raise MachineGoneError(f"{self._name}: {what}: {error}") from error
         except MachineError as error:
             raise MachineError(f"{self._name}: {what}: {error}") from error
+        except Exception as error:  # of a library, about whatever a machine has sent
+            raise MachineError(f"{self._name}: {what}: {type(error).__name__}: {error}") from error
 
     def close(self) -> None:
         """End the connection."""

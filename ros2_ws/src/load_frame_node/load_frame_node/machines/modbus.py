@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 import time
 from typing import Any
 
@@ -99,7 +100,10 @@ class ModbusMachine(DescribedMachine[ModbusDescription]):
     def _write(self, place: Register, number: float) -> None:
         kind = self._client.DATATYPE[place.type.upper()]
         value = number if place.type.startswith("float") else round(number)
-        registers = self._client.convert_to_registers(value, kind, word_order=self.description.word_order)
+        try:
+            registers = self._client.convert_to_registers(value, kind, word_order=self.description.word_order)
+        except (struct.error, OverflowError, ValueError) as error:
+            raise MachineError(f"{value:g} does not fit register {place.register_} of type {place.type}") from error
         self._answered(self._client.write_registers, place.register_, registers)
 
     def _switch(self, switch: Switch) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import time
 from typing import Any
@@ -15,6 +16,7 @@ from load_frame_node.machines.description import Query, ScpiDescription
 
 _WHOLE_NUMBER = re.compile(r"[+-]?[0-9]{1,9}")
 _NUMBER = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")  # float() takes 1_0 and other digits, too
+_CHECK_PERIOD_S, _SHORTEST_CHECK_S = 1.0, 0.002
 _SHOWN = 40  # characters of an answer that a message repeats
 
 
@@ -23,6 +25,8 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
 
     def __init__(self, description: ScpiDescription) -> None:
         self._resource: Any = None
+        self._slowest_answer_s = 0.0  # of this connection
+        self._checked_s = -math.inf  # when nothing had followed the last answer for long enough
         super().__init__(description, description.resource)
 
     def connect(self) -> None:
@@ -38,6 +42,7 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
             )
         except (pyvisa.Error, OSError, ValueError) as error:
             raise MachineGoneError(f"no connection: {error}") from error
+        self._slowest_answer_s = 0.0
         self._send(description.start)
 
     def disconnect(self) -> None:
@@ -53,15 +58,22 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
         """Query force, position, status and time, in this order; the stamp is the middle of the queries.
 
         Answers have no names: one line too many would shift all later ones, and a position could be read as a status.
+        The answer that is left over then arrives up to one answering time after the last one was read. The machine is
+        given this time after each command, which it may have acknowledged, and once a second.
         """
         description = self.description
+        self._check_nothing_follows(0.0)
         before = time.time_ns()
         force = self._number("force", description.force)
         position = self._number("position", description.position)
         status = None if description.status is None else self._answer(description.status.query)
         own_time = None if description.time is None else self._number("time", description.time)
         stamp = (before + time.time_ns()) // 2
-        self._check_nothing_follows()
+        if time.monotonic() - self._checked_s > _CHECK_PERIOD_S:
+            self._check_nothing_follows(max(2 * self._slowest_answer_s, _SHORTEST_CHECK_S))
+            self._checked_s = time.monotonic()
+        else:
+            self._check_nothing_follows(0.0)
         is_number = status is not None and _WHOLE_NUMBER.fullmatch(status)
         reported = int(status) if status is not None and is_number else status
         return Reading(stamp, force, position, reported, own_time)
@@ -85,23 +97,28 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
         return query.si(float(answer))
 
     def _answer(self, query: str) -> str:
+        sent = time.monotonic()
         try:
             answer: str = self._resource.query(query)
         except (pyvisa.Error, OSError, UnicodeDecodeError) as error:
             raise MachineGoneError(f"'{query}' has no answer: {error}") from error
+        self._slowest_answer_s = max(self._slowest_answer_s, time.monotonic() - sent)
         return answer.strip()
 
-    def _check_nothing_follows(self) -> None:
-        patience, self._resource.timeout = self._resource.timeout, VI_TMO_IMMEDIATE
+    def _check_nothing_follows(self, wait_s: float) -> None:
+        patience, self._resource.timeout = self._resource.timeout, math.ceil(1e3 * wait_s) or VI_TMO_IMMEDIATE
         try:
             extra = self._resource.read_bytes(1)
         except (pyvisa.Error, OSError):
             return  # nothing more to read, as it should be; a lost connection fails at the next query
         finally:
             self._resource.timeout = patience
-        raise MachineGoneError(f"it sent more than it was asked for, from {extra!r} on")
+        raise MachineGoneError(
+            f"it sent more than was requested, from {extra!r} on; if it acknowledges commands, switch that off"
+        )
 
     def _send(self, commands: list[str]) -> None:
+        self._checked_s = -math.inf
         for command in commands:
             try:
                 self._resource.write(command)
