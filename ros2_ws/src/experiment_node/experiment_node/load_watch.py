@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from itertools import pairwise
+from typing import NamedTuple
 
 from rclpy.node import Node
 
@@ -24,6 +26,7 @@ Result = MeasureStep.Result
 HELD = (LoadState.HOLD, LoadState.IDLE)
 SAMPLE_TIMEOUT = 2.0  # [s] for a sample of the present, or of after the last exposure, to arrive
 LONGEST_GAP = 1.0  # [s] between two samples that prove a hold: more than twice the period of the lowest rate, 2 Hz
+MOST_AHEAD = 0.1  # [s] by which a stamp may be later than the arrival of its sample: synchronised clocks differ by less
 
 
 class LoadWatch:
@@ -55,7 +58,7 @@ class LoadWatch:
     def _take(self, message: LoadState) -> None:
         self._latest = message
         if self.step is not None:
-            self.step.load.append(message)
+            _collect(self.step, message)
             self._changed.notify()
 
     def _is_expected(self, step: RunningStep, parameters: ExperimentParameters) -> bool:
@@ -76,9 +79,9 @@ class LoadWatch:
             return
         timeout = SAMPLE_TIMEOUT if self._latest is not None else parameters.start_timeout_s
         await self._await_sample(step, time.time_ns(), timeout)
-        self.check_latest(step, parameters)
         if not step.load and self._latest is not None:
-            step.load.append(self._latest)  # of a clock slightly ahead: it came before the step
+            _collect(step, self._latest)  # of a clock that is ahead: it came before the step
+        self.check_latest(step, parameters)
 
     async def _await_sample(self, step: RunningStep, after: int, timeout: float) -> None:
         """Wait for a sample that was acquired after a time [ns].
@@ -99,8 +102,8 @@ class LoadWatch:
             return "the load frame publishes no sample on load_frame/state; check its connection and its log"
         age = 1e-9 * (time.time_ns() - to_nanoseconds(self._latest.header.stamp))
         return (
-            f"the latest sample of the load frame is {age:.1f} s old, so nobody knows whether it holds; check that "
-            "load_frame runs and, when it runs on another computer, that the clocks agree"
+            f"the latest sample of the load frame is {age:.1f} s old, so whether the machine holds is unknown; check "
+            "that load_frame runs and, when it runs on another computer, that the clocks agree"
         )
 
     def check_latest(self, step: RunningStep, parameters: ExperimentParameters) -> None:
@@ -112,6 +115,7 @@ class LoadWatch:
             LOAD_NOT_HELD.
         """
         if parameters.hold_required and step.experiment.has_load_frame:
+            _check_clock(step, Result.LOAD_NOT_HELD)
             _check_held([self._latest])
 
     async def check_exposures(self, step: RunningStep, parameters: ExperimentParameters) -> None:
@@ -121,7 +125,7 @@ class LoadWatch:
         ------
         StepFailure
             CAMERA_FAILED without exposure records; LOAD_NOT_HELD also without samples that show a hold before, during
-            and after the exposures; LOAD_DRIFT.
+            and after the exposures; LOAD_DRIFT also when a drift that has a limit is unknown.
         """
         await step.goal.wait(
             lambda: {0, len(step.patterns) - 1} <= step.exposures.keys(),
@@ -133,13 +137,77 @@ class LoadWatch:
         start, end = step.exposed_over()
         if parameters.hold_required:
             await self._await_sample(step, end, SAMPLE_TIMEOUT)
+            _check_clock(step, Result.LOAD_NOT_HELD)
             _check_held_throughout(step.load_around_exposures(), start)
-        else:
-            with suppress(WaitTimeoutError):  # without it, the drift is unknown
-                await self._changed.wait(
-                    lambda: bool(step.load) and to_nanoseconds(step.load[-1].header.stamp) >= end, SAMPLE_TIMEOUT
-                )
-        _check_drift(step, parameters)
+        limits = drift_limits(parameters)
+        with suppress(WaitTimeoutError):  # without these samples, a drift is unknown
+            await self._changed.wait(lambda: _latest_shows_end(step, limits), SAMPLE_TIMEOUT)
+        for limit in limits:
+            check_drift(step, limit)
+
+
+class DriftLimit(NamedTuple):
+    """Largest change of a quantity of the load frame during the exposures of a step.
+
+    Attributes
+    ----------
+    quantity
+        Its name in messages.
+    value
+        Returns its value in a sample, in `unit`.
+    largest
+        The limit in `unit`.
+    parameter
+        Name of the parameter with the limit.
+    """
+
+    quantity: str
+    value: Callable[[LoadState], float]
+    unit: str
+    largest: float
+    parameter: str
+
+    def is_known(self, sample: LoadState) -> bool:
+        """Return whether a sample contains a value of the quantity."""
+        return math.isfinite(self.value(sample))
+
+
+def drift_limits(parameters: ExperimentParameters) -> list[DriftLimit]:
+    """Return the limits that the parameters set."""
+    limits = (
+        DriftLimit("force", lambda sample: sample.force, "N", parameters.load_drift_n, "load_drift_n"),
+        DriftLimit(
+            "crosshead position",
+            lambda sample: 1e6 * sample.position,
+            "µm",
+            parameters.position_drift_um,
+            "position_drift_um",
+        ),
+    )
+    return [limit for limit in limits if limit.largest]
+
+
+def _collect(step: RunningStep, sample: LoadState) -> None:
+    """Add a sample that has arrived now to a step."""
+    step.load.append(sample)
+    step.load_ahead = max(step.load_ahead, 1e-9 * (to_nanoseconds(sample.header.stamp) - time.time_ns()))
+
+
+def _latest_shows_end(step: RunningStep, limits: Iterable[DriftLimit]) -> bool:
+    """Return whether the latest sample is from after the exposures and contains every quantity that has a limit."""
+    if not step.load or to_nanoseconds(step.load[-1].header.stamp) < step.exposed_over()[1]:
+        return False
+    return all(limit.is_known(step.load[-1]) for limit in limits)
+
+
+def _check_clock(step: RunningStep, code: int) -> None:
+    """End the step when samples carry stamps of the future: they do not show the machine at the time of the stamp."""
+    if step.load_ahead > MOST_AHEAD:
+        raise StepFailure(
+            code,
+            f"the clock of the load frame is {step.load_ahead:.1f} s ahead of the clock of the experiment node, "
+            f"{MOST_AHEAD:g} s are allowed; synchronise the clocks of their computers (chrony)",
+        )
 
 
 def _check_held(samples: Iterable[LoadState | None]) -> None:
@@ -163,7 +231,7 @@ def _check_held_throughout(samples: Sequence[LoadState], start: int) -> None:
     stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
     if not stamps or stamps[0] > start:
         raise StepFailure(Result.LOAD_NOT_HELD, "no sample of the load frame is older than the first exposure")
-    gap = 1e-9 * max((after - before for before, after in pairwise(stamps)), default=0)
+    gap = _longest_gap(stamps)
     if gap > LONGEST_GAP:
         raise StepFailure(
             Result.LOAD_NOT_HELD,
@@ -172,33 +240,43 @@ def _check_held_throughout(samples: Sequence[LoadState], start: int) -> None:
         )
 
 
-def _check_drift(step: RunningStep, parameters: ExperimentParameters) -> None:
-    """End the step when force or position changed during the exposures by more than the parameters allow."""
-    samples, covered = step.load_during_exposures(), _cover(step.load_around_exposures(), step.exposed_over())
+def check_drift(step: RunningStep, limit: DriftLimit) -> None:
+    """Check that a quantity is known throughout the exposures of a step and did not change by more than its limit.
+
+    Raises
+    ------
+    StepFailure
+        LOAD_DRIFT.
+    """
+    _check_clock(step, Result.LOAD_DRIFT)
+    start, end = step.exposed_over()
+    samples = step.load_around_exposures(limit.is_known)
     stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
-    for what, values, factor, unit, limit in (
-        ("force", [sample.force for sample in samples], 1.0, "N", parameters.load_drift_n),
-        ("crosshead", [sample.position for sample in samples], 1e6, "µm", parameters.position_drift_um),
-    ):
-        if not limit:
-            continue
-        if not covered:
-            raise StepFailure(
-                Result.LOAD_DRIFT,
-                f"no samples of the {what} from the first exposure until after the last one, so its drift is unknown; "
-                "check the connection of the load frame and increase its rate, or set the limit of the drift to 0",
-            )
-        drift = factor * summarise_load(stamps, values).drift
-        if abs(drift) > limit:
-            raise StepFailure(
-                Result.LOAD_DRIFT,
-                f"the {what} drifted by {drift:+.3g} {unit} during the exposures, {limit:g} {unit} are allowed; "
-                "hold longer before the step",
-            )
+    if not _cover(stamps, start, end):
+        raise StepFailure(
+            Result.LOAD_DRIFT,
+            f"the drift of the {limit.quantity} is unknown, because the samples of the load frame do not contain the "
+            f"{limit.quantity} throughout the exposures; check sensor and connection of the load frame and increase "
+            f"its rate, or set {limit.parameter} to 0",
+        )
+    inside = [index for index, stamp in enumerate(stamps) if start <= stamp <= end]
+    chosen = inside if len(inside) > 1 else range(len(stamps))  # a single sample shows no change
+    drift = summarise_load([stamps[each] for each in chosen], [limit.value(samples[each]) for each in chosen]).drift
+    if abs(drift) > limit.largest:
+        raise StepFailure(
+            Result.LOAD_DRIFT,
+            f"the {limit.quantity} drifted by {drift:+.3g} {limit.unit} during the exposures, {limit.largest:g} "
+            f"{limit.unit} are allowed; hold longer before the step",
+        )
 
 
-def _cover(samples: Sequence[LoadState], exposed: tuple[int, int]) -> bool:
-    """Return whether samples show the load from the first exposure [ns] until after the last one."""
-    start, end = exposed
-    stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
-    return bool(stamps) and stamps[0] <= start + 1e9 * LONGEST_GAP and stamps[-1] >= end
+def _cover(stamps: Sequence[int], start: int, end: int) -> bool:
+    """Return whether samples show a change from the first exposure [ns] until after the last one, without a gap."""
+    if len(stamps) < 2 or stamps[0] > start + 1e9 * LONGEST_GAP or stamps[-1] < end:
+        return False
+    return _longest_gap(stamps) <= LONGEST_GAP
+
+
+def _longest_gap(stamps: Sequence[int]) -> float:
+    """Return the longest time between two successive stamps [s]."""
+    return 1e-9 * max((after - before for before, after in pairwise(stamps)), default=0)

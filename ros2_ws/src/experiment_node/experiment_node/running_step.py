@@ -47,6 +47,8 @@ class RunningStep:
         Status of each processing node that has answered.
     load
         Samples of the load frame since the start.
+    load_ahead
+        Longest time by which one of them was stamped after its arrival [s].
     """
 
     goal: ActiveGoal
@@ -66,6 +68,7 @@ class RunningStep:
     crcs: dict[int, int] = field(default_factory=dict)
     statuses: dict[str, NodeStatus] = field(default_factory=dict)
     load: deque[LoadState] = field(default_factory=lambda: deque(maxlen=LOAD_SAMPLES))
+    load_ahead: float = 0.0
 
     def is_named(self, experiment: str, step: int) -> bool:
         """Return whether a message with this experiment and step number belongs to this step."""
@@ -103,10 +106,16 @@ class RunningStep:
         """Return the start of the first exposure and the end of the last one [ns]."""
         return self.exposures[0][0], self.exposures[len(self.patterns) - 1][1]
 
-    def load_around_exposures(self) -> list[LoadState]:
-        """Return the samples from the last one before the first exposure to the first one after the last exposure."""
+    def load_around_exposures(self, is_known: Callable[[LoadState], bool] = lambda _: True) -> list[LoadState]:
+        """Return the samples from the last one before the first exposure to the first one after the last exposure.
+
+        Parameters
+        ----------
+        is_known
+            Returns whether a sample contains the quantity that is needed; the others are left out.
+        """
         start, end = self.exposed_over()
-        samples = list(self.load)
+        samples = [sample for sample in self.load if is_known(sample)]
         stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
         first = max(bisect_right(stamps, start) - 1, 0)
         return samples[first : bisect_left(stamps, end) + 1]

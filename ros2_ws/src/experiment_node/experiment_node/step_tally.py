@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from fringedic_msgs.msg import Exposure
 from fringedic_ros.stamps import to_nanoseconds
 
-_MOST_IMAGES = 1000  # far more than a sequence has
+_MOST_IMAGES = 1000  # whose record may still come: images and records arrive in any order
 _MOST_STEPS = 8  # whose records are kept: the latest step, its successor, and strays
 
 
@@ -46,10 +46,15 @@ class StepTally:
             self._records = {(experiment, step): self._records.get((experiment, step), {})}
 
     def add_image(self, stamp: int, crc: int) -> None:
-        """Add an image with the CRC-32 of its data; the newest thousand are kept."""
+        """Add an image with the CRC-32 of its data.
+
+        A thousand are kept. The images of a free run, which have no record of a step, replace each other: the frames
+        of the step stay until the next step begins.
+        """
         self._images[stamp] = crc
         if len(self._images) > _MOST_IMAGES:
-            del self._images[next(iter(self._images))]
+            frames = {each for records in self._records.values() for each, _ in records.values()}
+            del self._images[next((each for each in self._images if each not in frames), stamp)]
 
     def add_record(self, record: Exposure) -> None:
         """Add the exposure record of a frame of a step, which may be another one than the announced step."""

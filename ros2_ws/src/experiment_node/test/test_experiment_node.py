@@ -47,7 +47,7 @@ from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
 
 FRAMES = 7
-EXPOSURE_NS = 10_000_000
+EXPOSURE_NS = 1_000_000  # short: the clock of the rig, which adds exposures up, stays near the real time
 START_TIMEOUT = 3.0  # [s]
 PARAMETERS = {
     "projector_width_px": 64,
@@ -80,7 +80,8 @@ class Rig(Peer):
         self.reaches_all = True
         self.received = True  # by every processing node
         self.load_mode: int | None = None
-        self.force_per_frame = 1.0  # [N]
+        self.force, self.force_per_frame = 100.0, 1.0  # [N]
+        self.load_clock_ahead_ns = 0
         self.moves_at_frame = self.last_sampled_frame = -1
         self.jump_before: int | None = None  # the frame before which the clock jumps back
         self.holds = 0
@@ -155,7 +156,7 @@ class Rig(Peer):
         if request.index == self.moves_at_frame:
             self.load_mode = LoadState.MOVING
         if self.load_mode is not None:
-            self.publish_load(self.load_mode, 100.0 + self.force_per_frame * request.index, self.clock_ns)
+            self.publish_load(self.load_mode, self.force_per_frame * request.index, self.clock_ns)
         if request.index == self.last_sampled_frame:
             self.load_mode = None
         if request.index == request.count - 1:
@@ -188,12 +189,12 @@ class Rig(Peer):
                 status.header.stamp = stamp
                 publisher.publish(status)
 
-    def publish_load(self, mode: int, force: float = 100.0, stamp: int = 0) -> None:
+    def publish_load(self, mode: int, more_force: float = 0.0, stamp: int = 0) -> None:
         if self.load is None:
             self.load = self.create_publisher(LoadState, "load_frame/state", STATE)
             self.wait(self.load.get_subscription_count, "a reader of the load frame")
-        sample = LoadState(mode=mode, force=force, position=1e-3)
-        sample.header.stamp = to_msg(stamp or self.time(passed_ns=0))
+        sample = LoadState(mode=mode, force=self.force + more_force, position=1e-3)
+        sample.header.stamp = to_msg((stamp or self.time(passed_ns=0)) + self.load_clock_ahead_ns)
         self.load.publish(sample)
 
     def say_load(self, mode: int) -> None:
@@ -282,7 +283,8 @@ class Rig(Peer):
         self.hang = self.load_mode = self.jump_before = None
         self.moves_at_frame = self.last_sampled_frame = -1
         self.capturing = False
-        self.force_per_frame = 1.0
+        self.force, self.force_per_frame = 100.0, 1.0
+        self.load_clock_ahead_ns = 0
         self.answers, self.silent, self.received = {}, set(), True
 
 
@@ -516,12 +518,12 @@ def test_only_fresh_samples_prove_a_hold(rig: Rig) -> None:
     rig.load_mode = None
     before = rig.step()
     assert before.error_code == Result.LOAD_NOT_HELD
-    assert "nobody knows whether it holds" in before.error_message
+    assert "whether the machine holds is unknown" in before.error_message
     rig.say_load(LoadState.HOLD)
     rig.last_sampled_frame = 2
     during = rig.step()
     assert during.error_code == Result.LOAD_NOT_HELD
-    assert "nobody knows whether it holds" in during.error_message
+    assert "whether the machine holds is unknown" in during.error_message
     rig.behave()
     rig.destroy_publisher(rig.load)
     rig.load = None
@@ -547,11 +549,46 @@ def test_the_load_must_not_drift_over_the_exposures(rig: Rig) -> None:
         rig.load_mode = None
         silent = rig.step()
         assert silent.error_code == Result.LOAD_DRIFT
-        assert "no samples of the force" in silent.error_message
+        assert "the drift of the force is unknown" in silent.error_message
         rig.load_mode, rig.last_sampled_frame = LoadState.HOLD, 0  # one sample says nothing about a drift
         assert rig.step().error_code == Result.LOAD_DRIFT
     finally:
         rig.change(load_drift_n=0.0, hold_required=True)
+
+
+def test_a_limit_of_the_force_needs_a_force_sensor(rig: Rig) -> None:
+    rig.force = math.nan
+    rig.say_load(LoadState.HOLD)
+    rig.change(position_drift_um=10.0)
+    try:
+        assert rig.step().error_code == Result.NONE
+        rig.change(load_drift_n=5.0)
+        unknown = rig.step()
+        assert unknown.error_code == Result.LOAD_DRIFT
+        assert "the drift of the force is unknown" in unknown.error_message
+        assert "set load_drift_n to 0" in unknown.error_message
+    finally:
+        rig.change(load_drift_n=0.0, position_drift_um=0.0)
+
+
+def test_a_load_frame_with_a_clock_ahead_proves_nothing(rig: Rig) -> None:
+    """Its samples seem to be from after the exposures while these still run."""
+    rig.load_clock_ahead_ns = 3_000_000_000
+    rig.say_load(LoadState.HOLD)
+    not_held = rig.step()
+    assert (not_held.error_code, rig.captured) == (Result.LOAD_NOT_HELD, [])
+    told = re.search(r"the clock of the load frame is (\S+) s ahead", not_held.error_message)
+    assert told is not None, not_held.error_message
+    assert float(told[1]) == pytest.approx(3.0, abs=0.5)
+    rig.change(hold_required=False, load_drift_n=50.0)
+    try:
+        drifted = rig.step()
+        assert drifted.error_code == Result.LOAD_DRIFT
+        assert "the clock of the load frame is" in drifted.error_message
+        rig.load_clock_ahead_ns = 0
+        assert rig.step().error_code == Result.NONE
+    finally:
+        rig.change(hold_required=True, load_drift_n=0.0)
 
 
 def test_a_hold_that_is_published_late_counts(rig: Rig) -> None:

@@ -22,6 +22,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import Image
 
 from experiment_node.exposure_tally import ExposureTally
+from experiment_node.step_tally import StepTally
 from fringedic.frames.records import FrameRecord
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.recording.reader import BagReader
@@ -297,3 +298,21 @@ def test_tally_counts_what_newer_images_overtake() -> None:
     tally.add_exposure(30)
     tally.end_step()
     assert tally.missing == 1
+
+
+def test_frames_stay_confirmed_during_a_free_run() -> None:
+    """Images of a free run after the last exposure, while the results of the step are computed, replace each other."""
+    tally = StepTally()
+    for step in (0, 1):
+        crcs = [100 * step + index for index in range(16)]
+        tally.begin("test", step)
+        for index, crc in enumerate(crcs):
+            stamp = 100_000 * step + index
+            record = FrameRecord(
+                "test", step, index, 16, ProjectedPattern(PatternKind.WHITE), stamp, 0.01, image_crc=crc
+            )
+            tally.add_image(stamp, crc)
+            tally.add_record(exposure_message(record, frame_id="camera_optical_frame"))
+        for image in range(3000):
+            tally.add_image(100_000 * step + 1000 + image, 5)
+        assert tally.confirmed() == crcs
