@@ -58,11 +58,10 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
         """Query force, position, status and time, in this order; the stamp is the middle of the queries.
 
         Answers have no names: one line too many would shift all later ones, and a position could be read as a status.
-        The answer that is left over then arrives up to one answering time after the last one was read. The machine is
-        given this time after each command, which it may have acknowledged, and once a second.
+        No line may be left before a query. A line that is left over after the last one arrives up to one answering time
+        later. The machine is given this time after each command, which it may have acknowledged, and once a second.
         """
         description = self.description
-        self._check_nothing_follows(0.0)
         before = time.time_ns()
         force = self._number("force", description.force)
         position = self._number("position", description.position)
@@ -97,6 +96,7 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
         return query.si(float(answer))
 
     def _answer(self, query: str) -> str:
+        self._check_nothing_follows(0.0)
         sent = time.monotonic()
         try:
             answer: str = self._resource.query(query)
