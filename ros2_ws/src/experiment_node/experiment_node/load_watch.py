@@ -206,7 +206,8 @@ def _check_clock(step: RunningStep, code: int) -> None:
         raise StepFailure(
             code,
             f"the clock of the load frame is {step.load_ahead:.1f} s ahead of the clock of the experiment node, "
-            f"{MOST_AHEAD:g} s are allowed; synchronise the clocks of their computers (chrony)",
+            f"{MOST_AHEAD:g} s are allowed, or the clock jumped back; synchronise the clocks of their computers "
+            "(chrony) and measure the step again",
         )
 
 
