@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import re
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-
 from fringedic.errors import RecordingError
+from fringedic.recording.bag_metadata import load_yaml
 from fringedic.recording.mcap_file import DAMAGE, MAGIC, McapFile, check_chunks, opened, read_index
 from fringedic.recording.mcap_scan import scan_file
 
 BAG = "bag"  # of a run
 METADATA = "metadata.yaml"
-_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, where PyYAML has it
 
 
 class BagFiles(NamedTuple):
@@ -30,12 +30,15 @@ class BagFiles(NamedTuple):
         Messages of each topic by ``metadata.yaml``; those of a recording that was not closed are not complete.
     damage
         Description of the damage of ``metadata.yaml``; empty if it is complete or does not exist.
+    unlisted
+        Names of MCAP files that ``metadata.yaml`` does not list; empty without a readable list.
     """
 
     present: list[Path]
     missing: list[str]
     counts: dict[str, int]
     damage: str
+    unlisted: list[str]
 
 
 def recording_of(path: Path) -> Path:
@@ -55,6 +58,21 @@ def recording_of(path: Path) -> Path:
     return path
 
 
+def beside(path: Path, ending: str) -> Path:
+    """Return the absolute path beside a recording or dataset, with an ending appended to its name.
+
+    A file and a Zarr folder lose their suffix; other folders keep the whole name, in which a dot may precede a number.
+
+    Examples
+    --------
+    >>> beside(Path("/recordings/plate.7"), "_recovered").as_posix()
+    '/recordings/plate.7_recovered'
+    """
+    whole = Path(os.path.abspath(path))  # "." and ".." have no name to append to
+    name = whole.stem if whole.is_file() or whole.suffix == ".zarr" else whole.name
+    return whole.parent / f"{name}{ending}"
+
+
 def find_files(path: Path) -> BagFiles:
     """Find the MCAP files of a recording: all in its folder, also those that ``metadata.yaml`` does not list.
 
@@ -66,34 +84,62 @@ def find_files(path: Path) -> BagFiles:
     Raises
     ------
     RecordingError
-        There is no such recording, or it contains no MCAP file.
+        There is no such recording, it contains no MCAP file, or rosbag2 has compressed its messages or files.
     """
     if path.is_file():
-        return BagFiles([path], [], {}, "")
+        metadata = _read_metadata(path.parent)
+        if path.name in (metadata.files or []):
+            _refuse_compression(path, metadata)
+        return BagFiles([path], [], {}, "", [])
     if not path.is_dir():
         raise RecordingError(f"{path}: no such recording")
-    listed: list[str] = []
-    counts: dict[str, int] = {}
-    damage = ""
-    if (path / METADATA).is_file():
-        try:
-            listed, counts = _listed(path)
-        except (yaml.YAMLError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-            damage = f"{METADATA} is damaged"
+    metadata = _read_metadata(path)
+    _refuse_compression(path, metadata)
+    listed = metadata.files or []
     found = [path / name for name in listed if (path / name).is_file()]
     others = sorted(path.glob("*.mcap"), key=lambda file: [int(number) for number in re.findall(r"\d+", file.stem)])
     present = list(dict.fromkeys([*found, *others]))
     if not present:
         raise RecordingError(f"{path}: holds no .mcap file; convert other storage with 'ros2 bag convert'")
-    return BagFiles(present, [name for name in listed if path / name not in present], counts, damage)
+    missing = [name for name in listed if path / name not in present]
+    unlisted = [] if metadata.files is None else [file.name for file in others if file.name not in listed]
+    return BagFiles(present, missing, metadata.counts, metadata.damage, unlisted)
 
 
-def _listed(path: Path) -> tuple[list[str], dict[str, int]]:
-    """Return names of the files and counts of the topics in ``metadata.yaml``."""
-    content: dict[str, Any] = yaml.load((path / METADATA).read_text("utf-8"), _LOADER)["rosbag2_bagfile_information"]
-    topics = content["topics_with_message_count"] or []
-    counts = {str(each["topic_metadata"]["name"]): int(each["message_count"]) for each in topics}
-    return [Path(name).name for name in content["relative_file_paths"]], counts
+@dataclass
+class _Metadata:
+    """Content of ``metadata.yaml``: names of the files, messages of each topic, compression by rosbag2, damage."""
+
+    files: list[str] | None = None
+    counts: dict[str, int] = field(default_factory=dict)
+    compression: str = ""
+    damage: str = ""
+
+
+def _read_metadata(folder: Path) -> _Metadata:
+    """Return the readable part of ``metadata.yaml``; nothing if it does not exist."""
+    found = _Metadata()
+    if not (folder / METADATA).is_file():
+        return found
+    data = (folder / METADATA).read_bytes()
+    try:
+        content: dict[str, Any] = load_yaml(data.decode("utf-8"))["rosbag2_bagfile_information"]
+        found.compression = str(content.get("compression_mode") or "")
+        found.files = [Path(name).name for name in content["relative_file_paths"]]
+        topics = content["topics_with_message_count"] or []
+        found.counts = {str(each["topic_metadata"]["name"]): int(each["message_count"]) for each in topics}
+    except Exception:  # every kind of damage has its own error
+        found.damage = f"{METADATA} is damaged"
+    return found
+
+
+def _refuse_compression(path: Path, metadata: _Metadata) -> None:
+    """Refuse a recording whose messages or files are compressed as a whole; MCAP compresses only its chunks."""
+    if metadata.compression.upper() not in ("", "NONE"):
+        raise RecordingError(
+            f"{path}: its messages are compressed by rosbag2 (compression_mode {metadata.compression}); "
+            "convert it with 'ros2 bag convert'"
+        )
 
 
 def open_file(path: Path, *, check: bool) -> McapFile:

@@ -7,10 +7,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import yaml
+from yaml.events import CollectionEndEvent, CollectionStartEvent
 
 from fringedic import __version__
 from fringedic.recording.mcap_output import WrittenFile
 from fringedic.recording.topics import Topic
+
+_LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # ten times faster, where PyYAML has it
+_MAX_DEPTH = 50  # of nested lists and mappings; rosbag2 writes 8
 
 
 def bag_metadata(files: Sequence[WrittenFile], topics: Iterable[Topic], counts: Mapping[str, int]) -> dict[str, Any]:
@@ -50,7 +54,7 @@ def _topic(topic: Topic, messages: int) -> dict[str, Any]:
             "name": topic.name,
             "type": topic.type_name,
             "serialization_format": "cdr",
-            "offered_qos_profiles": yaml.safe_load(topic.qos) or [],
+            "offered_qos_profiles": offered_profiles(topic.qos),
             "type_description_hash": topic.hash,
         },
         "message_count": messages,
@@ -64,3 +68,39 @@ def _file(file: WrittenFile) -> dict[str, Any]:
         "duration": {"nanoseconds": file.end_time - file.start_time},
         "message_count": file.messages,
     }
+
+
+def load_yaml(text: str) -> Any:
+    """Return the content of YAML text that another program may have written.
+
+    Raises
+    ------
+    Exception
+        The text is not valid YAML, or nested too deeply. PyYAML raises errors of many classes for values that do not
+        fit their tag.
+    """
+    depth = 0
+    for event in yaml.parse(text, _LOADER):
+        depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+        if depth > _MAX_DEPTH:  # the C library of PyYAML would overflow the stack
+            raise ValueError("nested too deeply")
+    return yaml.load(text, _LOADER)
+
+
+def offered_profiles(qos: str) -> list[dict[str, Any]]:
+    """Return the QoS profiles in the YAML text of a topic; an empty list if it is not a list of mappings.
+
+    Examples
+    --------
+    >>> offered_profiles("- {depth: 10, durability: volatile}")
+    [{'depth': 10, 'durability': 'volatile'}]
+    >>> offered_profiles("- 5"), offered_profiles("{")
+    ([], [])
+    """
+    try:
+        profiles = load_yaml(qos)
+    except Exception:
+        return []
+    if isinstance(profiles, list) and all(isinstance(each, dict) for each in profiles):
+        return profiles
+    return []

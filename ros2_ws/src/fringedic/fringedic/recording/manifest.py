@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from fringedic.recording.bag_files import METADATA, find_files
+
 MANIFEST = "manifest.sha256"
 _LINE = re.compile(r"([0-9a-f]{64}) [ *](.+)")
 
@@ -23,6 +25,9 @@ class ManifestCheck:
         Whether there is a manifest; a recording that was not closed, or that an earlier version wrote, has none.
     equal, changed, missing
         Names of the files with the checksum of the manifest, with another one, and of those that do not exist.
+    unlisted
+        Names of the MCAP files and of ``metadata.yaml`` that the manifest does not list; without a manifest, of the
+        MCAP files that ``metadata.yaml`` does not list.
     unreadable
         Lines of the manifest that are not in its form.
     """
@@ -31,12 +36,13 @@ class ManifestCheck:
     equal: tuple[str, ...] = ()
     changed: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
+    unlisted: tuple[str, ...] = ()
     unreadable: int = 0
 
     @property
     def fits(self) -> bool:
         """Whether nothing contradicts the manifest."""
-        return not (self.changed or self.missing or self.unreadable)
+        return not (self.changed or self.missing or self.unlisted or self.unreadable)
 
 
 def write_manifest(folder: Path, checksums: Mapping[str, str]) -> None:
@@ -53,7 +59,7 @@ def write_manifest(folder: Path, checksums: Mapping[str, str]) -> None:
 
 
 def check_manifest(folder: Path) -> ManifestCheck:
-    """Compare the files of a recording with its manifest.
+    """Compare the files of a recording with its manifest; without one, their names with ``metadata.yaml``.
 
     Parameters
     ----------
@@ -64,10 +70,12 @@ def check_manifest(folder: Path) -> ManifestCheck:
     ------
     OSError
         A file cannot be read.
+    RecordingError
+        See `find_files`.
     """
     path = folder / MANIFEST
     if not path.is_file():
-        return ManifestCheck(present=False)
+        return ManifestCheck(present=False, unlisted=tuple(find_files(folder).unlisted))
     lines = path.read_text("utf-8", errors="replace").splitlines()
     stated = {match[2]: match[1] for match in map(_LINE.fullmatch, lines) if match}
     files = {name: folder / Path(name).name for name in stated}
@@ -77,8 +85,14 @@ def check_manifest(folder: Path) -> ManifestCheck:
         equal=tuple(name for name in found if found[name] == stated[name]),
         changed=tuple(name for name in found if found[name] != stated[name]),
         missing=tuple(name for name in stated if name not in found),
+        unlisted=tuple(sorted(file.name for file in _recorded(folder) if file.name not in stated)),
         unreadable=len(lines) - len(stated),
     )
+
+
+def _recorded(folder: Path) -> list[Path]:
+    """Return the files that a closed recording lists in its manifest."""
+    return [file for file in folder.iterdir() if file.suffix == ".mcap" or file.name == METADATA]
 
 
 def _checksum(file: Path) -> str:

@@ -25,6 +25,7 @@ MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEADER = struct.Struct("<BQ")  # opcode, length of the rest
 # Raised by the parsing of damaged bytes: lengths beyond the file or the memory, wrong text, wrong checksums.
 DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, RuntimeError, MemoryError, OverflowError)
+_CHECKSUM = RECORD_HEADER.size + 24  # place of its four bytes in a chunk, after two times and the size
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, start of its offsets, checksum
 
 Bytes = bytes | mmap.mmap
@@ -141,13 +142,18 @@ def read_index(path: Path, data: Bytes) -> McapFile | None:
             file.channels[record.id] = record
         elif isinstance(record, ChunkIndex):
             indices.append(record)
-    if statistics is None or (statistics.message_count and not indices):
+    if statistics is None or (statistics.message_count and not indices) or not _counts_channels(statistics):
         return None
     file.chunks = [_place(each, file) for each in indices]
     file.indexed = Counter({channel: count for channel, count in statistics.channel_message_counts.items() if count})
     file.counts = Counter(file.indexed)
     definitions = {channel.schema_id for channel in file.channels.values() if channel.schema_id}
     return file if file.counts.keys() <= file.channels.keys() and definitions <= file.schemas.keys() else None
+
+
+def _counts_channels(statistics: Statistics) -> bool:
+    """Return whether all messages are counted by their channel, which is optional in MCAP."""
+    return sum(statistics.channel_message_counts.values()) == statistics.message_count
 
 
 def index_bytes(path: Path) -> bytes | None:
@@ -203,6 +209,19 @@ def check_chunks(indexed: McapFile, data: Bytes) -> McapFile:
     if broken:
         file.damage.append(left_out(broken))
     return file
+
+
+def count_without_checksum(file: McapFile) -> int:
+    """Return the number of chunks without a checksum, in which a changed byte is not found.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read.
+    """
+    with opened(file.path) as data:
+        places = (chunk.offset + _CHECKSUM for chunk in file.chunks)
+        return sum(not any(data[place : place + 4]) for place in places)
 
 
 def left_out(chunks: int) -> str:

@@ -82,7 +82,7 @@ class _Scan:
     def run(self) -> int | None:
         """Read all chunks; return the end of the last record of an unfinished file, None for a finished one."""
         position = min(len(MAGIC), len(self._data))
-        closed = self._data[-len(MAGIC) :] == MAGIC
+        closed = len(self._data) >= 2 * len(MAGIC) and self._data[-len(MAGIC) :] == MAGIC
         while position < len(self._data):
             end = self._other_record(position)
             if end is not None and self._data[position] == Opcode.DATA_END:

@@ -16,7 +16,7 @@ from rosbags.typesys.store import Typestore
 
 from fringedic.errors import ErrorCode, RecordingError
 from fringedic.recording.bag_files import BagFiles, find_files, open_file, recording_of
-from fringedic.recording.mcap_file import McapFile, read_messages
+from fringedic.recording.mcap_file import McapFile, count_without_checksum, read_messages
 from fringedic.recording.topics import RawMessage, Topic
 
 REORDER_WINDOW = 64  # messages by which topics may overtake each other on their way into the recording
@@ -93,6 +93,11 @@ class BagReader:
     def end_time(self) -> int:
         """Log time of the last message [ns], 0 for an empty recording."""
         return max((chunk.end_time for file in self._files for chunk in file.chunks), default=0)
+
+    @property
+    def chunks_without_checksum(self) -> int:
+        """Number of chunks without a checksum, which other recorders may leave out."""
+        return sum(count_without_checksum(file) for file in self._files)
 
     def find(self, *relative_names: str) -> dict[str, str]:
         """Return the full names of topics by their names relative to the rig's namespace.

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fringedic.errors import RecordingError
+from fringedic.recording.bag_files import beside
 from fringedic.recording.reader import BagReader
 from fringedic.recording.remote import is_remote, local_copy
 from fringedic.recording.writer import ONE_FILE, BagWriter, Split
@@ -73,8 +74,7 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
     {'/rig/camera/image_raw': 1}
     """
     reader = BagReader(path, check=True)
-    source = Path(path)
-    target = Path(output) if output is not None else source.with_name(f"{source.stem}_recovered")
+    target = Path(output) if output is not None else beside(Path(path), "_recovered")
     with BagWriter(target) as writer:
         _append(writer, reader)
     return Content(target, dict(reader.counts), reader.missing, reader.damage)

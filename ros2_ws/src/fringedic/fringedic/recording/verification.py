@@ -8,9 +8,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from fringedic.frames.records import stamp_of
+from fringedic.recording.bag_metadata import offered_profiles
 from fringedic.recording.frames import EXPOSURE, IMAGE
 from fringedic.recording.manifest import ManifestCheck, check_manifest
 from fringedic.recording.reader import BagReader
@@ -36,6 +35,8 @@ class Verification:
         Comparison of the files with the manifest.
     damage
         Description of the damage; empty if every chunk and every index fits its checksum.
+    unchecked
+        Number of readable chunks without a checksum.
     gaps
         Messages of each topic that are missing in the count of its publisher, between the first and the last recorded.
     frames, lost_frames
@@ -51,6 +52,7 @@ class Verification:
     messages: int
     manifest: ManifestCheck
     damage: str
+    unchecked: int
     gaps: dict[str, int]
     frames: int
     lost_frames: int
@@ -95,6 +97,7 @@ def verify(path: str | os.PathLike[str]) -> Verification:
         messages=sum(reader.counts.values()),
         manifest=check_manifest(reader.path) if reader.path.is_dir() else ManifestCheck(present=False),
         damage=reader.lost,
+        unchecked=reader.chunks_without_checksum,
         gaps=dict(gaps.missing),
         frames=frames.complete,
         lost_frames=frames.lost(gaps.missing, reader.missing),
@@ -124,8 +127,7 @@ class _Gaps:
 
 
 def _is_latched(topic: Topic) -> bool:
-    profiles = yaml.safe_load(topic.qos) or []
-    return any(profile.get("durability") in ("transient_local", 1) for profile in profiles)
+    return any(profile.get("durability") in ("transient_local", 1) for profile in offered_profiles(topic.qos))
 
 
 class _Frames:
@@ -134,8 +136,9 @@ class _Frames:
     def __init__(self, reader: BagReader) -> None:
         self.dropped = 0
         self._reader = reader
+        known = reader.topics.keys() | reader.missing.keys()  # no message of a counted topic may be readable
         self._topics = {
-            full: name for full in reader.topics for name in (IMAGE, EXPOSURE, STEP) if f"/{full}".endswith(f"/{name}")
+            full: name for full in known for name in (IMAGE, EXPOSURE, STEP) if f"/{full}".endswith(f"/{name}")
         }
         self._images: set[int] = set()
         self._records: set[int] = set()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from fringedic.recording.bag_files import METADATA
 from fringedic.recording.frames import IMAGE
 from fringedic.recording.manifest import MANIFEST, ManifestCheck
 from fringedic.recording.repair import Content
@@ -68,7 +69,7 @@ def verification_sentences(verification: Verification) -> Iterator[str]:
     files, messages = verification.files, grouped(verification.messages)
     yield f"recording: {verification.path}, {messages} messages in {files} file{'s' if files != 1 else ''}"
     yield f"files: {_manifest(verification.manifest)}"
-    yield f"chunks: {verification.damage or 'all fit their checksums'}"
+    yield f"chunks: {_chunks(verification)}"
     gaps = ", ".join(f"{grouped(count)} of {name}" for name, count in sorted(verification.gaps.items()))
     yield f"publishers' counts: {f'missing are {gaps}' if gaps else 'no message is missing'}"
     for (experiment, step), (recorded, frames) in verification.unfinished_steps.items():
@@ -80,13 +81,21 @@ def verification_sentences(verification: Verification) -> Iterator[str]:
     yield f"{grouped(verification.frames)} of {grouped(exposed)} frames, {grouped(verification.lost_frames)} lost"
 
 
+def _chunks(verification: Verification) -> str:
+    number = verification.unchecked
+    unchecked = f"{_plural(number, 'chunk')} {'has' if number == 1 else 'have'} no checksum" if number else ""
+    return "; ".join(filter(None, (verification.damage, unchecked))) or "all fit their checksums"
+
+
 def _manifest(check: ManifestCheck) -> str:
     if not check.present:
-        return f"no {MANIFEST}, because the recording was not closed or an earlier version wrote it"
+        absent = f"no {MANIFEST}, because the recording was not closed or an earlier version wrote it"
+        return "; ".join([absent, *(f"{name} is not listed in {METADATA}" for name in check.unlisted)])
     if check.fits:
         return f"all {len(check.equal)} fit {MANIFEST}"
     problems = [f"{name} has changed since the recording was closed" for name in check.changed]
     problems += [f"{name} is missing" for name in check.missing]
+    problems += [f"{name} is not listed in {MANIFEST}" for name in check.unlisted]
     if check.unreadable:
         problems.append(f"{MANIFEST} is damaged")
     return "; ".join(problems)

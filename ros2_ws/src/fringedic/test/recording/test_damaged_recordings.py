@@ -187,7 +187,17 @@ def test_missing_file_is_reported(recording):
     assert recording.read() == (True, True)
 
 
-@pytest.mark.parametrize("content", [b"rosbag2_bagfile_information: [", b"\xff\xfe", b"a: 2026-02-30", b"42"])
+INFINITE = b"""rosbag2_bagfile_information:
+  relative_file_paths: [bag_0.mcap]
+  topics_with_message_count: [{topic_metadata: {name: /force}, message_count: .inf}]
+"""
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"rosbag2_bagfile_information: [", b"\xff\xfe", b"a: 2026-02-30", b"42", INFINITE, b"[" * 40_000, b"- " * 40_000],
+    ids=["open", "no text", "no date", "number", "infinite", "nested", "nested in blocks"],
+)
 def test_damaged_metadata_is_reported_and_costs_nothing(recording, content):
     (recording.bag / "metadata.yaml").write_bytes(content)
     assert BagReader(recording.bag).lost == "metadata.yaml is damaged"

@@ -13,16 +13,19 @@ import numpy as np
 import pytest
 import yaml
 from mcap.reader import make_reader
+from mcap.records import Statistics
 from mcap.writer import IndexType, Writer
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fringedic.errors import RecordingError
 from fringedic.frames.records import stamp_of
+from fringedic.recording.bag_files import beside
 from fringedic.recording.definitions import interface_definition, type_hash
 from fringedic.recording.reader import BagReader
 from fringedic.recording.repair import info, join, recover
 from fringedic.recording.topics import Qos, Topic
+from fringedic.recording.verification import verify
 from fringedic.recording.writer import BagWriter, Split
 
 PICTURE = "bench_msgs/msg/Picture"
@@ -248,6 +251,50 @@ def test_recover_writes_a_whole_recording_beside_the_damaged_one(typestore, tmp_
     summary = info(recovered)
     assert summary.types["/rig/camera/image_raw"] == PICTURE
     assert summary.counts == again.counts
+
+
+def test_recovered_recording_has_the_whole_name_of_the_folder(typestore, tmp_path, monkeypatch):
+    for name in ("plate.6", "plate.7"):
+        write_bag(tmp_path / name, typestore)
+    monkeypatch.chdir(tmp_path / "plate.6")
+    assert recover(".").path == tmp_path / "plate.6_recovered"
+    assert recover("../plate.7").path == tmp_path / "plate.7_recovered"
+    assert recover(tmp_path / "plate.7" / "plate.7_0.mcap").path == tmp_path / "plate.7" / "plate.7_0_recovered"
+
+
+def test_names_beside_a_path(tmp_path):
+    (tmp_path / "plate.nc").touch()
+    assert beside(tmp_path / "plate.nc", "_exported") == tmp_path / "plate_exported"
+    assert beside(tmp_path / "plate.zarr", "_exported") == tmp_path / "plate_exported"
+    assert beside(tmp_path / "run" / "..", "_exported") == tmp_path.with_name(f"{tmp_path.name}_exported")
+    assert beside(Path("/"), "_exported") == Path("/_exported")
+
+
+def compressed_by_rosbag2(bag, mode):
+    content = yaml.safe_load((bag / "metadata.yaml").read_text())
+    content["rosbag2_bagfile_information"]["compression_mode"] = mode
+    (bag / "metadata.yaml").write_text(yaml.safe_dump(content))
+    return bag
+
+
+@pytest.mark.parametrize("read", [BagReader, info, recover, verify])
+@pytest.mark.parametrize("part", ["", "bag_0.mcap"])
+def test_messages_that_rosbag2_has_compressed_are_refused(typestore, tmp_path, read, part):
+    bag = compressed_by_rosbag2(write_bag(tmp_path / "bag", typestore), "MESSAGE")
+    with pytest.raises(RecordingError, match=r"its messages are compressed by rosbag2 .* with 'ros2 bag convert'"):
+        read(bag / part)
+    assert [each.name for each in tmp_path.glob("bag*")] == ["bag"]
+
+
+@pytest.mark.parametrize("mode", ["", "NONE", "none", None])
+def test_recording_without_compression_by_rosbag2_is_read(typestore, tmp_path, mode):
+    assert verify(compressed_by_rosbag2(write_bag(tmp_path / "bag", typestore), mode)).messages
+
+
+def test_file_that_the_compressed_recording_does_not_list_is_read(typestore, tmp_path):
+    bag = compressed_by_rosbag2(write_bag(tmp_path / "bag", typestore), "MESSAGE")
+    (bag / "bag_0.mcap").rename(bag / "other.mcap")
+    assert BagReader(bag / "other.mcap").counts
 
 
 def test_a_flipped_byte_is_detected_and_costs_one_chunk(typestore, tmp_path):
@@ -543,6 +590,20 @@ def test_files_of_other_writers_are_read(tmp_path, options):
     recovered = recover(tmp_path / "other.mcap")
     assert recovered.whole
     assert recovered.messages == 40
+
+
+def test_index_without_counts_of_the_channels_is_not_used(typestore, tmp_path, monkeypatch):
+    write_statistics = Statistics.write
+
+    def write_total(statistics, stream):
+        statistics.channel_message_counts = {}
+        write_statistics(statistics, stream)
+
+    monkeypatch.setattr(Statistics, "write", write_total)
+    bag = write_bag(tmp_path / "bag", typestore)
+    summary = info(bag / "bag_0.mcap")
+    assert summary.messages == len(list(BagReader(bag).raw())) > 0
+    assert summary.whole
 
 
 def test_sequence_of_another_middleware_does_not_end_the_recording(typestore, tmp_path):

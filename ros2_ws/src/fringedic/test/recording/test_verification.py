@@ -1,12 +1,15 @@
 """A verification finds every lost frame, every lost message and every changed file, and nothing else."""
 
+import shutil
 from pathlib import Path
 
 import pytest
+import yaml
+from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fringedic.frames.records import stamp_of
-from fringedic.recording import BagReader, BagWriter, Split, verify
+from fringedic.recording import BagReader, BagWriter, Split, recover, verify
 from fringedic.report.recordings import verification_sentences
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
@@ -159,6 +162,94 @@ def test_damaged_manifest_is_reported(tmp_path, place):
     found = verify(bag)
     assert not found.manifest.fits
     assert not found.complete
+
+
+@pytest.mark.parametrize("kept", ["", "bag_0.mcap", "metadata.yaml"])
+def test_file_that_the_manifest_does_not_list_is_named(tmp_path, kept):
+    bag = copy(tmp_path / "bag")
+    lines = (bag / "manifest.sha256").read_text().splitlines(keepends=True)
+    (bag / "manifest.sha256").write_text("".join(line for line in lines if kept and kept in line))
+    unlisted = tuple(name for name in ("bag_0.mcap", "metadata.yaml") if name != kept)
+    found = verify(bag)
+    assert found.manifest.unlisted == unlisted
+    assert not found.complete
+    assert f"{unlisted[-1]} is not listed in manifest.sha256" in " ".join(verification_sentences(found))
+
+
+@pytest.mark.parametrize("list_of_files", ["manifest.sha256", "metadata.yaml"])
+def test_file_of_another_recording_is_named(tmp_path, list_of_files):
+    bag = copy(tmp_path / "bag")
+    shutil.copy(bag / "bag_0.mcap", bag / "bag_0 (copy).mcap")
+    if list_of_files == "metadata.yaml":
+        (bag / "manifest.sha256").unlink()
+    found = verify(bag)
+    assert not found.complete
+    assert f"bag_0 (copy).mcap is not listed in {list_of_files}" in " ".join(verification_sentences(found))
+
+
+def test_file_is_named_if_the_metadata_list_none(tmp_path):
+    bag = copy(tmp_path / "bag")
+    (bag / "manifest.sha256").unlink()
+    content = yaml.safe_load((bag / "metadata.yaml").read_text())
+    content["rosbag2_bagfile_information"]["relative_file_paths"] = []
+    (bag / "metadata.yaml").write_text(yaml.safe_dump(content))
+    assert verify(bag).manifest.unlisted == ("bag_0.mcap",)
+
+
+@pytest.mark.parametrize("size", [0, 3, 8])
+def test_frames_of_a_file_that_was_cut_off_at_its_begin_are_lost(tmp_path, size):
+    bag = copy(tmp_path / "bag")
+    file = bag / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[:size])
+    assert last_line(bag) == "0 of 36 frames, 36 lost"
+
+
+def test_file_with_nothing_but_its_first_bytes_is_not_closed(tmp_path):
+    file = copy(tmp_path / "bag") / "bag_0.mcap"
+    file.write_bytes(file.read_bytes()[:8])
+    assert "not closed" in verify(file).damage
+
+
+def write_other(file, qos="", **options):
+    """Write a file of another recorder: ten messages of one topic in one chunk."""
+    with file.open("wb") as stream:
+        writer = Writer(stream, **options)
+        writer.start("ros2")
+        schema = writer.register_schema("bench_msgs/msg/Force", "ros2msg", b"uint8 newton")
+        channel = writer.register_channel("/force", "cdr", schema, {"offered_qos_profiles": qos})
+        for number in range(10):
+            writer.add_message(channel, number, bytes([0, 1, 0, 0, number]), number, number)
+        writer.finish()
+    return file
+
+
+def test_chunks_without_checksum_are_counted(tmp_path):
+    found = verify(write_other(tmp_path / "other.mcap", enable_crcs=False))
+    assert found.complete
+    assert "chunks: 1 chunk has no checksum" in list(verification_sentences(found))
+    found = verify(write_other(tmp_path / "other.mcap"))
+    assert "chunks: all fit their checksums" in list(verification_sentences(found))
+
+
+@pytest.mark.parametrize(
+    "qos",
+    [
+        "{",
+        "abc",
+        "5",
+        "- 5",
+        "*a",
+        "- !!int ''",
+        "- durability: 2026-02-30",
+        "[" * 40_000,
+        "- " + "{a: " * 400 + "}" * 400,
+    ],
+    ids=lambda qos: qos[:20],
+)
+def test_unreadable_qos_of_another_recorder_is_ignored(tmp_path, qos):
+    file = write_other(tmp_path / "other.mcap", qos)
+    assert verify(file).complete
+    assert recover(file).messages == 10
 
 
 def test_damaged_chunk_costs_the_frames_in_it(tmp_path):
