@@ -149,11 +149,21 @@ def test_replay_of_a_step_that_does_not_exist_is_refused(recorded: RecordedExper
 
 
 class Running:
-    """A run of the command in a process of its own, whose steps take seconds and are only recorded."""
+    """A run of the command in a process of its own, whose steps take seconds and are only recorded.
+
+    Parameters
+    ----------
+    tiny
+        The rig file.
+    folder
+        Where everything is written.
+    terminal
+        Whether it runs in a terminal, which is then the process.
+    """
 
     NODES = ("recorder", "load_frame", "camera", "experiment")
 
-    def __init__(self, tiny: Path, folder: Path) -> None:
+    def __init__(self, tiny: Path, folder: Path, *, terminal: bool = False) -> None:
         self.bag = folder / "run" / "bag"
         self._run, self._output = folder / "run", folder / "output"
         content = yaml.safe_load(tiny.read_text()) | {"recording": {"process": False}}
@@ -161,8 +171,13 @@ class Running:
         (folder / "rig.yaml").write_text(yaml.safe_dump(content))
         program = "from fringedic_bringup.command.main import main; main()"
         command = [sys.executable, "-u", "-c", program, "run", str(folder / "rig.yaml"), "--output", str(self._run)]
+        if terminal:
+            command = [sys.executable, "-c", "import pty, sys; pty.spawn(sys.argv[1:])", *command]
+        environment = {**os.environ, "COLUMNS": "200"}  # no line is wrapped
         with self._output.open("w") as output:
-            self.process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
+            self.process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, env=environment
+            )
 
     def wait_until_printed(self, words: str) -> None:
         """Wait until the command has printed these words."""
@@ -211,6 +226,51 @@ def test_a_rig_has_one_owner_whose_interruption_closes_recording_and_nodes(tiny:
     assert position == pytest.approx([0.0, 0.3e-3, 0.6e-3], abs=1e-6)
     again = fringedic_command("run", rig, "--output", running.bag.parent, "--continue")
     assert "all 3 steps of the programme are measured" in str(again.exception)
+
+
+def test_the_end_of_a_session_ends_a_run_as_ctrl_c_does(tiny: Path, tmp_path: Path) -> None:
+    running = Running(tiny, tmp_path)
+    running.wait_until_printed("step 1 (last: 2)")
+    pids = running.pids()
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        running.process.send_signal(number)
+    assert running.process.wait(180) == 130, running.printed()
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+    assert "a hold was requested" in running.printed()
+    assert_measured_before_the_end(running)
+
+
+def test_a_closed_terminal_ends_a_run_as_ctrl_c_does(tiny: Path, tmp_path: Path) -> None:
+    running = Running(tiny, tmp_path, terminal=True)
+    running.wait_until_printed("step 1 (last: 2)")
+    terminal, pids = running.process.pid, running.pids()
+    (command,) = Path(f"/proc/{terminal}/task/{terminal}/children").read_text().split()
+    running.process.kill()
+    running.process.wait()
+    wait_until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in (command, *pids)), "the end of the command")
+    assert_measured_before_the_end(running)
+
+
+def assert_measured_before_the_end(running: Running) -> None:
+    """Check that recording, dataset and report contain the steps before an interruption."""
+    assert not BagReader(running.bag).lost
+    assert (running.bag.parent / "report.html").exists()
+    with fringedic.open_experiment(running.bag.parent) as dataset:
+        assert 1 <= np.count_nonzero(dataset.error.values == "") < 3
+
+
+def test_a_second_ctrl_c_closes_the_recording_nevertheless(tiny: Path, tmp_path: Path) -> None:
+    running = Running(tiny, tmp_path)
+    running.wait_until_printed("step 1 (last: 2)")
+    pids = running.pids()
+    running.process.send_signal(signal.SIGINT)
+    running.wait_until_printed("closing the recording")
+    running.process.send_signal(signal.SIGINT)
+    assert running.process.wait(180) == 130, running.printed()
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+    assert "a hold was requested" in running.printed()
+    assert "writing dataset" not in running.printed()
+    assert not BagReader(running.bag).lost
 
 
 def test_nodes_end_with_a_killed_command(tiny: Path, tmp_path: Path) -> None:

@@ -13,7 +13,9 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -33,17 +35,17 @@ from fringedic.report.plane_instructions import place_in_words
 from fringedic_bringup.launch.readiness import Readiness
 from fringedic_bringup.participant import Participant
 from fringedic_msgs.action import CalibrateDistortion, CalibrateRig, MeasureStep, MoveCrosshead
-from fringedic_msgs.msg import LoadState, RecorderStatus, Reference
+from fringedic_msgs.msg import LoadState, RecorderStatus, Reference, StepStatus
 from fringedic_msgs.srv import PlaceReferencePlane, SetReference, StartExperiment
 from fringedic_ros.goals import RepeatedGoal
-from fringedic_ros.qos import LATCHED, STATE
+from fringedic_ros.qos import EVENTS, LATCHED, STATE
 from fringedic_ros.waiting import RepeatedRequest
 
 MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
 START_TIMEOUT_S = 60.0
 # Several heartbeats of config/fastdds.xml.
 HEARTBEATS_S = 0.5
-# The experiment node ends every step by itself; this ends the wait for an experiment node that has ended.
+# Without feedback. The nodes end every step and move by themselves; this ends the wait for a node that stands still.
 STEP_TIMEOUT_S = 3600.0
 LOST_S = 10.0  # without its server, after which an action fails; a node that is started again is back earlier
 
@@ -67,7 +69,7 @@ class RigClient:
     node
         The ROS node of the client, for further topics and services; `call` and `wait_for` run its callbacks.
     last_step
-        Number of the latest step, successful or not; -1 before the first.
+        Number of this client's latest step, successful or not; -1 before the first.
     """
 
     def __init__(
@@ -104,6 +106,8 @@ class RigClient:
         self._hold = self.node.create_client(Trigger, "load_frame/hold")
         self._reference = -1
         self.node.create_subscription(Reference, "experiment/reference", self._take_reference, LATCHED)
+        self._highest: defaultdict[str, int] = defaultdict(lambda: -1)
+        self.node.create_subscription(StepStatus, "experiment/step", self._take_step, EVENTS)
         self._load: LoadState | None = None
         self._strain = self._strain_of_step = math.nan
         self.node.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
@@ -156,6 +160,10 @@ class RigClient:
     def reference(self) -> int:
         """Step that the experiment node announced as reference; -1 before the first."""
         return self._reference
+
+    def highest_step(self, experiment: str) -> int:
+        """Return the highest number of a step of an experiment, of any controller, since this client began; or -1."""
+        return self._highest[experiment]
 
     def start_experiment(self, name: str) -> None:
         """Begin a new experiment with step 0.
@@ -302,6 +310,8 @@ class RigClient:
                 self._await(running.handle.cancel_goal_async(), timeout_s, "cancelling")
                 self.wait_for(running.request_result, timeout_s, lambda: "the result of the cancelled goal: no answer")
                 self._running = None
+                with suppress(StepFailedError):  # the goal has ended, too
+                    self._take_number(running.result)
         except WaitTimeoutError:
             self._sent = self._running = None
             raise
@@ -348,8 +358,7 @@ class RigClient:
         goal = MeasureStep.Goal(mode=MODES[mode], set_reference=set_reference, controller=self._name)
         self._strain_of_step = math.nan
         result = self._goal(self._measure, goal, "measure_step", feedback)
-        if result.error_code != MeasureStep.Result.BUSY:
-            self.last_step = result.step
+        self._take_number(result)
         return _without_error(result)
 
     def calibrate_distortion(
@@ -530,10 +539,13 @@ class RigClient:
         """
         end = time.monotonic() + timeout_s
         while not done():
-            self._participant.spin_once(0.1)
-            self._watch()
+            self._spin_once()
             if time.monotonic() > end:
                 raise WaitTimeoutError(f"{what()} after {timeout_s:g} s")
+
+    def _spin_once(self) -> None:
+        self._participant.spin_once(0.1)
+        self._watch()
 
     def _act(self, client: ActionClient, goal: Any, what: str, feedback: Callable[[Any], None]) -> Any:
         return _without_error(self._goal(client, goal, what, feedback))
@@ -553,42 +565,61 @@ class RigClient:
     def _take_answer(self, sent: RepeatedGoal) -> None:
         self._sent, self._running = None, sent if sent.is_accepted else None
 
+    def _take_number(self, result: Any) -> None:
+        """Keep the number of a step that has ended; a refused step has none."""
+        if isinstance(result, MeasureStep.Result) and result.error_code != MeasureStep.Result.BUSY:
+            self.last_step = result.step
+
     def _result(self, sent: RepeatedGoal, over: Callable[[], bool], what: str) -> Any:
         """Wait until a goal is over, and return its result.
 
         Raises
         ------
         WaitTimeoutError
-            There is no result in time, the node is missing, or it does not know the goal.
+            There is neither result nor feedback for a long time, the node is missing, or it does not know the goal.
+        StepFailedError
+            The node ended the goal without a result.
         """
-        self._await_server(sent.client, over, STEP_TIMEOUT_S, what)
+        self._await_server(sent.client, over, STEP_TIMEOUT_S, what, lambda: sent.last_sign_s)
         self._running = None
         if sent.result is None:
             node = self._servers[sent.client]
             raise WaitTimeoutError(f"{what}: the node {node} was started again and does not know the goal: repeat it")
         return sent.result
 
-    def _await_server(self, client: ActionClient, done: Callable[[], bool], timeout_s: float, what: str) -> None:
+    def _await_server(
+        self,
+        client: ActionClient,
+        done: Callable[[], bool],
+        timeout_s: float,
+        what: str,
+        last_sign_s: Callable[[], float] = lambda: -math.inf,
+    ) -> None:
         """Wait for an answer of an action server, unless its node has been missing for some seconds.
+
+        Parameters
+        ----------
+        timeout_s
+            Longest wait [s], counted from the latest feedback: a slow move may take days.
+        last_sign_s
+            Returns when the latest feedback arrived, on the monotonic clock [s].
 
         Raises
         ------
         WaitTimeoutError
             There is no answer in time, or the node is missing; the message names it.
         """
-        seen, answered = time.monotonic(), False
-
-        def answered_or_lost() -> bool:
-            nonlocal seen, answered
-            answered = done()
+        begun = seen = time.monotonic()
+        node = self._servers[client]
+        while not done():
+            now = time.monotonic()
             if client.server_is_ready():
-                seen = time.monotonic()
-            return answered or time.monotonic() - seen > LOST_S
-
-        self.wait_for(answered_or_lost, timeout_s, lambda: f"{what}: no answer")
-        if not answered:
-            node = self._servers[client]
-            raise WaitTimeoutError(f"{what}: the node {node} is missing: start it, or connect its computer")
+                seen = now
+            if now - seen > LOST_S:
+                raise WaitTimeoutError(f"{what}: the node {node} is missing: start it, or connect its computer")
+            if now - max(begun, last_sign_s()) > timeout_s:
+                raise WaitTimeoutError(f"{what}: no answer after {timeout_s:g} s")
+            self._spin_once()
 
     def _await(self, future: Future, timeout_s: float, what: str) -> Any:
         self.wait_for(future.done, timeout_s, lambda: f"{what}: no answer")
@@ -596,6 +627,9 @@ class RigClient:
 
     def _take_reference(self, message: Reference) -> None:
         self._reference = message.step
+
+    def _take_step(self, message: StepStatus) -> None:
+        self._highest[message.experiment] = max(self._highest[message.experiment], message.step)
 
     def _take_load(self, message: LoadState) -> None:
         self._load = message

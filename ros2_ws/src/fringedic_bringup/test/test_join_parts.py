@@ -11,6 +11,7 @@ from fringedic.recording.reader import BagReader
 from fringedic.recording.repair import recover
 from fringedic.recording.topics import RawMessage
 from fringedic.recording.writer import Split
+from fringedic_bringup.procedures import run
 from fringedic_bringup.procedures.run import join_parts
 
 RECORDED = Path(__file__).parents[2] / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
@@ -68,3 +69,18 @@ def test_one_part_stays_as_it_is(tmp_path: Path) -> None:
     join_parts(tmp_path / "bag", progress, Split())
     assert {path.name: path.stat().st_mtime_ns for path in (tmp_path / "bag").iterdir()} == before
     assert not progress.lines
+
+
+def test_an_interrupted_join_leaves_the_parts_as_they_were(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(_: object, target: Path, **__: object) -> None:
+        recover(RECORDED, target)
+        raise KeyboardInterrupt
+
+    def files() -> dict[Path, int]:
+        return {path: path.stat().st_size for path in bag.parent.rglob("*")}
+
+    before = files()
+    monkeypatch.setattr(run, "join", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        join_parts(bag, Progress(), Split())
+    assert files() == before

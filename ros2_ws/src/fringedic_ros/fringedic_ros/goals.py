@@ -17,6 +17,7 @@ from rclpy.action.client import ClientGoalHandle
 from rclpy.task import Future
 from unique_identifier_msgs.msg import UUID
 
+from fringedic.errors import StepFailedError
 from fringedic_ros.waiting import AGAIN_S
 
 
@@ -31,15 +32,27 @@ class RepeatedGoal:
         The goal.
     feedback
         Called with each feedback.
+
+    Attributes
+    ----------
+    last_sign_s
+        When the latest feedback arrived, on the monotonic clock [s]; before the first, when this object was made.
     """
 
     def __init__(self, client: ActionClient, goal: Any, feedback: Callable[[Any], None]) -> None:
         identifier = UUID(uuid=list(uuid4().bytes))
 
+        def take_feedback(message: Any) -> None:
+            self.last_sign_s = time.monotonic()
+            self._asking.postpone()  # the goal runs
+            feedback(message.feedback)
+
         def send() -> Future:
-            return client.send_goal_async(goal, lambda message: feedback(message.feedback), identifier)
+            return client.send_goal_async(goal, take_feedback, identifier)
 
         self.client = client
+        self.last_sign_s = time.monotonic()
+        self._action = type(goal).__name__.removesuffix("_Goal")
         self._sending = _Repeated(client, send)
         self._asking = _Repeated(client, lambda: self.handle.get_result_async())
 
@@ -61,9 +74,8 @@ class RepeatedGoal:
 
     @property
     def result(self) -> Any | None:
-        """The result, once it is there; None when the server does not know the goal, as after its restart."""
-        response = self._asking.responses[0]
-        return None if response.status == GoalStatus.STATUS_UNKNOWN else response.result
+        """The result, once it is there: see `result_of`."""
+        return result_of(self._asking.responses[0], self._action)
 
     def send(self) -> bool:
         """Send the goal when it is due, and return whether it is answered. Call it while the node is spun."""
@@ -72,6 +84,29 @@ class RepeatedGoal:
     def request_result(self) -> bool:
         """Request the result when it is due, and return whether it is there. Call it while the node is spun."""
         return self._asking.update()
+
+
+def result_of(response: Any, action: str) -> Any | None:
+    """Return the result in a response of an action server; None when the server does not know the goal.
+
+    Parameters
+    ----------
+    response
+        Response to the request of a result. A server that was started again does not know earlier goals.
+    action
+        Name of the action for the message.
+
+    Raises
+    ------
+    StepFailedError
+        The server ended the goal without a result, as after an exception in its callback.
+    """
+    if response.status == GoalStatus.STATUS_UNKNOWN:
+        return None
+    if response.status != GoalStatus.STATUS_SUCCEEDED and not response.result.error_code:
+        # an empty message, whose error code is that of a success
+        raise StepFailedError(f"{action}: its server failed; the log of the server contains the reason")
+    return response.result
 
 
 class _Repeated:
@@ -86,6 +121,11 @@ class _Repeated:
     def responses(self) -> list[Any]:
         """Responses so far, in the order of their requests."""
         return [future.result() for future in self.sent if future.done()]
+
+    def postpone(self) -> None:
+        """Send the request later again; the first one is not postponed."""
+        if self.sent:
+            self._next_s = time.monotonic() + AGAIN_S
 
     def update(self) -> bool:
         """Send the request when it is due; return whether there is a response."""

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
 import rclpy
 from rclpy.action import ActionClient
+from rclpy.action.client import ClientGoalHandle
 from rclpy.action.server import ActionServer, GoalResponse, ServerGoalHandle
 from rclpy.node import Node
 from rclpy.task import Future
 
+from fringedic.errors import StepFailedError
 from fringedic_msgs.action import MoveCrosshead
+from fringedic_ros import goals
 from fringedic_ros.goals import RepeatedGoal
 from fringedic_ros.testing import Peer
+from fringedic_ros.waiting import sleep
 
 
 class LossyClient(ActionClient):
@@ -103,3 +108,55 @@ def test_a_server_that_was_started_again_proves_nothing(peer: Peer, controller: 
     assert not successor.positions
     client.destroy()
     successor.server.destroy()
+
+
+class FailingMachine(Machine):
+    """Fails in the middle of a move."""
+
+    def _move(self, _: ServerGoalHandle) -> MoveCrosshead.Result:
+        raise RuntimeError("the register does not hold this number")
+
+
+def test_a_server_that_fails_during_a_goal_has_no_success(peer: Peer, controller: Node) -> None:
+    """The result of an aborted goal is an empty message without an error code, too."""
+    client, machine = ActionClient(controller, MoveCrosshead, "move_crosshead"), FailingMachine(peer)
+    goal = RepeatedGoal(client, MoveCrosshead.Goal(position=1e-3), lambda _: None)
+    peer.wait(goal.send, "the answer to the goal", 30)
+    peer.wait(goal.request_result, "the result", 30)
+    with pytest.raises(StepFailedError, match="MoveCrosshead: its server failed; the log of the server"):
+        _ = goal.result
+    client.destroy()
+    machine.server.destroy()
+
+
+class SlowMachine:
+    """Reports for a while where it is."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self.server = ActionServer(node, MoveCrosshead, "move_crosshead", self._move)
+
+    async def _move(self, goal: ServerGoalHandle) -> MoveCrosshead.Result:
+        end = time.monotonic() + 2.0
+        while time.monotonic() < end:
+            goal.publish_feedback(MoveCrosshead.Feedback())
+            await sleep(self._node, 0.05)
+        goal.succeed()
+        return MoveCrosshead.Result(position=goal.request.position)
+
+
+def test_a_long_move_does_not_collect_requests_of_its_result(
+    peer: Peer, controller: Node, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    requested = []
+    request = ClientGoalHandle.get_result_async
+    monkeypatch.setattr(ClientGoalHandle, "get_result_async", lambda it: requested.append(it) or request(it))
+    monkeypatch.setattr(goals, "AGAIN_S", 0.5)
+    client, machine = ActionClient(controller, MoveCrosshead, "move_crosshead"), SlowMachine(peer)
+    goal = RepeatedGoal(client, MoveCrosshead.Goal(position=1e-3), lambda _: None)
+    peer.wait(goal.send, "the answer to the goal", 30)
+    peer.wait(goal.request_result, "the result", 30)
+    assert goal.result.position == 1e-3
+    assert len(requested) == 1
+    client.destroy()
+    machine.server.destroy()

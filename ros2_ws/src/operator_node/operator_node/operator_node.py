@@ -15,7 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
 from pydantic import BaseModel, Field
 from rcl_interfaces.msg import Log
@@ -28,7 +27,7 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
-from fringedic.errors import ConfigurationError, FringedicError, OperatorError
+from fringedic.errors import ConfigurationError, FringedicError, OperatorError, StepFailedError
 from fringedic.figures.live_preview import browser_picture
 from fringedic.frames.messages import cloud_arrays
 from fringedic.page.app import Control, Hold, Measure, Start
@@ -38,6 +37,7 @@ from fringedic.results.quantities import MAPS
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import LiveView, LoadState, NodeStatus, ProcedureStatus, RecorderStatus, SetupState, StepStatus
 from fringedic_msgs.srv import ControlProcedure, StartProcedure
+from fringedic_ros.goals import result_of
 from fringedic_ros.images import image_array
 from fringedic_ros.main import run
 from fringedic_ros.parameters import declare
@@ -198,11 +198,14 @@ class OperatorNode(RigNode):
         return ""
 
     def _take_result(self, future: Future) -> None:
-        response = future.result()
-        if response.status == GoalStatus.STATUS_UNKNOWN:
+        try:
+            result = result_of(future.result(), "measure_step")
+        except StepFailedError as error:
+            self._state.set_hand(f"not measured: {error}")
+            return
+        if result is None:
             self._state.set_hand("not measured: the experiment node was started again; measure the step again")
             return
-        result = response.result
         failed = f"failed: {result.error_message} (error {result.error_code})"
         self._state.set_hand(f"step {result.step} {failed if result.error_code else 'is measured'}")
 

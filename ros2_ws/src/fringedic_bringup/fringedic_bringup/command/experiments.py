@@ -92,6 +92,8 @@ def demo(
         for report in run_demo(rigs, unused_folder(output), progress, domain=domain):
             _tell(report)  # at once: the next experiment takes minutes
             reports.append(report)
+            if report.interrupted:
+                break
     _check(reports)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 from typing import Any, NoReturn
 
@@ -39,8 +41,9 @@ def main() -> None:
     """Run the command; an error is one sentence on the error stream.
 
     The exit code is 1 for what cannot be done, 2 for a command that is not written as its help says, and 130 after
-    Ctrl-C.
+    Ctrl-C, SIGTERM or SIGHUP.
     """
+    _interrupt_at_end_of_session()
     try:
         code = app(standalone_mode=False) or 0
     except FringedicError as error:
@@ -53,9 +56,33 @@ def main() -> None:
         if not hasattr(error, "format_message"):
             raise
         _end(_usage_sentence(error), 2)
-    if code == INTERRUPTED:  # typer ends with it after Ctrl-C
+    if code == INTERRUPTED:  # typer ends with it after a KeyboardInterrupt
         _end("interrupted; nothing is running any more, and what was recorded is closed", code)
     sys.exit(code)
+
+
+def _interrupt_at_end_of_session() -> None:
+    """Let SIGTERM and SIGHUP end the command as Ctrl-C does: at a shutdown, or when its terminal is closed."""
+    terminals = [stream for stream in (0, 1, 2) if os.isatty(stream)]
+
+    def leave_terminals(*_: object) -> None:
+        # a closed terminal fails every line that is written to it
+        null = os.open(os.devnull, os.O_RDWR)
+        for stream in terminals:
+            os.dup2(null, stream)
+        os.close(null)
+
+    def interrupt(number: int, _: object) -> NoReturn:
+        # the end of a session sends both signals; a second interruption would skip dataset and report
+        signal.signal(signal.SIGTERM, lambda *_: None)
+        signal.signal(signal.SIGHUP, leave_terminals)
+        if number == signal.SIGHUP:
+            leave_terminals()
+        raise KeyboardInterrupt
+
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is not signal.SIG_IGN:  # as nohup leaves it
+            signal.signal(number, interrupt)
 
 
 def _end(sentence: str, code: int) -> NoReturn:

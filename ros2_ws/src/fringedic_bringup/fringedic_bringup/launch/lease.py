@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
+import errno
 import json
 import os
+import socket
 import sys
-import tempfile
+import threading
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from types import TracebackType
@@ -15,10 +17,15 @@ from typing import Self
 from fringedic.errors import ProcessError
 
 _LONGEST_COMMAND = 200  # characters that a message repeats
+_LONGEST_ADDRESS = 107  # bytes, of Linux
+_ANSWER_S = 2.0
 
 
 class RigLease:
     """The right to start the nodes of a rig on this computer, until the end of a `with` block or of the process.
+
+    The owner binds an abstract Unix socket, which is one for all users of the computer and its network, and describes
+    itself to every process that connects. The system frees the socket with the process, however it ends.
 
     Parameters
     ----------
@@ -35,38 +42,56 @@ class RigLease:
 
     def __init__(self, domain: int, namespace: str, folder: Path) -> None:
         self._domain, self._namespace, self._folder = domain, namespace or "/", folder
-        name = f"fringedic-rig-{domain}-{namespace.strip('/').replace('/', '-')}.{os.getuid()}.lock"
-        self._path = Path(tempfile.gettempdir()) / name
+        self._address = f"\0fringedic-rig-{domain}-{namespace.strip('/')}".encode()[:_LONGEST_ADDRESS]
 
     def __enter__(self) -> Self:
-        # the system drops the lock with the process, however it ends; nodes do not inherit it
-        self._file = self._path.open("a+")
+        self._socket = socket.socket(socket.AF_UNIX)  # nodes do not inherit it
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            self._file.seek(0)
-            owner = _owner_in_words(self._file.read())
-            self._file.close()
+            self._socket.bind(self._address)
+        except OSError as error:
+            self._socket.close()
+            if error.errno != errno.EADDRINUSE:
+                raise
             raise ProcessError(
-                f"rig '{self._namespace}' in ROS domain {self._domain} is in use by {owner}; wait until it has ended, "
-                "or choose another namespace or ROS_DOMAIN_ID"
+                f"rig '{self._namespace}' in ROS domain {self._domain} is in use by {_owner_in_words(self._address)}; "
+                "wait until it has ended, or choose another namespace or ROS_DOMAIN_ID"
             ) from None
-        self._file.truncate(0)
+        self._socket.listen()
         since = datetime.now().astimezone().isoformat(" ", "seconds")
-        json.dump({"pid": os.getpid(), "command": sys.argv, "folder": str(self._folder), "since": since}, self._file)
-        self._file.flush()
+        owner = {"pid": os.getpid(), "command": sys.argv, "folder": str(self._folder), "since": since}
+        arguments = (self._socket, json.dumps(owner).encode())
+        self._thread = threading.Thread(target=_describe, args=arguments, name="rig lease", daemon=True)
+        self._thread.start()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self._file.close()
+        with suppress(OSError):
+            self._socket.shutdown(socket.SHUT_RDWR)  # ends the thread; closing alone would not
+        self._thread.join()
+        self._socket.close()
 
 
-def _owner_in_words(text: str) -> str:
+def _describe(listening: socket.socket, owner: bytes) -> None:
+    """Send the description of the owner to each process that connects, until the socket is shut down."""
+    while True:
+        try:
+            connection, _ = listening.accept()
+        except OSError:
+            return
+        with connection, suppress(OSError):  # that process may have ended
+            connection.sendall(owner)
+
+
+def _owner_in_words(address: bytes) -> str:
     try:
-        owner = json.loads(text)
-    except ValueError:
-        return "another process, which has just started"
+        with socket.socket(socket.AF_UNIX) as connection:
+            connection.settimeout(_ANSWER_S)
+            connection.connect(address)
+            with connection.makefile() as description:
+                owner = json.load(description)
+    except (OSError, ValueError):
+        return "another process, which has just started or does not answer"
     command = " ".join([Path(owner["command"][0]).name, *owner["command"][1:]])[:_LONGEST_COMMAND]
     return f"process {owner['pid']} ({command}) since {owner['since']}, folder {owner['folder']}"

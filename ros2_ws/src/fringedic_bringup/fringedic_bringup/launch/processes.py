@@ -85,9 +85,17 @@ class RunningGraph:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self.stop()
+        interruption: KeyboardInterrupt | None = None
+        while True:
+            try:
+                self.stop()
+                break
+            except KeyboardInterrupt as another:  # the recorder needs its time to close the recording
+                interruption = another
         if self._owner:
             self._lease.__exit__(kind, error, traceback)
+        if interruption is not None:
+            raise interruption
 
     def pid(self, name: str) -> int:
         """Return the process id of a node."""
@@ -151,10 +159,12 @@ class RunningGraph:
         The first node of the graph is ended last, after the others.
         """
         chosen = [entry.name for entry in self.graph.nodes if names is None or entry.name in set(names)]
-        running = {name: self._processes.pop(name) for name in chosen if name in self._processes}
+        running = {name: self._processes[name] for name in chosen if name in self._processes}
         first = self.graph.nodes[0].name
         _end([process for name, process in running.items() if name != first], GRACE_S)
         _end([process for name, process in running.items() if name == first], RECORDER_GRACE_S)
+        for name in running:  # not earlier: this may have been interrupted
+            del self._processes[name]
         if running:
             remove_stale_segments()
 

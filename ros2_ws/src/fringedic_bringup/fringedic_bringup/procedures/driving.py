@@ -15,7 +15,14 @@ from typing import Any, NamedTuple
 
 from fringedic.configuration.conditions import MetCondition, Reading
 from fringedic.configuration.programme import Programme, ProgrammeStep
-from fringedic.errors import FringedicError, NodeDiedError, RigBusyError, StepFailedError, WaitTimeoutError
+from fringedic.errors import (
+    FringedicError,
+    NodeDiedError,
+    OperatorError,
+    RigBusyError,
+    StepFailedError,
+    WaitTimeoutError,
+)
 from fringedic.report.programme import block_end_sentence, condition_sentence
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.processes import RunningGraph
@@ -51,7 +58,7 @@ class Driven(NamedTuple):
     ended_early
         Why the programme ended before its last step; empty when it did not.
     interrupted
-        Whether a person ended it by Ctrl-C.
+        Whether Ctrl-C or a signal ended it.
     """
 
     steps: list[StepReport]
@@ -124,15 +131,13 @@ def drive(
                         reading = driver.do(step)
             driver.finish()
         except FringedicError as error:
+            driver.end()
             ended_early = str(error)
             progress.note(f"the programme ends early: {ended_early}")
-            driver.interrupt()
         except KeyboardInterrupt:
-            ended_early, interrupted = "interrupted by Ctrl-C", True
-            progress.note(
-                "interrupted: the machine is requested to hold, and the results of what was measured are written"
-            )
-            driver.interrupt()
+            driver.end()
+            ended_early, interrupted = "interrupted", True
+            progress.note("interrupted: a hold was requested, and the results of what was measured are written")
     first = next((report.step for report in driver.reports if not report.error), None)
     own = any(step.set_reference for step in programme.load_steps())
     return Driven(driver.reports, first if driver.interrupted and not own else None, ended_early, interrupted)
@@ -274,6 +279,13 @@ class _Driver:
                 self._progress.note(f"{silence}; step {self._number} is repeated")
                 self.interrupt()
 
+    def end(self) -> None:
+        """Request a hold, and the end of the move or step under way, however often a person interrupts this."""
+        while True:
+            with suppress(KeyboardInterrupt, OperatorError):
+                self.interrupt()
+                return
+
     def interrupt(self) -> None:
         """Request a hold, and the end of the move or step under way."""
         for request in (self._rig.hold, self._rig.cancel):
@@ -335,8 +347,10 @@ class _Driver:
         entry = next(each for each in self._running.graph.nodes if each.name == name)
         if name == "recorder" and entry.parameters["bag_path"]:
             return {"bag_path": str(next_part(Path(entry.parameters["bag_path"])))}
-        if name == "experiment":  # the interrupted step has a number already
-            return {"first_step": self._rig.last_step + 2, "reference_step": self._rig.reference}
+        if name == "experiment":
+            # the interrupted step has a number already, which may not have been published
+            number = max(self._rig.highest_step(entry.parameters["experiment"]), self._rig.last_step + 1)
+            return {"first_step": number + 1, "reference_step": self._rig.reference}
         if name == "camera" and entry.parameters.get("truth_folder"):
             return {"truth_folder": ""}  # a new file would start with another reference
         return {}

@@ -92,7 +92,7 @@ class RunReport:
     ended_early
         Why the programme ended before its last step; empty when it did not.
     interrupted
-        Whether a person ended it by Ctrl-C.
+        Whether Ctrl-C or a signal ended it.
     """
 
     experiment: str

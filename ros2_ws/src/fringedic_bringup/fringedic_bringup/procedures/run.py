@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
@@ -208,7 +209,12 @@ def join_parts(bag: Path, progress: Progress, split: Split) -> None:
         return
     first = bag.rename(bag.with_name(f"{bag.name}-1"))
     progress.stage(f"joining {1 + len(others)} parts of the recording")
-    joined = join((first, *others), bag, split=split)
+    try:
+        joined = join((first, *others), bag, split=split)
+    except BaseException:  # a second Ctrl-C, or a full disk: the next run in the folder joins the parts
+        shutil.rmtree(bag, ignore_errors=True)
+        first.rename(bag)
+        raise
     if not joined.whole:
         progress.note(f"parts of the recording are not complete: {'; '.join(content_sentences(joined))}")
 

@@ -1,0 +1,148 @@
+"""A programme whose nodes end again and again, or that is interrupted again and again."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from fringedic.configuration.programme import Programme
+from fringedic.errors import NodeDiedError, OperatorError, RigBusyError
+from fringedic_bringup.launch.graph import Graph, NodeEntry
+from fringedic_bringup.procedures import driving
+from fringedic_bringup.procedures.driving import Driven, RecordedSteps
+
+EXPERIMENT = "plate"
+MEASURED = 5  # steps of an earlier run
+
+
+class Progress:
+    """Keeps the notes."""
+
+    def __init__(self) -> None:
+        self.notes: list[str] = []
+
+    def stage(self, text: str) -> None: ...
+
+    def step(self, number: int, last: int, text: str, frame: int = 0, frames: int = 0) -> None: ...
+
+    def part(self, number: int, parts: int, text: str, frame: int = 0, frames: int = 0) -> None: ...
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+
+class Rig:
+    """Client and processes of a rig; each step ends as planned.
+
+    Parameters
+    ----------
+    plan
+        How the steps end, one after the other: by the end of a node, by Ctrl-C, by a step of another controller, or by
+        a result ("").
+    presses
+        What a person does, one after the other, while the machine is requested to hold.
+    """
+
+    def __init__(self, plan: list[str], presses: tuple[BaseException, ...] = ()) -> None:
+        entries = (
+            NodeEntry("dic", "dic_node", "dic"),
+            NodeEntry("experiment", "experiment_node", "experiment", {"experiment": EXPERIMENT}),
+        )
+        self.graph = Graph("rig", entries)
+        self.plan, self.presses = plan, list(presses)
+        self.used: list[int] = []
+        self.held = self.cancelled = 0
+        self.last_step, self.reference, self.recorder, self.strain_of_step = -1, 0, None, 0.0
+        self._next, self._dead = MEASURED, dict[str, str]()
+
+    # processes
+
+    def check(self) -> None:
+        for name in self._dead:
+            raise NodeDiedError(name)
+
+    def dead(self) -> dict[str, str]:
+        return dict(self._dead)
+
+    def log(self, name: str) -> str:
+        return f"{name}.log"
+
+    def restart(self, name: str, **changes: Any) -> None:
+        del self._dead[name]
+        self._next = changes.get("first_step", self._next)
+
+    # client
+
+    def __enter__(self) -> Rig:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def measure(self, *_: object, **__: object) -> SimpleNamespace:
+        number, end = self._next, self.plan.pop(0)
+        self.used.append(number)
+        self._next += 1
+        if end == "Ctrl-C":
+            raise KeyboardInterrupt
+        if end == "another":
+            raise RigBusyError(f"step {number} is being measured")
+        if end:
+            self._dead[end] = "was ended by SIGKILL"
+            raise NodeDiedError(end)
+        self.last_step = number
+        figures = ("force_mean", "position_mean", "force_range", "rms_displacement", "processing_time")
+        return SimpleNamespace(step=number, valid_fraction=1.0, **dict.fromkeys(figures, 0.0))
+
+    def highest_step(self, experiment: str) -> int:
+        return self.used[-1] if self.used and experiment == EXPERIMENT else -1
+
+    def hold(self, *_: object) -> None:
+        if self.presses:
+            raise self.presses.pop()
+        self.held += 1
+
+    def cancel(self, *_: object) -> None:
+        self.cancelled += 1
+
+    def sleep(self, *_: object) -> None: ...
+
+    def set_reference(self) -> None: ...
+
+    def wait_until_ready(self, *_: object) -> None: ...
+
+    def wait_until_started(self, *_: object) -> None: ...
+
+    def wait_until_recorded(self) -> None: ...
+
+
+def drive(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Driven:
+    """Drive a programme of one step more than an earlier run has measured."""
+    monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
+    programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": [{}] * (MEASURED + 1)})
+    before = RecordedSteps(list(range(MEASURED)), MEASURED - 1)
+    return driving.drive(rig, programme, Progress(), before=before)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "ends",
+    [("dic", "experiment"), ("experiment", "experiment"), ("experiment", "dic"), ("another", "another", "experiment")],
+)
+def test_no_number_of_a_step_is_used_twice(ends: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig([*ends, ""])
+    (report,) = drive(rig, monkeypatch).steps
+    assert rig.used == sorted(set(rig.used))
+    assert len(rig.used) == len(ends) + 1
+    assert report.step == rig.used[-1]
+
+
+@pytest.mark.parametrize("presses", [(), (KeyboardInterrupt(),) * 3, (OperatorError("stopped"), KeyboardInterrupt())])
+def test_an_interrupted_programme_requests_a_hold_however_often_it_is_interrupted(
+    presses: tuple[BaseException, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = Rig(["Ctrl-C"], presses)
+    driven = drive(rig, monkeypatch)
+    assert driven.interrupted
+    assert driven.ended_early == "interrupted"
+    assert (rig.held, rig.cancelled) == (1, 1)
