@@ -61,6 +61,21 @@ def images(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return files
 
 
+@pytest.fixture(scope="module")
+def fringes(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder of four shifted fringe images with their description."""
+    folder = tmp_path_factory.mktemp("fringes")
+    noise = np.random.default_rng(6).normal(size=(4, 100, 120))
+    names = [f"shift-{number}.png" for number in range(4)]
+    for number, name in enumerate(names):
+        wave = 128 + 80 * np.cos(2 * np.pi * (np.arange(120) / 40 - number / 4))
+        cv2.imwrite(str(folder / name), np.round(wave + noise[number]).astype(np.uint8))
+    (folder / "phase.yaml").write_text(
+        f"projector_px: 120\nfringes: [{{pitch_px: 120.0, images: [{', '.join(names)}]}}]\n"
+    )
+    return folder
+
+
 @pytest.mark.parametrize(
     "words",
     [
@@ -108,10 +123,40 @@ def test_existing_results_are_not_replaced_unasked(
     assert "displacement.nc exists already" in refusal(*measured)
     assert run_command(monkeypatch, *measured, "--window", "24", "--overwrite") == 0
     assert (tmp_path / "measured" / "displacement.nc").read_bytes() != before
+    (tmp_path / "again.pdf").write_text("previous")
+    report = ("report", tmp_path / "measured" / "displacement.nc", "--output", tmp_path / "again.html", "--pdf")
+    assert "again.pdf exists already" in refusal(*report)
+    assert (tmp_path / "again.pdf").read_text() == "previous"
+    (tmp_path / "measured" / "displacement.nc").unlink()
+    assert "report.html exists already" in refusal(*measured)
+    assert not (tmp_path / "measured" / "displacement.nc").exists()
     target = ("target", "--pitch-mm", "0.5", "--output", tmp_path / "new" / "grid.pdf")
     assert run_command(monkeypatch, *target) == 0
     assert "grid.pdf exists already" in refusal(*target)
     assert run_command(monkeypatch, *target, "--overwrite") == 0
+
+
+@pytest.mark.parametrize("existing", ["phase.nc", "phase.png"])
+def test_phase_replaces_neither_dataset_nor_picture(
+    existing: str, fringes: Path, refusal: Refusal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    file = tmp_path / "phases" / existing
+    file.parent.mkdir()
+    file.write_text("previous")
+    words = ("phase", fringes, "--output", file.parent)
+    assert f"{existing} exists already" in refusal(*words)
+    assert file.read_text() == "previous"
+    assert run_command(monkeypatch, *words, "--overwrite") == 0
+    assert file.read_bytes() != b"previous"
+
+
+def test_recordings_of_the_same_name_are_refused(refusal: Refusal, tmp_path: Path) -> None:
+    bags = [tmp_path / folder / "plate" / "bag" for folder in ("spring", "autumn")]
+    for bag in bags:
+        shutil.copytree(RECORDED / "bag", bag)
+    sentence = refusal("process", *bags, "--output", tmp_path / "again", "--overwrite")
+    assert "plate.nc: would be the dataset of two recordings" in sentence
+    assert not (tmp_path / "again").exists()
 
 
 @pytest.mark.parametrize("command", ["export", "report"])
@@ -167,6 +212,35 @@ def test_full_disk(
     sentence = refusal(command, *(options if command == "process" else (*images, "--output", tmp_path / "measured")))
     assert "the disk is full, step" in sentence
     assert [file for file in tmp_path.rglob("*") if file.is_file()] == []
+
+
+def test_phase_on_a_full_disk_keeps_the_previous_dataset(
+    fringes: Path, refusal: Refusal, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=100_000))
+    (tmp_path / "phase.nc").write_text("previous")
+    assert "the disk is full" in refusal("phase", fringes, "--output", tmp_path, "--overwrite")
+    assert [file.name for file in tmp_path.iterdir()] == ["phase.nc"]
+    assert (tmp_path / "phase.nc").read_text() == "previous"
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ("step,load\n0,0\n1,100,5\n", "line 3 has 3 cells, the heading has 2"),
+        ("step;load\n0;0\n", "is no table of loads; write a CSV with the columns step,load"),
+        ("step,load\n0.5,0\n", "line 2 has no number of a step and load"),
+        ("step,load\n0,nan\n", "line 2 repeats step 0, or its load nan is not finite"),
+        ("step,load\n1,5\n1,7\n", "line 3 repeats step 1"),
+        ("step,load\n", "contains no load"),
+        (f"step,load\n1,{'5' * 200_000}\n", "cannot be read as a table"),
+    ],
+)
+def test_load_table_that_cannot_be_read(table: str, words: str, refusal: Refusal, tmp_path: Path) -> None:
+    (tmp_path / "loads.csv").write_text(table)
+    options = ("--unit", "mm", "--load-table", tmp_path / "loads.csv", "--output", tmp_path / "compared")
+    assert words in refusal("compare-model", RECORDED / "bag", "m.stl", *options)
 
 
 def png_header(width: int, height: int) -> bytes:

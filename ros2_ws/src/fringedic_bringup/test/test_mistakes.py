@@ -130,7 +130,7 @@ MISTAKES = [
     Mistake("compare-model earlier m.stl --unit mm --pair 1,2=3,4", UNUSABLE, "--pair 1,2=3,4: give COLUMN,ROW=X,Y,Z"),
     Mistake("compare-model earlier m.stl --unit mm --hole 1,2=3,4,nan", UNUSABLE, "--hole 1,2=3,4,nan: give COLUMN"),
     Mistake("compare-model earlier m.stl --unit mm --edge 1,2=3,4,5", UNUSABLE, "--edge 1,2=3,4,5: give COLUMN,ROW;"),
-    Mistake("compare-model earlier m.stl --unit mm --load-table notes.txt", UNUSABLE, "contains no load; write"),
+    Mistake("compare-model earlier m.stl --unit mm --load-table notes.txt", UNUSABLE, "is no table of loads; write"),
     Mistake("compare-model earlier m.stl --unit mm --shape --step 1 --step 2", UNUSABLE, "give --step once"),
     Mistake("compare-model earlier m.stl --unit mm --shape", UNUSABLE, "m.stl: no such model file"),
     # rigs

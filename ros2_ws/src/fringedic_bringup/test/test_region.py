@@ -153,6 +153,25 @@ def test_no_display_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
 REGION = Region((Polygon(((40, 30), (150, 30), (150, 120), (40, 120))),), 200, 160)
 
 
+def command(*words: object) -> BaseException | None:
+    """Run `fringedic region` and return its error."""
+    return CliRunner().invoke(app, ["region", *map(str, words)]).exception
+
+
+def test_mask_and_polygons_replace_no_other_file_unasked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("fringedic_bringup.display.region_window.draw_region", lambda _: REGION)
+    image, polygons = tmp_path / "image.png", tmp_path / "plate.yaml"
+    cv2.imwrite(str(image), np.full((160, 200), 90, np.uint8))
+    polygons.write_text("a rig file")
+    assert "image.png: would replace" in str(command(image, "--output", image, "--overwrite"))
+    assert "plate.png: would replace" in str(command(polygons, "--output", tmp_path / "plate.png", "--overwrite"))
+    assert "plate.yaml exists already" in str(command(image, "--output", tmp_path / "plate.png"))
+    assert cv2.imread(str(image)).max() == 90
+    assert polygons.read_text() == "a rig file"
+    assert command(image, "--output", tmp_path / "plate.png", "--overwrite") is None
+    assert Region.load(polygons) == REGION
+
+
 def test_measure_takes_mask_and_polygons(tmp_path: Path) -> None:
     rng = np.random.default_rng(4)
     noise = cv2.GaussianBlur(rng.normal(size=(160, 204)), (0, 0), 1.5)

@@ -11,7 +11,7 @@ import xarray as xr
 from fringedic.errors import ExportError, optional_import
 from fringedic.export.surfaces import MILLI, collection_entry, write_collection
 from fringedic.inputs.arguments import check_arguments, dataset, path
-from fringedic.results.attributes import experiment_name, origin_text
+from fringedic.results.attributes import file_stem, origin_text
 from fringedic.results.quantities import people_unit
 
 _LOCATION = ("x", "y", "z", "triangles", "displacement_of_model")
@@ -47,7 +47,7 @@ def write_mesh(mesh: xr.Dataset, folder: str | os.PathLike[str], *, overwrite: b
     folder = Path(folder)
     triangles = mesh["triangles"].values
     faces = np.hstack([np.full((len(triangles), 1), 3, triangles.dtype), triangles]).ravel()
-    series = folder / f"{experiment_name(mesh)}.pvd"
+    series = folder / f"{file_stem(mesh)}.pvd"
     if series.exists() and not overwrite:
         raise ExportError(f"{series} exists already; choose another folder or ask to overwrite it")
     entries = []

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.errors import ExportError, optional_import
-from fringedic.results.attributes import experiment_name, map_names, origin_text, seconds, step_numbers
+from fringedic.results.attributes import file_stem, map_names, origin_text, seconds, step_numbers
 from fringedic.results.motion import in_space
 from fringedic.results.quantities import people_unit
 
@@ -118,7 +118,7 @@ def write_vtk(dataset: xr.Dataset, folder: Path) -> list[str]:
         name = f"step_{int(step.step):03d}.vtp"
         mesh.save(folder / name)
         entries.append(collection_entry(time, name))
-    write_collection(folder / f"{experiment_name(dataset)}.pvd", entries)
+    write_collection(folder / f"{file_stem(dataset)}.pvd", entries)
     return skipped
 
 

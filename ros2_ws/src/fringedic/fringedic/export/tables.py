@@ -15,6 +15,7 @@ import xarray as xr
 from fringedic.errors import ExportError, optional_import
 from fringedic.results.attributes import map_names, origin_of, origin_text, seconds, step_numbers
 from fringedic.results.quantities import MAP_DIMENSIONS, STEP_NUMBERS, people_unit
+from fringedic.results.stores import save_netcdf
 
 MATLAB_LIMIT = 2**31 - 1  # bytes of one variable in a MATLAB 5 file
 _WITH_MARK = "utf-8-sig"  # spreadsheets take µ for another character without a byte-order mark
@@ -133,7 +134,7 @@ def write_tiff(dataset: xr.Dataset, folder: Path) -> list[str]:
 def write_netcdf(dataset: xr.Dataset, file: Path) -> list[str]:
     """Write a dataset as it is, as NetCDF."""
     sizes = (1, dataset.sizes["row"], dataset.sizes["column"])
-    dataset.drop_encoding().to_netcdf(file, engine="h5netcdf", encoding=_encoding(dataset, "chunksizes", sizes))
+    save_netcdf(dataset.drop_encoding(), file, _encoding(dataset, "chunksizes", sizes))
     return []
 
 

@@ -18,7 +18,7 @@ from fringedic.figures.maps import save_pictures
 from fringedic.figures.panels import ANIMATED
 from fringedic.inputs.arguments import check_arguments, optional, path, several, text, whole
 from fringedic.inputs.arguments import dataset as dataset_of
-from fringedic.results.attributes import experiment_name
+from fringedic.results.attributes import file_stem
 
 
 class _Format(NamedTuple):
@@ -146,7 +146,7 @@ def export_dataset(
 
 def _export(dataset: xr.Dataset, folder: Path, name: str, overwrite: bool) -> Exported:
     write, ending = _FORMATS[name]
-    target = folder / f"{experiment_name(dataset)}{ending}"
+    target = folder / f"{file_stem(dataset)}{ending}"
     try:
         with _replacing(target, overwrite) as temporary:
             skipped = write(dataset, temporary)

@@ -1,14 +1,17 @@
-"""YAML text that people edit: a key may be there once only, and the message about a wrong value has its line."""
+"""YAML text that people edit: a key may be there once only, numbers are decimal, and messages contain the line."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+import re
 from typing import Any
 
 import yaml
 
 _LONGEST_EXCERPT = 40  # characters of a wrong value in a message
 _DEEPEST = 50  # brackets within brackets; a programme of cycles within cycles has about ten
+_NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
+# YAML 1.1 reads 010 as octal and 1:30 in base 60: a crosshead would move to another place than a person has written
+_DECIMAL = re.compile(r"[-+]?(?=\.?[0-9])(0|[1-9][0-9]*)?(\.[0-9]*)?(e[-+]?[0-9]+)?|[-+]?\.(inf|nan)", re.I)
 
 
 class InvalidYamlError(yaml.YAMLError):
@@ -31,9 +34,10 @@ class _Loader(yaml.SafeLoader):
         self._depth -= 1
         return node
 
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+        node = super().compose_mapping_node(anchor)
         places: dict[tuple[str, str], yaml.Mark] = {}
-        for key, _ in node.value:
+        for key, _ in node.value:  # not yet those of a merge (<<), which the node's own keys replace
             name = (key.tag, str(key.value))
             if name in places:
                 raise InvalidYamlError(
@@ -41,16 +45,28 @@ class _Loader(yaml.SafeLoader):
                     f"{places[name].line + 1} already: remove one of them"
                 )
             places[name] = key.start_mark
-        return super().construct_mapping(node, deep)
+        return node
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        if node.tag in _NUMBERS and isinstance(node, yaml.ScalarNode) and not _DECIMAL.fullmatch(node.value):
+            raise _invalid(node, "write a number in decimal digits without leading zeros, and text in quotes")
         try:
             return super().construct_object(node, deep)
         except (ValueError, OverflowError) as error:  # an impossible date, or a number of too many digits
-            raise InvalidYamlError(
-                f"line {node.start_mark.line + 1}: {_excerpt(node.value)} is no valid value: "
-                f"{str(error).partition(';')[0]}"
-            ) from error
+            raise _invalid(node, str(error).partition(";")[0]) from error
+        except (KeyError, AttributeError) as error:  # !!bool or !!timestamp before something else
+            raise _invalid(node, f"it is no {node.tag.rpartition(':')[2]}") from error
+
+    def scan_flow_scalar(self, style: str) -> yaml.ScalarToken:
+        try:
+            return super().scan_flow_scalar(style)
+        except (ValueError, OverflowError) as error:
+            raise InvalidYamlError(f"line {self.line + 1}: an escape sequence is no character of Unicode") from error
+
+
+def _invalid(node: yaml.Node, reason: str) -> InvalidYamlError:
+    value = _excerpt(node.value) or "an empty text"
+    return InvalidYamlError(f"line {node.start_mark.line + 1}: {value} is no valid value: {reason}")
 
 
 def load_yaml(text: str) -> Any:
@@ -64,7 +80,8 @@ def load_yaml(text: str) -> Any:
     Raises
     ------
     InvalidYamlError
-        The text is not YAML, has a key twice, a value that YAML does not allow, or too deep brackets.
+        The text is not YAML, has a key twice, a value that YAML does not allow, a number that is not decimal (octal,
+        hexadecimal, binary, base 60, with underscores), or too deep brackets.
 
     Examples
     --------

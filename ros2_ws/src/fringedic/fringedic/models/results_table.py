@@ -61,27 +61,62 @@ def read_results(file: Path, labels: Sequence[int]) -> NodalResults:
     ModelError
         The file is no such table, or lacks a node.
     """
-    try:
-        with file.open(newline="", encoding="utf-8-sig") as stream:
-            heading, *rows = [[cell.strip() for cell in row] for row in csv.reader(stream) if any(row)]
-    except (OSError, ValueError, csv.Error) as error:  # ValueError: an empty file, another encoding
-        raise ModelError(f"{file.name}: cannot be read as a table; write CSV with a heading") from error
+    heading, rows = read_table(file)
     node, moved, strained = (_columns(heading, wanted) for wanted in ([_LABEL], _DISPLACEMENT, _STRAIN))
     if not node or {0, 1} - moved.keys():
         raise ModelError(
             f"{file.name}: has the columns {', '.join(heading)[:200]}; it needs the node's label and U1, U2, U3"
         )
     places = [*node.values(), *moved.values(), *strained.values()]
-    try:
-        table = np.array([[float(row[place]) for place in places] for row in rows]).reshape(-1, len(places))
-    except (ValueError, IndexError) as error:
-        raise ModelError(f"{file.name}: a row has no number in a column of the heading; write it again") from error
+    table = _numbers(rows, places, file.name)
     table = table[_rows_of(labels, table[:, 0], file.name)]
     displacement, strain = np.zeros((len(labels), 3)), np.zeros((len(labels), 6))
     displacement[:, list(moved)] = table[:, 1 : 1 + len(moved)]
     strain[:, list(strained)] = table[:, 1 + len(moved) :]
     strain[:, 3:] /= 2  # the tensor shear
     return NodalResults(displacement, None if {0, 1, 3} - strained.keys() else strain)
+
+
+def read_table(file: Path) -> tuple[list[str], dict[int, list[str]]]:
+    """Return the heading of a CSV file and its rows by the numbers of their lines; empty lines are left out.
+
+    Raises
+    ------
+    ModelError
+        The file cannot be read, is empty, or a row has another number of cells than the heading.
+    """
+    rows = {}
+    try:
+        with file.open(newline="", encoding="utf-8-sig") as stream:
+            reader = csv.reader(stream)
+            for row in reader:
+                if any(row):
+                    rows[reader.line_num] = [cell.strip() for cell in row]
+    except (OSError, ValueError, csv.Error) as error:  # ValueError: another encoding
+        raise ModelError(f"{file.name}: cannot be read as a table; write CSV with a heading") from error
+    if not rows:
+        raise ModelError(f"{file.name}: cannot be read as a table, it is empty; write CSV with a heading")
+    heading = rows.pop(min(rows))
+    for line, row in rows.items():
+        if len(row) != len(heading):
+            raise ModelError(
+                f"{file.name}: line {line} has {len(row)} cells, the heading has {len(heading)}; write numbers with a "
+                "decimal point, and commas only between the cells"
+            )
+    return heading, rows
+
+
+def _numbers(rows: dict[int, list[str]], places: Sequence[int], name: str) -> np.ndarray:
+    """Return these columns of all rows; the first one contains labels, which are whole numbers."""
+    table = np.empty((len(rows), len(places)))
+    for index, (line, row) in enumerate(rows.items()):
+        try:
+            table[index] = [float(row[place]) for place in places]
+        except ValueError as error:
+            raise ModelError(f"{name}: line {line} has no number in a column of the heading; write it again") from error
+        if not table[index, 0].is_integer():
+            raise ModelError(f"{name}: line {line} has the node label {row[places[0]][:20]}; write whole numbers")
+    return table
 
 
 def _columns(heading: Sequence[str], wanted: Sequence[re.Pattern[str]]) -> dict[int, int]:

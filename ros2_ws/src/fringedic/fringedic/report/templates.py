@@ -57,10 +57,13 @@ def write_page(page: str, target: Path) -> Path:
     DatasetError
         It cannot be written.
     """
+    temporary = target.with_name(f".{target.name}.writing")
     with write_errors_named(target):
-        temporary = target.with_name(f".{target.name}.writing")
-        temporary.write_text(page, encoding="utf-8")
-        temporary.replace(target)
+        try:
+            temporary.write_text(page, encoding="utf-8")
+            temporary.replace(target)
+        finally:
+            temporary.unlink(missing_ok=True)
     return target
 
 

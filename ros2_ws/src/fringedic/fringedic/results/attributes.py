@@ -3,29 +3,44 @@
 from __future__ import annotations
 
 import json
+import re
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from pydantic import ValidationError
 
+from fringedic.errors import DatasetError
 from fringedic.metadata import Metadata
 from fringedic.provenance import git_commit, software
 from fringedic.results.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE, STEP_NUMBERS
 
-_JSON_ATTRIBUTES = ("calibration", "parameters", "rig", METADATA_ATTRIBUTE)
+JSON_ATTRIBUTES = {"calibration": dict, "parameters": list, "rig": dict, METADATA_ATTRIBUTE: dict}
+"""The attributes that contain JSON, and the kind of its content."""
 
 
 def origin_of(dataset: xr.Dataset) -> dict[str, Any]:
     """Return the attributes of a dataset, calibration and parameters unpacked, with the software that exports it."""
     found: dict[str, Any] = {}
     for name, value in dataset.attrs.items():
-        found[str(name)] = json.loads(value) if name in _JSON_ATTRIBUTES else _plain(value)
+        found[str(name)] = json.loads(value) if name in JSON_ATTRIBUTES else _plain(value)
     return found | {"exported_by": software(), "exported_by_commit": git_commit()}
 
 
 def recorded_metadata(dataset: xr.Dataset) -> Metadata:
-    """Return specimen, hardware, calibration and noise floor as recorded; empty if they were not."""
-    return Metadata.model_validate(json.loads(dataset.attrs.get(METADATA_ATTRIBUTE, "{}")))
+    """Return specimen, hardware, calibration and noise floor as recorded; empty if they were not.
+
+    Raises
+    ------
+    DatasetError
+        The attribute contains something else.
+    """
+    try:
+        return Metadata.model_validate(json.loads(dataset.attrs.get(METADATA_ATTRIBUTE, "{}")))
+    except ValidationError as error:
+        [problem, *_] = error.errors()
+        place = ".".join(map(str, problem["loc"]))
+        raise DatasetError(f"attribute '{METADATA_ATTRIBUTE}' of the dataset: {place}: {problem['msg']}") from error
 
 
 def origin_text(dataset: xr.Dataset) -> str:
@@ -34,8 +49,19 @@ def origin_text(dataset: xr.Dataset) -> str:
 
 
 def experiment_name(dataset: xr.Dataset) -> str:
-    """Return the name of the experiment, for file names."""
+    """Return the name of the experiment."""
     return str(dataset.attrs.get("experiment", "experiment"))
+
+
+def file_stem(dataset: xr.Dataset) -> str:
+    """Return the name of the experiment as the beginning of file names.
+
+    Examples
+    --------
+    >>> file_stem(xr.Dataset(attrs={"experiment": "../plate 7"}))
+    '.._plate_7'
+    """
+    return re.sub(r"[^\w.-]", "_", experiment_name(dataset)) or "experiment"
 
 
 def map_names(dataset: xr.Dataset) -> list[str]:

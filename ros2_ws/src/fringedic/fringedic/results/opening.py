@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xarray as xr
 
 from fringedic.errors import DatasetError, ErrorCode, RecordingError, optional_import
@@ -15,6 +16,7 @@ from fringedic.inputs.arguments import path as file_path
 from fringedic.metadata import translate_metadata
 from fringedic.recording.bag_files import BAG, recording_of
 from fringedic.recording.remote import file_system, is_remote, named_errors
+from fringedic.results.attributes import JSON_ATTRIBUTES
 from fringedic.results.millimetres import with_millimetres
 from fringedic.results.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE
 from fringedic.results.stores import SUFFIXES, dataset_path
@@ -55,7 +57,7 @@ def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
     RecordingError
         There is no such recording, or it has neither a dataset nor derived topics; `process_bag` measures it.
     DatasetError
-        The file is no dataset of this library.
+        The file is no dataset of this library, has no step or a step number twice, or an attribute is damaged.
     FringedicError
         The dataset is a Zarr folder and the package ``zarr`` is not installed.
     """
@@ -128,14 +130,36 @@ def _open(file: Path | str, source: Any = None) -> xr.Dataset:
         dataset = xr.open_dataset(source or file, engine="h5netcdf" if netcdf else "zarr", cache=False)
     except (OSError, ValueError, KeyError) as error:
         raise DatasetError(f"{file}: cannot be read as {'NetCDF' if netcdf else 'Zarr'}: {error}") from error
-    lacking = (set(MAP_DIMENSIONS) - set(dataset.sizes)) | (set(_OF_EVERY_EXPERIMENT) - set(dataset.variables))
-    if lacking:
+    fault = _fault(dataset)
+    if fault:
         dataset.close()
-        raise DatasetError(
-            f"{file}: is no experiment, because it has no {' and no '.join(sorted(lacking))}: give the dataset that "
-            "'fringedic run' or 'fringedic process' wrote, or a recording"
-        )
+        raise DatasetError(f"{file}: {fault}")
     if METADATA_ATTRIBUTE in dataset.attrs:
         metadata = translate_metadata(json.loads(dataset.attrs[METADATA_ATTRIBUTE]))
         dataset.attrs[METADATA_ATTRIBUTE] = json.dumps(metadata)
     return with_millimetres(dataset)
+
+
+def _fault(dataset: xr.Dataset) -> str:
+    """Return why a dataset cannot be used, nothing if it can."""
+    lacking = (set(MAP_DIMENSIONS) - set(dataset.sizes)) | (set(_OF_EVERY_EXPERIMENT) - set(dataset.variables))
+    if lacking:
+        return (
+            f"is no experiment, because it has no {' and no '.join(sorted(lacking))}: give the dataset that "
+            "'fringedic run' or 'fringedic process' wrote, or a recording"
+        )
+    if dataset.sizes["step"] == 0:
+        return "contains no step; process its recording again"
+    if np.unique(dataset["step"].values).size < dataset.sizes["step"]:
+        return "contains a step number twice; process its recording again"
+    for name, kind in JSON_ATTRIBUTES.items():
+        if name in dataset.attrs and not _is_json(dataset.attrs[name], kind):
+            return f"the attribute '{name}' is damaged or of another program; process its recording again"
+    return ""
+
+
+def _is_json(text: Any, kind: type) -> bool:
+    try:
+        return isinstance(json.loads(text), kind)
+    except (TypeError, ValueError):
+        return False

@@ -15,12 +15,14 @@ from typing import Any, NamedTuple, Protocol
 import h5netcdf
 import h5py  # type: ignore[import-untyped]
 import numpy as np
+import xarray as xr
 
-from fringedic.errors import DatasetError, optional_import
+from fringedic.errors import DatasetError, ErrorCode, optional_import
 from fringedic.results.quantities import MAP_DIMENSIONS
 
 SUFFIXES = (".nc", ".zarr")
 TEXT = "text"
+_ROOM_LEFT = 10_000_000  # [byte] beside the maps: attributes, the index of the file
 _OF_A_SCALE = ("CLASS", "NAME", "REFERENCE_LIST")  # attributes that HDF5 writes itself
 
 
@@ -107,6 +109,58 @@ def dataset_path(
 def free_bytes(target: Path) -> float:
     """Return the bytes that still fit beside a file or folder."""
     return shutil.disk_usage(target.absolute().parent).free
+
+
+def require_room(place: str, content: str, size: int, free: float) -> None:
+    """Refuse to write what the disk has no room for: HDF5 ends the process when it cannot write.
+
+    Parameters
+    ----------
+    place, content
+        Where and what is to be written, for the message.
+    size, free
+        Size of its maps, and free space [byte].
+
+    Raises
+    ------
+    DatasetError
+        The free space is too small, with the code DISK_FULL.
+    """
+    needed = size + _ROOM_LEFT
+    if free < needed:
+        raise DatasetError(
+            f"{place}: the disk is full, {content} needs {1e-6 * needed:.0f} MB and {1e-6 * free:.0f} MB are free: "
+            "make room, or choose another output",
+            code=ErrorCode.DISK_FULL,
+        )
+
+
+def save_netcdf(dataset: xr.Dataset, target: Path, encoding: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+    """Write a dataset as NetCDF; an existing file is replaced when the new one is complete.
+
+    Parameters
+    ----------
+    dataset
+        In memory or on the disk.
+    target
+        The file.
+    encoding
+        Of its variables, as of `xarray.Dataset.to_netcdf`.
+
+    Raises
+    ------
+    DatasetError
+        The disk has no room for it, with the code DISK_FULL.
+    OSError
+        The file cannot be written.
+    """
+    require_room(str(target.absolute().parent), "the dataset", dataset.nbytes, free_bytes(target))
+    temporary = _temporary(target)
+    try:
+        dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def _temporary(target: Path) -> Path:

@@ -10,14 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from fringedic.errors import DatasetError, ErrorCode
+from fringedic.errors import DatasetError
 from fringedic.provenance import git_commit, software
 from fringedic.results.quantities import MAP_DIMENSIONS, RECORDING, STEP_NUMBERS, Layout
 from fringedic.results.rows import Row
-from fringedic.results.stores import TEXT, Store, Variable, create_store
+from fringedic.results.stores import TEXT, Store, Variable, create_store, require_room
 from fringedic.steps.recorded_parameters import StepSettings
-
-_ROOM_LEFT = 10_000_000  # [byte] beside the maps of a step: attributes, the index of the file
 
 
 class DatasetWriter:
@@ -73,7 +71,8 @@ class DatasetWriter:
         """Append one step."""
         self._describe(row.step, settings)
         self._last_error = row.error or self._last_error
-        self._require_room(row)
+        size = sum(values.nbytes for values in row.maps.values())
+        require_room(self._store.name, f"step {row.step}", size, self._store.room())
         index = self._count
         self._count += 1
         self._store.grow(self._count)
@@ -95,17 +94,6 @@ class DatasetWriter:
         values |= {name: getattr(row, name) for name in (*self._layout.texts, *self._layout.scalars)}
         for name, value in values.items():
             self._store.put(name, index, value)
-
-    def _require_room(self, row: Row) -> None:
-        """Refuse a step that the disk has no room for: HDF5 ends the process when it cannot write."""
-        needed = sum(values.nbytes for values in row.maps.values()) + _ROOM_LEFT
-        free = self._store.room()
-        if free < needed:
-            raise DatasetError(
-                f"{self._store.name}: the disk is full, step {row.step} needs {1e-6 * needed:.0f} MB and "
-                f"{1e-6 * free:.0f} MB are free: make room, or choose another output",
-                code=ErrorCode.DISK_FULL,
-            )
 
     def _write_maps(self, index: int, row: Row, spacing: int) -> None:
         points = row.maps["displacement_x"] if "displacement_x" in row.maps else _sampled(row.maps["phase"], spacing)

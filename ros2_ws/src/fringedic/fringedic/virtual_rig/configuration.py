@@ -461,12 +461,10 @@ def preset(name: str, *, size: str = "full", ideal: bool = False, alignment: str
     >>> preset("plate", size="tiny")["camera"]["columns"]
     160
     """
-    if name not in _PRESETS:
-        raise VirtualRigError(f"virtual_rig: preset {name!r} is unknown; choose from {', '.join(_PRESETS)}")
-    if size not in SIZES:
-        raise VirtualRigError(f"virtual_rig: size {size!r} is unknown; choose from {', '.join(SIZES)}")
-    if alignment is not None and alignment not in _ALIGNMENTS:
-        raise VirtualRigError(f"virtual_rig: alignment {alignment!r} is unknown; choose from {', '.join(_ALIGNMENTS)}")
+    _require_known("preset", name, list(_PRESETS))
+    _require_known("size", size, list(SIZES))
+    if alignment is not None:
+        _require_known("alignment", alignment, list(_ALIGNMENTS))
     scale = SIZES[size]
     sections: dict[str, Any] = copy.deepcopy(_PRESETS[name])
     errors = _ALIGNMENTS["aligned" if ideal else "usual"] if alignment is None else _ALIGNMENTS[alignment]
@@ -487,6 +485,11 @@ def preset(name: str, *, size: str = "full", ideal: bool = False, alignment: str
     if ideal:
         sections["sensor"] = {"read_noise_grey_level": 0.0, "shot_noise_grey_level": 0.0}
     return sections
+
+
+def _require_known(entry: str, value: Any, known: list[str]) -> None:
+    if value not in known:  # a list compares also what cannot be a key of a dictionary
+        raise VirtualRigError(f"virtual_rig: {entry} {value!r} is unknown; choose from {', '.join(known)}")
 
 
 def slope(degrees: float) -> float:

@@ -14,6 +14,7 @@ from fringedic.configuration.forecast import forecast
 from fringedic.configuration.rig_file import RigFile, load_programme, load_rig_file
 from fringedic.errors import ConfigurationError, FringedicError
 from fringedic.frames.region import Region
+from fringedic.inputs.yaml_text import load_yaml
 from fringedic.metadata import Metadata, NoiseFloorMetadata
 from fringedic.patterns.response import ResponseCurve
 from fringedic.rig.model import RigModel
@@ -31,6 +32,23 @@ BROKEN = [
     (f"{RIG}namespace: !!python/object:os.system {{}}", r"line 3, column 12: could not determine a constructor"),
     (f"{RIG}namespace: '\x07'", r"special characters are not allowed"),
     (f"{RIG}? [1, 2]\n: 3", r"line 3|unhashable|valid string"),
+    ("ramp: {to_mm: 010, steps: 3}", r"line 1: 010 is no valid value: write a number in decimal digits"),
+    ("steps:\n- position_mm: 1:30", r"line 2: 1:30 is no valid value: write a number in decimal"),
+    ("steps: [{position_mm: 1:30.5}]", r"line 1: 1:30\.5 is no valid value: write a number in decimal"),
+    ("ramp: {to_mm: 010.5, steps: 3}", r"line 1: 010\.5 is no valid value: write a number in decimal"),
+    ("ramp: {to_mm: 0x10, steps: 3}", r"line 1: 0x10 is no valid value: write a number in decimal"),
+    ("ramp: {to_mm: 0b10, steps: 3}", r"line 1: 0b10 is no valid value: write a number in decimal"),
+    ("ramp: {to_mm: 1_0, steps: 3}", r"line 1: 1_0 is no valid value: write a number in decimal"),
+    ("ramp: {to_mm: 0o10, steps: 3}", r"ramp"),
+    (f"ramp: {{to_mm: {'1:' * 3000}1, steps: 3}}", r"line 1: 1:1:.*\.\.\. is no valid value: write a number"),
+    (f"{RIG}namespace: !!bool maybe", r"line 3: maybe is no valid value: it is no bool"),
+    (f"{RIG}namespace: !!timestamp abc", r"line 3: abc is no valid value: it is no timestamp"),
+    (f"{RIG}namespace: !!int ''", r"line 3: an empty text is no valid value: write a number"),
+    (f"{RIG}namespace: !!float ''", r"line 3: an empty text is no valid value: write a number"),
+    (f"{RIG}namespace: !!int +", r"line 3: \+ is no valid value: write a number"),
+    (f"{RIG}namespace: !!map 5", r"line 3, column 12: expected a mapping node"),
+    (f'{RIG}namespace: "\\UFFFFFFFF"', r"line 3: an escape sequence is no character of Unicode"),
+    (f'{RIG}namespace: "\\U00110000"', r"line 3: an escape sequence is no character of Unicode"),
     (f"{RIG}<<: 3", r"line 3, column 5|mapping"),
 ]
 
@@ -45,6 +63,38 @@ def test_broken_files_are_refused_in_one_sentence_with_the_line(tmp_path, load, 
     assert str(file) in str(refused.value)
     assert "\n" not in str(refused.value)
     assert len(str(refused.value)) <= 500 + len(str(file))
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("0", 0), ("-10", -10), ("+5", 5), ("0.5", 0.5), ("-0.5", -0.5), (".5", 0.5), ("1.", 1.0), ("1.5e-3", 1.5e-3),
+        ("1.0E+2", 100.0), ("-.inf", -math.inf), ("!!float 5", 5.0), ("'010'", "010"), ("'1:30'", "1:30"),
+    ],
+)  # fmt: skip
+def test_decimal_numbers_and_quoted_text_are_read_as_they_are_written(text, value):
+    assert load_yaml(f"key: {text}") == {"key": value}
+
+
+def test_merged_keys_are_replaced_by_those_of_the_mapping(tmp_path):
+    file = tmp_path / "programme.yaml"
+    file.write_text(
+        "steps:\n"
+        "- &a {position_mm: 0.0, hold_s: 1.0}\n"
+        "- cycle: {times: 2, steps: [&b {<<: *a, position_mm: 0.5}]}\n"
+        "- {<<: *b, position_mm: 1.0}\n"
+    )
+    assert [step.position for step in load_programme(file).load_steps()] == [0.0, 0.5e-3, 0.5e-3, 1e-3]
+    with pytest.raises(yaml.YAMLError, match="line 2: the key '<<' is in line 2 already"):
+        load_yaml("a: &a {k: 1}\nb: {<<: *a, <<: *a}")
+
+
+@pytest.mark.parametrize("entry", ["preset: [plate]", "preset: plate, size: {}", "preset: plate, alignment: [usual]"])
+def test_entries_of_a_virtual_rig_that_are_no_names(tmp_path, entry):
+    file = tmp_path / "rig.yaml"
+    file.write_text(f"camera: {{source: virtual}}\nvirtual_rig: {{{entry}}}\n")
+    with pytest.raises(FringedicError, match="is unknown; choose from"):
+        load_rig_file(file)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 from pathlib import Path
 
 import h5py
@@ -261,6 +262,28 @@ def test_nothing_is_overwritten_unasked(dataset, tmp_path):
     assert first[0].path.read_bytes() == before
     asked = export_dataset(dataset, tmp_path, ["mat"], steps=[2], overwrite=True)
     assert asked[0].path.read_bytes() != before
+
+
+@pytest.mark.parametrize("name", ["../evil", "plate/1", "a\nb", ".."])
+def test_the_name_of_the_experiment_is_no_path(dataset, tmp_path, name):
+    folder = tmp_path / "out"
+    done = export_dataset(dataset.assign_attrs(experiment=name), folder, ["mat", "vtk", "r3xa"], steps=[1])
+    assert [each.path.parent for each in done] == [folder] * 3
+    assert list(tmp_path.iterdir()) == [folder]
+    assert len(list(done[1].path.glob("*.pvd"))) == 1
+    assert json.loads(done[2].path.read_text())["title"] == name
+
+
+def test_a_full_disk_is_named_and_keeps_the_previous_file(dataset, tmp_path, monkeypatch):
+    [before] = export_dataset(dataset, tmp_path, ["netcdf"], steps=[1])
+    content = before.path.read_bytes()
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=100_000))
+    [done] = export_dataset(dataset, tmp_path, ["netcdf"], steps=[2], overwrite=True)
+    assert done.path is None
+    assert "the disk is full, the dataset needs 10 MB" in done.problems[0]
+    assert before.path.read_bytes() == content
+    assert list(tmp_path.iterdir()) == [before.path]
 
 
 def test_formats_that_cannot_hold_the_data_are_named_and_the_rest_goes_on(dataset, tmp_path, monkeypatch):

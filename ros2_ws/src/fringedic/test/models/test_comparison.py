@@ -370,7 +370,13 @@ def test_results_of_an_abaqus_model_are_read_from_tables(tmp_path: Path):
         ("", "cannot be read as a table"),
         ("node,U1,U2\n1,0,0", f"lacks {grid.n_points - 1} of the {grid.n_points} nodes"),
         ("node,U1,U2\n1,0,0\n1,0,0", "contains a node twice"),
-        ("node,U1,U2\n1,0,x", "no number"),
+        ("node,U1,U2\n1,0,x", "line 2 has no number"),
+        ("node,U1,U2\n1,0,5,0,0", "line 2 has 5 cells, the heading has 3; write numbers with a decimal point"),
+        ("node,U1,U2\n\n1,0,0\n2,0", "line 4 has 2 cells"),
+        ("node,U1,U2\n1,0,0\n1.5,0,0", "line 3 has the node label 1.5; write whole numbers"),
+        ("node,U1,U2\ninf,0,0", "line 2 has the node label inf"),
+        ("node,U1,U2\nnan,0,0", "line 2 has the node label nan"),
+        (f"node,U1,U2\n1,0,{'5' * 200_000}", "cannot be read as a table"),
     ):
         (tmp_path / "bad.csv").write_text(text)
         with pytest.raises(ModelError, match=message):

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 DATASET = "displacement.nc"
 PHASE = "phase.nc"
+PHASE_PICTURE = "phase.png"
 REPORT = "report.html"
 
 
@@ -69,7 +70,7 @@ def measure(  # noqa: PLR0913 (options of a command)
 ) -> None:
     """Measure displacement and strain of images of a flat specimen; write dataset and report."""
     begin(images[0])
-    target = output_file(output / DATASET, overwrite)
+    target, page = (output_file(output / name, overwrite) for name in (DATASET, REPORT))
     gauges, regions = named_gauges(extensometer), named_regions(region)
     if pixel_size_mm is not None and not 0 < pixel_size_mm < 1000:
         raise ConfigurationError(f"--pixel-size-mm {pixel_size_mm:g}: give the size of a pixel in mm, such as 0.05")
@@ -105,7 +106,7 @@ def measure(  # noqa: PLR0913 (options of a command)
         progress.stage("writing the report")
         with open_experiment(series.dataset) as dataset:
             words = list(series_sentences(series, dataset))
-        report = write_report(target, output / REPORT, gauges=gauges, regions=regions, overwrite=True)
+        report = write_report(target, page, gauges=gauges, regions=regions, overwrite=overwrite)
     say(*failure_sentences(series), *words)
     say(f"dataset: {target}", f"report: {report}", f"pictures of all images: fringedic export {target} --to png")
     if series.interrupted:
@@ -126,16 +127,17 @@ def phase(
 ) -> None:
     """Measure the phase from fringe images of any program; write dataset and picture."""
     begin(folder)
-    target = output_file(output / PHASE, overwrite)
+    target, picture = (output_file(output / name, overwrite) for name in (PHASE, PHASE_PICTURE))
     from fringedic.configuration.fringe_images import FringeImageDescription
     from fringedic.figures.phase_images import save_phase_picture
     from fringedic.report.phase_images import phase_sentences
     from fringedic.results import measure_phase_images
+    from fringedic.results.stores import save_netcdf
 
     with kept_if_filled(output):
         measured = measure_phase_images(folder, FringeImageDescription.load(description or folder / "phase.yaml"))
-        measured.to_netcdf(target)
-        picture = save_phase_picture(measured, target.with_suffix(".png"))
+        save_netcdf(measured, target)
+        save_phase_picture(measured, picture)
     say(*phase_sentences(measured), f"dataset: {target}", f"picture: {picture}")
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from contextlib import ExitStack
 from pathlib import Path
@@ -207,12 +206,24 @@ def _load_table(file: Path, scale: float) -> dict[int, float]:
     ------
     ConfigurationError
         The file is no such table.
+    ModelError
+        It cannot be read, or a row has another number of cells than the heading.
     """
-    try:
-        with file.open(newline="", encoding="utf-8-sig") as stream:
-            loads = {int(row["step"]): scale * float(row["load"]) for row in csv.DictReader(stream)}
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise ConfigurationError(f"{file}: is no table of loads; write a CSV with the columns step,load") from error
+    from fringedic.models.results_table import read_table
+
+    heading, rows = read_table(file)
+    if not {"step", "load"} <= set(heading):
+        raise ConfigurationError(f"{file}: is no table of loads; write a CSV with the columns step,load")
+    loads: dict[int, float] = {}
+    for line, row in rows.items():
+        entry = dict(zip(heading, row, strict=True))
+        try:
+            step, load = int(entry["step"]), float(entry["load"])
+        except ValueError as error:
+            raise ConfigurationError(f"{file}: line {line} has no number of a step and load") from error
+        if step in loads or not math.isfinite(load):
+            raise ConfigurationError(f"{file}: line {line} repeats step {step}, or its load {load} is not finite")
+        loads[step] = scale * load
     if not loads:
         raise ConfigurationError(f"{file}: contains no load; write a line for each step")
     return loads

@@ -11,7 +11,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from fringedic.errors import ExportError
+from fringedic.errors import ConfigurationError, ExportError
 from fringedic_bringup.command.app import (
     RESULTS,
     Bag,
@@ -32,6 +32,7 @@ from fringedic_bringup.command.app import (
     named_gauges,
     named_regions,
     next_reading,
+    output_file,
     parameter_values,
     say,
     title_of,
@@ -57,13 +58,14 @@ def process(
 ) -> None:
     """Process recordings again without nodes and write the results as datasets."""
     from fringedic.recording.reader import BagReader
-    from fringedic.recording.remote import is_remote, local_copy
+    from fringedic.recording.remote import local_copy
     from fringedic.report.confirmation import confirmation_sentence
     from fringedic.results import open_experiment, process_bag
     from fringedic.results.datasets import PROCESSED_TOPICS
     from fringedic.rig.model import RigModel
     from fringedic.steps.recorded_rig import require_calibration
 
+    targets = _targets(bags, output)
     values = parameter_values(settings)
     model = None if calibration is None else RigModel.from_yaml(calibration_file(calibration))
 
@@ -74,10 +76,6 @@ def process(
     def measure(place: str, bag: Path) -> None:
         if model is None:
             require_calibration(BagReader(bag))
-        target = Path(f"{title_of(bag)}.nc") if output is None and is_remote(place) else output
-        if output is not None and len(bags) > 1:
-            output.mkdir(parents=True, exist_ok=True)
-            target = output / f"{title_of(bag)}.nc"
         say(*losses(bag))
         errors = []
         with LiveProgress(console) as progress:
@@ -89,7 +87,7 @@ def process(
 
             written = process_bag(
                 bag,
-                output=target,
+                output=targets[place],
                 overrides=values,
                 steps=steps or None,
                 reference=reference,
@@ -102,7 +100,34 @@ def process(
         say(f"dataset: {written}", f"whole: {errors.count('')} of {len(errors)} steps", *([verdict] if verdict else []))
         say(next_reading(written))
 
+    if output is not None and len(bags) > 1:
+        output.mkdir(parents=True, exist_ok=True)
     for_each(bags, work)
+
+
+def _targets(places: list[str], output: Path | None) -> dict[str, Path | None]:
+    """Return the dataset of each recording, None for the one beside it.
+
+    Raises
+    ------
+    ConfigurationError
+        Two recordings have the same name, so that one dataset would replace the other.
+    """
+    from fringedic.recording.remote import is_remote
+
+    if output is not None and len(places) == 1:
+        return {places[0]: output}
+    targets: dict[str, Path | None] = {}
+    for place in places:
+        beside = output is None and not is_remote(place)
+        target = None if beside else (output or Path()) / f"{title_of(Path(place))}.nc"
+        if target is not None and target in targets.values():
+            raise ConfigurationError(
+                f"{target}: would be the dataset of two recordings; process recordings of the same name one by one, "
+                "each with its own --output"
+            )
+        targets[place] = target
+    return targets
 
 
 @app.command(rich_help_panel=RESULTS, epilog="Example: fringedic info recordings/plate-7/bag")
@@ -169,9 +194,10 @@ def export(
 ) -> None:
     """Write a dataset for other programs, by default as NetCDF and PNG."""
     from fringedic.export import export_dataset
+    from fringedic.recording.bag_files import beside
     from fringedic.results import open_experiment
 
-    folder = output or source.absolute().with_name(f"{source.absolute().stem}_exported")
+    folder = output or beside(source, "_exported")
     wanted = formats or ["netcdf", "png"]
     problems = 0
     with open_experiment(source) as dataset:
@@ -226,4 +252,4 @@ def report(
     )
     say(f"report: {written}")
     if pdf:
-        say(f"PDF: {print_page(written, written.with_suffix('.pdf'))}")
+        say(f"PDF: {print_page(written, output_file(written.with_suffix('.pdf'), overwrite))}")

@@ -23,7 +23,7 @@ from fringedic_bringup.command.app import (
 )
 from fringedic_bringup.display.progress import LiveProgress
 from fringedic_bringup.launch.rig_files import rig_path_of
-from fringedic_bringup.procedures.folders import output_folder, unused_folder
+from fringedic_bringup.procedures.folders import unused_folder
 from fringedic_bringup.procedures.setup_patterns import LivePattern, ShownPattern
 
 
@@ -241,12 +241,16 @@ def region(
     output: Annotated[Path, typer.Option(help="Mask image; the polygons are written beside it as .yaml.")] = Path(
         "region.png"
     ),
+    overwrite: Overwrite = False,
 ) -> None:
     """Draw the region of interest in a window; write a mask for fringedic measure and polygons for the rig file."""
     from fringedic_bringup.display.region_window import draw_region
     from fringedic_bringup.procedures.region import RIG_SUFFIXES, image_of
 
-    output_folder(output.parent)
+    for file in (output, output.with_suffix(".yaml")):
+        if file.resolve() == source.resolve():
+            raise ConfigurationError(f"--output {output}: would replace {source}; choose another --output")
+        output_file(file, overwrite)
     is_rig = source.suffix in ("", *RIG_SUFFIXES)  # installed rig files are named without suffix
     drawn = draw_region(image_of(rig_path_of(source) if is_rig else source))
     if drawn is None:
