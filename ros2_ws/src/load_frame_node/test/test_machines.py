@@ -368,7 +368,7 @@ def test_node_drives_a_modbus_machine_that_is_lost_and_found(operator: Operator,
             assert "testing machine at 127.0.0.1" in refused.error_message
             assert not operator.hold().success
             with server("modbus_machine.py", port):
-                operator.until(LoadState.IDLE)
+                operator.until(LoadState.HOLD)  # which was requested while there was no machine
                 assert operator.move(0.1 * MM, 1.0 * MM).error_code == MoveCrosshead.Result.NONE
 
 

@@ -1,0 +1,18 @@
+"""A command outlives its terminal until it has ended in order."""
+
+from __future__ import annotations
+
+import os
+
+from fringedic_bringup.command.main import _Terminal
+
+
+def test_what_is_written_to_a_closed_terminal_is_lost() -> None:
+    terminal, end = os.openpty()
+    stream = _Terminal.opened(end)
+    stream.write("before\n")
+    assert os.read(terminal, 100) == b"before\r\n"
+    os.close(terminal)
+    print("after", file=stream, flush=True)
+    stream.close()
+    os.close(end)
