@@ -61,8 +61,9 @@ class Verification:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is damaged, changed or lost."""
-        return self.manifest.fits and not (self.damage or self.gaps or self.lost_frames)
+        """Whether nothing is damaged, changed or lost, proved by the checksums of all chunks or by the manifest."""
+        unconfirmed = self.unchecked and not self.manifest.present
+        return self.manifest.fits and not (self.damage or self.gaps or self.lost_frames or unconfirmed)
 
 
 def verify(path: str | os.PathLike[str]) -> Verification:

@@ -84,6 +84,8 @@ def verification_sentences(verification: Verification) -> Iterator[str]:
 def _chunks(verification: Verification) -> str:
     number = verification.unchecked
     unchecked = f"{_plural(number, 'chunk')} {'has' if number == 1 else 'have'} no checksum" if number else ""
+    if number and not verification.manifest.present:
+        unchecked += f" and no {MANIFEST}: a changed byte would not be found, record with checksums"
     return "; ".join(filter(None, (verification.damage, unchecked))) or "all fit their checksums"
 
 

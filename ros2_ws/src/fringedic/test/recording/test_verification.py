@@ -1,6 +1,7 @@
 """A verification finds every lost frame, every lost message and every changed file, and nothing else."""
 
 import shutil
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fringedic.frames.records import stamp_of
 from fringedic.recording import BagReader, BagWriter, Split, recover, verify
+from fringedic.recording.manifest import write_manifest
 from fringedic.report.recordings import verification_sentences
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
@@ -225,10 +227,20 @@ def write_other(file, qos="", **options):
 
 def test_chunks_without_checksum_are_counted(tmp_path):
     found = verify(write_other(tmp_path / "other.mcap", enable_crcs=False))
-    assert found.complete
-    assert "chunks: 1 chunk has no checksum" in list(verification_sentences(found))
+    assert (found.unchecked, found.damage, found.complete) == (1, "", False)
+    assert "chunks: 1 chunk has no checksum and no manifest.sha256: " in " ".join(verification_sentences(found))
     found = verify(write_other(tmp_path / "other.mcap"))
     assert "chunks: all fit their checksums" in list(verification_sentences(found))
+
+
+def test_chunks_without_checksum_are_confirmed_by_the_manifest(tmp_path):
+    file = write_other(tmp_path / "other.mcap", enable_crcs=False)
+    write_manifest(tmp_path, {file.name: sha256(file.read_bytes()).hexdigest()})
+    found = verify(tmp_path)
+    assert (found.unchecked, found.complete) == (1, True)
+    assert "chunks: 1 chunk has no checksum" in list(verification_sentences(found))
+    write_manifest(tmp_path, {})
+    assert not verify(tmp_path).complete
 
 
 @pytest.mark.parametrize(
