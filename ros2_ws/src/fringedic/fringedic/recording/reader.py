@@ -47,6 +47,8 @@ class BagReader:
         Description of damaged and missing files; empty if there are none.
     lost
         The damage with the missing messages of each topic; empty for a complete recording.
+    unlisted
+        Names of files that are read although ``metadata.yaml`` does not list them.
 
     Raises
     ------
@@ -69,7 +71,7 @@ class BagReader:
     def __init__(self, path: str | os.PathLike[str], *, check: bool = False) -> None:
         self.path = recording_of(Path(path))
         found = find_files(self.path)
-        self.files = tuple(found.present)
+        self.files, self.unlisted = tuple(found.present), tuple(found.unlisted)
         self._files = [open_file(file, check=check) for file in found.present]
         self.topics: dict[str, Topic] = {}
         self.counts: dict[str, int] = {}

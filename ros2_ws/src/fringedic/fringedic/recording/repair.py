@@ -30,12 +30,15 @@ class Content:
         is complete.
     damage
         Description of damaged and missing files; empty if there are none.
+    unlisted
+        Names of files that are read although ``metadata.yaml`` does not list them.
     """
 
     path: Path | str
     counts: dict[str, int]
     missing: dict[str, int]
     damage: str
+    unlisted: tuple[str, ...] = ()
 
     @property
     def messages(self) -> int:
@@ -77,7 +80,7 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
     target = Path(output) if output is not None else beside(Path(path), "_recovered")
     with BagWriter(target) as writer:
         _append(writer, reader)
-    return Content(target, dict(reader.counts), reader.missing, reader.damage)
+    return Content(target, dict(reader.counts), reader.missing, reader.damage, reader.unlisted)
 
 
 def join(parts: Iterable[Path], target: Path, *, split: Split = ONE_FILE) -> Content:
@@ -127,7 +130,7 @@ def _append(writer: BagWriter, reader: BagReader) -> None:
         writer.write(*message)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class BagInfo(Content):
     """Summary of a recording.
 
@@ -169,4 +172,5 @@ def _info(reader: BagReader, address: str | None) -> BagInfo:
         counts=dict(reader.counts),
         missing=reader.missing,
         damage=reader.damage,
+        unlisted=reader.unlisted,
     )

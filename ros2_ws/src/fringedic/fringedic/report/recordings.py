@@ -25,11 +25,13 @@ def content_sentences(content: Content) -> list[str]:
     """
     messages = content.messages, sum(content.missing.values())
     frames = _frames(content.counts), _frames(content.missing)
-    whole = f"whole: {_share(*frames)} frames, {_share(*messages)} messages of all topics"
+    lines = [f"whole: {_share(*frames)} frames, {_share(*messages)} messages of all topics"]
+    if content.unlisted:
+        lines.append(f"not listed in {METADATA}, but read: {', '.join(content.unlisted)}; remove other recordings")
     if content.whole:
-        return [whole, "lost: nothing"]
+        return [*lines, "lost: nothing"]
     counted = f"{_plural(frames[1], 'frame')}, {_plural(messages[1] - frames[1], 'other message')}"
-    return [whole, f"lost: {'; '.join(filter(None, (counted if content.missing else '', content.damage)))}"]
+    return [*lines, f"lost: {'; '.join(filter(None, (counted if content.missing else '', content.damage)))}"]
 
 
 def next_command(content: Content) -> str:

@@ -12,7 +12,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from fringedic.frames.records import stamp_of
 from fringedic.recording import BagReader, BagWriter, Split, recover, verify
 from fringedic.recording.manifest import write_manifest
-from fringedic.report.recordings import verification_sentences
+from fringedic.recording.repair import info
+from fringedic.report.recordings import content_sentences, verification_sentences
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 IMAGE, EXPOSURE, STEP = "/rig/camera/image_raw", "/rig/camera/exposure", "/rig/experiment/step"
@@ -187,6 +188,10 @@ def test_file_of_another_recording_is_named(tmp_path, list_of_files):
     found = verify(bag)
     assert not found.complete
     assert f"bag_0 (copy).mcap is not listed in {list_of_files}" in " ".join(verification_sentences(found))
+    line = "not listed in metadata.yaml, but read: bag_0 (copy).mcap; remove other recordings"
+    assert line in content_sentences(info(bag))
+    assert line in content_sentences(recover(bag))
+    assert not any("not listed" in each for each in content_sentences(info(RECORDED)))
 
 
 def test_file_is_named_if_the_metadata_list_none(tmp_path):
