@@ -6,7 +6,7 @@ import mmap
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import SEEK_END, BytesIO
@@ -25,6 +25,7 @@ MAGIC = b"\x89MCAP0\r\n"
 RECORD_HEADER = struct.Struct("<BQ")  # opcode, length of the rest
 # Raised by the parsing of damaged bytes: lengths beyond the file or the memory, wrong text, wrong checksums.
 DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, RuntimeError, MemoryError, OverflowError)
+_ZSTD = b"\x28\xb5\x2f\xfd"  # begin of compressed data
 _CHECKSUM = RECORD_HEADER.size + 24  # place of its four bytes in a chunk, after two times and the size
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, start of its offsets, checksum
 
@@ -70,7 +71,14 @@ class McapFile:
     damage: list[str] = field(default_factory=list)
 
     def add_chunk(self, offset: int, length: int, records: list[McapRecord]) -> int:
-        """Add a chunk by its records; return the number of messages whose channel is not defined anywhere before."""
+        """Add a chunk by its records; return the number of messages whose channel is not defined anywhere before.
+
+        Raises
+        ------
+        RecordingError
+            See `refuse_compressed_messages`.
+        """
+        refuse_compressed_messages(self.path, records)
         times, counts = [], Counter[int]()
         for record in records:
             if isinstance(record, Schema):
@@ -85,6 +93,21 @@ class McapFile:
         if known:
             self.chunks.append(ChunkPlace(min(times), max(times), offset, length, frozenset(counts)))
         return counts.total() - known.total()
+
+
+def refuse_compressed_messages(path: Path, records: Iterable[McapRecord]) -> None:
+    """Refuse messages that rosbag2 has compressed one by one; only its ``metadata.yaml`` states it.
+
+    Raises
+    ------
+    RecordingError
+        A message begins as compressed data; those of ROS begin with a zero.
+    """
+    if any(isinstance(record, Message) and record.data[: len(_ZSTD)] == _ZSTD for record in records):
+        raise RecordingError(
+            f"{path}: its messages are compressed by rosbag2; put it beside its metadata.yaml and convert the folder "
+            "with 'ros2 bag convert'"
+        )
 
 
 @contextmanager
@@ -275,7 +298,7 @@ def read_messages(file: McapFile, place: ChunkPlace) -> list[Message]:
     Raises
     ------
     RecordingError
-        The chunk is damaged.
+        The chunk is damaged, or see `refuse_compressed_messages`.
     """
     try:
         with open(file.path, "rb") as stream:
@@ -285,4 +308,5 @@ def read_messages(file: McapFile, place: ChunkPlace) -> list[Message]:
         raise RecordingError(
             f"{file.path}: damaged at byte {place.offset} ({error}); use 'fringedic recover' to save the rest"
         ) from error
+    refuse_compressed_messages(file.path, records)
     return [record for record in records if isinstance(record, Message) and record.channel_id in file.channels]

@@ -17,6 +17,7 @@ from mcap.records import Statistics
 from mcap.writer import IndexType, Writer
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from zstandard import ZstdCompressor
 
 from fringedic.errors import RecordingError
 from fringedic.frames.records import stamp_of
@@ -284,6 +285,18 @@ def test_messages_that_rosbag2_has_compressed_are_refused(typestore, tmp_path, r
     with pytest.raises(RecordingError, match=r"its messages are compressed by rosbag2 .* with 'ros2 bag convert'"):
         read(bag / part)
     assert [each.name for each in tmp_path.glob("bag*")] == ["bag"]
+
+
+def test_compressed_messages_are_refused_without_their_metadata(typestore, tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/force", FORCE)
+        writer.write("/force", ZstdCompressor().compress(bytes(20)), 1, 1)
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    file = tmp_path / "bag" / "bag_0.mcap"
+    for read in (recover, verify, lambda path: list(BagReader(path).raw())):
+        with pytest.raises(RecordingError, match=r"bag_0\.mcap: its messages are compressed by rosbag2; put it beside"):
+            read(file)
+    assert [each.name for each in tmp_path.rglob("*_recovered")] == []
 
 
 @pytest.mark.parametrize("mode", ["", "NONE", "none", None])
