@@ -287,7 +287,8 @@ def test_messages_that_rosbag2_has_compressed_are_refused(typestore, tmp_path, r
     assert [each.name for each in tmp_path.glob("bag*")] == ["bag"]
 
 
-def test_compressed_messages_are_refused_without_their_metadata(typestore, tmp_path):
+@pytest.mark.usefixtures("typestore")
+def test_compressed_messages_are_refused_without_their_metadata(tmp_path):
     with BagWriter(tmp_path / "bag") as writer:
         writer.add_topic("/force", FORCE)
         writer.write("/force", ZstdCompressor().compress(bytes(20)), 1, 1)
