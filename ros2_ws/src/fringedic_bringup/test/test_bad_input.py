@@ -150,12 +150,12 @@ def test_phase_replaces_neither_dataset_nor_picture(
     assert file.read_bytes() != b"previous"
 
 
-def test_recordings_of_the_same_name_are_refused(refusal: Refusal, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("command", "kind"), [("process", "plate.nc: would be the dataset"), ("replay", "folder")])
+def test_recordings_of_the_same_name_are_refused(command: str, kind: str, refusal: Refusal, tmp_path: Path) -> None:
     bags = [tmp_path / folder / "plate" / "bag" for folder in ("spring", "autumn")]
     for bag in bags:
         shutil.copytree(RECORDED / "bag", bag)
-    sentence = refusal("process", *bags, "--output", tmp_path / "again", "--overwrite")
-    assert "plate.nc: would be the dataset of two recordings" in sentence
+    assert f"{kind} of two recordings" in refusal(command, *bags, "--output", tmp_path / "again")
     assert not (tmp_path / "again").exists()
 
 

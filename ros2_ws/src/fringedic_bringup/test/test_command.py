@@ -124,3 +124,5 @@ def test_folders_are_not_used_twice(tmp_path: Path) -> None:
 def test_recording_has_the_name_of_its_run() -> None:
     assert title_of(Path("recordings/plate-7/bag")) == "plate-7"
     assert title_of(Path("recordings/bag_replayed")) == "bag_replayed"
+    assert title_of(Path("recordings/plate.7")) == "plate.7"
+    assert title_of(Path("recordings/plate.7/plate_0.mcap")) == "plate_0"

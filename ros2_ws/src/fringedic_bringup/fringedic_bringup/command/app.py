@@ -300,7 +300,7 @@ def next_reading(source: Path) -> str:
 
 def title_of(bag: Path) -> str:
     """Return the name of a recording: that of its run when it is the folder ``bag`` of a run."""
-    return bag.absolute().parent.name if bag.name == "bag" else bag.stem
+    return bag.absolute().parent.name if bag.name == "bag" else bag.name.removesuffix(".mcap")
 
 
 @contextmanager

@@ -112,6 +112,13 @@ def replay(
     """Process recordings again with newly started nodes, as fast as possible, and record the results."""
     from fringedic_bringup.procedures.replay import replay as replay_bag
 
+    folders = [] if output is None or len(bags) == 1 else [output / title_of(bag) for bag in bags]
+    if len(set(folders)) < len(folders):
+        twice = next(folder for folder in folders if folders.count(folder) > 1)
+        raise ConfigurationError(
+            f"{twice}: would be the folder of two recordings; replay recordings of the same name one by one, "
+            "each with its own --output"
+        )
     overrides = _by_node(parameter_values(settings))
     model = None if calibration is None else calibration_file(calibration)
 
