@@ -97,7 +97,7 @@ class DistortionMap:
 
     def __post_init__(self) -> None:
         for name, check in (("width", whole()), ("height", whole()), ("columns", array(2)), ("rows", array(2))):
-            check_value(GridError, name, getattr(self, name), check)
+            object.__setattr__(self, name, check_value(GridError, name, getattr(self, name), check))
         if min(self.width, self.height) < 2:
             raise GridError(f"an image of {self.width} x {self.height} px has no distortion")
         for name in ("columns", "rows"):
@@ -290,8 +290,8 @@ class DistortionMap:
         """
         try:
             return cls(
-                int(content["width_px"]),
-                int(content["height_px"]),
+                content["width_px"],
+                content["height_px"],
                 np.array(content["columns_px"], float),
                 np.array(content["rows_px"], float),
             )

@@ -18,6 +18,8 @@ from fringedic.inputs.arguments import check_value, number, several
 from fringedic.inputs.yaml_text import load_yaml
 
 SUBPIXEL_BITS = 4  # of the corners, when they are drawn
+_LARGEST_IMAGE = 32_768  # width or height [px]
+_position = number(-1e6, 1e6)  # [px]; OpenCV draws with 32 bits
 Point = tuple[float, float]
 """A position (column, row) in an image [px]."""
 
@@ -30,8 +32,8 @@ class _PolygonEntry(BaseModel):
 
 class _RegionFile(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-    width: int = Field(ge=1)
-    height: int = Field(ge=1)
+    width: int = Field(ge=1, le=_LARGEST_IMAGE)
+    height: int = Field(ge=1, le=_LARGEST_IMAGE)
     polygons: list[_PolygonEntry] = Field(min_length=1)
 
 
@@ -49,14 +51,14 @@ class Polygon:
     Raises
     ------
     ImageError
-        There are fewer than three corners.
+        There are fewer than three corners, or one is more than a million pixels away.
     """
 
     points: tuple[Point, ...]
     hole: bool = False
 
     def __post_init__(self) -> None:
-        check_value(ImageError, "points", self.points, several(several(number(), length=2)))
+        check_value(ImageError, "points", self.points, several(several(_position, length=2)))
         if len(self.points) < 3:
             raise ImageError(f"a polygon has {len(self.points)} corners: it needs at least three")
 
@@ -103,7 +105,7 @@ class Region:
     def rectangle(cls, first: Point, last: Point) -> Region:
         """Return the rectangle between two opposite corners (column, row) [px], both included."""
         (left, top), (right, bottom) = (
-            check_value(ImageError, name, corner, several(number(), length=2))
+            check_value(ImageError, name, corner, several(_position, length=2))
             for name, corner in (("first", first), ("last", last))
         )
         return cls.polygon([(left, top), (right, top), (right, bottom), (left, bottom)])
@@ -172,6 +174,11 @@ class Region:
         ndarray
             Booleans (row, column), True inside.
 
+        Raises
+        ------
+        ImageError
+            A grid line lies outside of any image.
+
         Examples
         --------
         >>> Region.rectangle((4, 0), (8, 4)).mask_at(columns=[0, 4, 8, 12], rows=[0, 4, 8]).astype(int)
@@ -179,6 +186,9 @@ class Region:
                [0, 1, 1, 0],
                [0, 0, 0, 0]])
         """
+        lines = np.concatenate([np.ravel(columns), np.ravel(rows)])
+        if not np.all((lines >= 0) & (lines <= _LARGEST_IMAGE)):
+            raise ImageError(f"columns and rows of a grid have to be positions from 0 to {_LARGEST_IMAGE} px")
         column, row = np.asarray(columns, int), np.asarray(rows, int)
         mask = self._filled(int(column.max()) + 1, int(row.max()) + 1)
         return np.asarray(mask[np.ix_(row, column)])

@@ -94,6 +94,13 @@ def test_files_and_equality(tmp_path: Path) -> None:
         DistortionMap(10, 10, np.full((2, 2), np.nan), np.zeros((2, 2)))
 
 
+@pytest.mark.parametrize("width", [float("inf"), float("nan"), 2.5, "1e9", [4], None, -4])
+def test_a_size_that_is_no_number_of_pixels_is_refused(width: object) -> None:
+    content = DistortionMap(4, 4, np.zeros((2, 2)), np.zeros((2, 2))).to_dict() | {"width_px": width}
+    with pytest.raises(GridError, match=r"width|an image of -4 x 4 px"):
+        DistortionMap.from_dict(content)
+
+
 def test_brown_model_of_a_brown_lens() -> None:
     """The field of a lens that OpenCV projects through gives its coefficients back."""
     matrix = np.array([[400.0, 0, 82.0], [0, 400.0, 57.0], [0, 0, 1]])

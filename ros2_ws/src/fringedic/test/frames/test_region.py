@@ -54,6 +54,19 @@ def test_a_region_without_an_image_size_has_a_mask_for_every_image() -> None:
         region.mask_for((1, 1))
 
 
+def test_positions_beyond_any_image_are_refused() -> None:
+    """OpenCV draws with 32 bits: a corner of 1e9 px would be drawn elsewhere."""
+    with pytest.raises(ImageError, match=r"it has to be a number from -1e\+06 to 1e\+06"):
+        Region.rectangle((0, 0), (1e9, 4))
+    with pytest.raises(ImageError, match=r"it has to be a number from -1e\+06 to 1e\+06"):
+        Region.from_text("{width: 8, height: 8, polygons: [{points: [[0, 0], [1000000000, 0], [4, 4]]}]}")
+    with pytest.raises(ImageError, match="width: Input should be less than or equal to 32768"):
+        Region.from_text("{width: 1000000000, height: 8, polygons: [{points: [[0, 0], [4, 0], [4, 4]]}]}")
+    for columns in ([0, 1e12], [0, np.nan], [-4, 0]):
+        with pytest.raises(ImageError, match="positions from 0 to 32768 px"):
+            Region.rectangle((0, 0), (4, 4)).mask_at(columns, [0, 4])
+
+
 def test_corners_alone_are_no_region() -> None:
     """Earlier versions took the corners (row, column) here: they are refused, not transposed."""
     with pytest.raises(ImageError, match=r"positions \(column, row\)"):
