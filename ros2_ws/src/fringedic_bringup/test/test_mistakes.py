@@ -90,6 +90,7 @@ MISTAKES = [
     Mistake("noise plate --images a.tif --images b.tif --images a.tif", UNUSABLE, "give a rig file, or"),
     Mistake("region missing.png", UNUSABLE, "missing.png"),
     Mistake("region a.tif", UNUSABLE, "no display"),
+    Mistake("region a.tif --output mask.yaml", UNUSABLE, "--output mask.yaml: is no name of an image; take a name"),
     # recordings
     Mistake("info nowhere", UNUSABLE, "nowhere: no such recording"),
     Mistake("info empty", UNUSABLE, "empty: holds no .mcap file"),

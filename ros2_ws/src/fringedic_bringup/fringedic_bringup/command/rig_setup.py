@@ -244,9 +244,12 @@ def region(
     overwrite: Overwrite = False,
 ) -> None:
     """Draw the region of interest in a window; write a mask for fringedic measure and polygons for the rig file."""
+    from fringedic.frames.files import IMAGE_SUFFIXES
     from fringedic_bringup.display.region_window import draw_region
     from fringedic_bringup.procedures.region import RIG_SUFFIXES, image_of
 
+    if output.suffix.lower() not in IMAGE_SUFFIXES:
+        raise ConfigurationError(f"--output {output}: is no name of an image; take a name that ends in .png")
     for file in (output, output.with_suffix(".yaml")):
         if file.resolve() == source.resolve():
             raise ConfigurationError(f"--output {output}: would replace {source}; choose another --output")
