@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from fringedic.camera.distortion import DistortionMap
 from fringedic.errors import CalibrationError
-from fringedic.inputs.arguments import Check, check_value, several, text
+from fringedic.inputs.arguments import Check, check_value, excerpt, several, text
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.projector_lens import ProjectorLens, distorted
 
@@ -101,7 +101,7 @@ class RigGeometry:
         for name in _NUMBERS:
             value = getattr(self, name)
             if not all(map(math.isfinite, value if name in _TUPLES else (value,))):
-                raise CalibrationError(f"{name} is {getattr(self, name)}: it has to be a finite number")
+                raise CalibrationError(f"{name} is {excerpt(value)}: it has to be a finite number")
         for name in _POSITIVE:
             if getattr(self, name) <= 0:
                 raise CalibrationError(f"{name} is {getattr(self, name)}: it has to be above 0")

@@ -249,6 +249,9 @@ def test_bad_models_are_refused(tmp_path: Path) -> None:
     ):
         with pytest.raises(CalibrationError, match=says):
             dataclasses.replace(IDEAL, **change)
+    with pytest.raises(CalibrationError, match=r"covariance is .* a finite number") as refused:
+        dataclasses.replace(IDEAL, covariance=(float("nan"),) * 196)
+    assert len(str(refused.value)) < 500
     path = tmp_path / "rig.yaml"
     IDEAL.to_yaml(path)
     path.write_text(path.read_text().replace("distance_mm: 600.0", "distance_mm: -600.0"))
