@@ -16,8 +16,8 @@ types=$(mktemp)
 trap 'rm -f "$types"' EXIT
 mypy >"$types" 2>&1 &
 # Files go to the workers in the order of the folders; in that of the number of tests, files of a few long ones would be left for the end.
-# Tests press Ctrl-C, which all processes ignore that a script has started in the background.
-pytest=(env --default-signal=INT python -m pytest --dist loadfile --no-loadscope-reorder)
+# Tests press Ctrl-C and close terminals, which processes ignore that were started in the background or by nohup.
+pytest=(env --default-signal=INT,HUP python -m pytest --dist loadfile --no-loadscope-reorder)
 coverage=(--cov --cov-report=term:skip-covered)
 if [ "${1:-}" = library ]; then
     coverage=() # it costs a third of the time
