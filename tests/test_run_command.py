@@ -8,6 +8,7 @@ import re
 import signal
 import subprocess
 import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -157,13 +158,15 @@ class Running:
         The rig file.
     folder
         Where everything is written.
+    words
+        Further words of the command.
     terminal
         Whether it runs in a terminal, which is then the process.
     """
 
     NODES = ("recorder", "load_frame", "camera", "experiment")
 
-    def __init__(self, tiny: Path, folder: Path, *, terminal: bool = False) -> None:
+    def __init__(self, tiny: Path, folder: Path, *words: str, terminal: bool = False) -> None:
         self.bag = folder / "run" / "bag"
         self._run, self._output = folder / "run", folder / "output"
         content = yaml.safe_load(tiny.read_text()) | {"recording": {"process": False}}
@@ -171,6 +174,7 @@ class Running:
         (folder / "rig.yaml").write_text(yaml.safe_dump(content))
         program = "from fringedic_bringup.command.main import main; main()"
         command = [sys.executable, "-u", "-c", program, "run", str(folder / "rig.yaml"), "--output", str(self._run)]
+        command += words
         if terminal:
             command = [sys.executable, "-c", "import pty, sys; pty.spawn(sys.argv[1:])", *command]
         environment = {**os.environ, "COLUMNS": "200"}  # no line is wrapped
@@ -197,8 +201,25 @@ class Running:
         return [node_pid(self._run, name) for name in self.NODES]
 
 
-def test_a_rig_has_one_owner_whose_interruption_closes_recording_and_nodes(tiny: Path, tmp_path: Path) -> None:
-    running = Running(tiny, tmp_path)
+@pytest.fixture
+def start_run(tiny: Path, tmp_path: Path) -> Iterator[Callable[..., Running]]:
+    """A function that starts a run, which ends with the test."""
+    runs: list[Running] = []
+
+    def start(*words: str, terminal: bool = False) -> Running:
+        runs.append(Running(tiny, tmp_path, *words, terminal=terminal))
+        return runs[-1]
+
+    yield start
+    for each in runs:
+        each.process.kill()
+        each.process.wait()
+
+
+def test_a_rig_has_one_owner_whose_interruption_closes_recording_and_nodes(
+    start_run: Callable[..., Running], tiny: Path, tmp_path: Path
+) -> None:
+    running = start_run()
     running.wait_until_printed("step 1 (last: 2)")
     pids = running.pids()
     second = fringedic_command("run", tiny, "--output", tmp_path / "second")
@@ -214,22 +235,24 @@ def test_a_rig_has_one_owner_whose_interruption_closes_recording_and_nodes(tiny:
     with fringedic.open_experiment(running.bag.parent) as dataset:
         before = np.count_nonzero(dataset.error.values == "")
     assert 1 <= before < 3
-    rig = tmp_path / "rig.yaml"
-    continued = fringedic_command("run", rig, "--output", running.bag.parent, "--continue")
-    assert continued.exit_code == 0, continued.output + str(continued.exception)
-    assert f"{before} steps are measured already" in continued.output
+    continued = start_run("--continue")
+    continued.wait_until_printed("(last: 2): move")
+    os.kill(node_pid(running.bag.parent, "recorder"), signal.SIGKILL)
+    assert continued.process.wait(180) == 0, continued.printed()
+    assert f"{before} steps are measured already" in continued.printed()
+    assert sorted(part.name for part in running.bag.with_name("parts").iterdir()) == ["bag-1", "bag-2", "bag-3"]
     with fringedic.open_experiment(running.bag.parent) as dataset:
         measured = dataset.step.values[dataset.error.values == ""]
         assert len(measured) == 3
         assert set(dataset.reference_step.sel(step=measured).values.tolist()) == {0}
         position = dataset.position.sel(step=measured).values
     assert position == pytest.approx([0.0, 0.3e-3, 0.6e-3], abs=1e-6)
-    again = fringedic_command("run", rig, "--output", running.bag.parent, "--continue")
+    again = fringedic_command("run", tmp_path / "rig.yaml", "--output", running.bag.parent, "--continue")
     assert "all 3 steps of the programme are measured" in str(again.exception)
 
 
-def test_the_end_of_a_session_ends_a_run_as_ctrl_c_does(tiny: Path, tmp_path: Path) -> None:
-    running = Running(tiny, tmp_path)
+def test_the_end_of_a_session_ends_a_run_as_ctrl_c_does(start_run: Callable[..., Running]) -> None:
+    running = start_run()
     running.wait_until_printed("step 1 (last: 2)")
     pids = running.pids()
     for number in (signal.SIGTERM, signal.SIGHUP):
@@ -240,8 +263,8 @@ def test_the_end_of_a_session_ends_a_run_as_ctrl_c_does(tiny: Path, tmp_path: Pa
     assert_measured_before_the_end(running)
 
 
-def test_a_closed_terminal_ends_a_run_as_ctrl_c_does(tiny: Path, tmp_path: Path) -> None:
-    running = Running(tiny, tmp_path, terminal=True)
+def test_a_closed_terminal_ends_a_run_as_ctrl_c_does(start_run: Callable[..., Running]) -> None:
+    running = start_run(terminal=True)
     running.wait_until_printed("step 1 (last: 2)")
     terminal, pids = running.process.pid, running.pids()
     (command,) = Path(f"/proc/{terminal}/task/{terminal}/children").read_text().split()
@@ -259,8 +282,8 @@ def assert_measured_before_the_end(running: Running) -> None:
         assert 1 <= np.count_nonzero(dataset.error.values == "") < 3
 
 
-def test_a_second_ctrl_c_closes_the_recording_nevertheless(tiny: Path, tmp_path: Path) -> None:
-    running = Running(tiny, tmp_path)
+def test_a_second_ctrl_c_closes_the_recording_nevertheless(start_run: Callable[..., Running]) -> None:
+    running = start_run()
     running.wait_until_printed("step 1 (last: 2)")
     pids = running.pids()
     running.process.send_signal(signal.SIGINT)
@@ -273,8 +296,8 @@ def test_a_second_ctrl_c_closes_the_recording_nevertheless(tiny: Path, tmp_path:
     assert not BagReader(running.bag).lost
 
 
-def test_nodes_end_with_a_killed_command(tiny: Path, tmp_path: Path) -> None:
-    running = Running(tiny, tmp_path)
+def test_nodes_end_with_a_killed_command(start_run: Callable[..., Running]) -> None:
+    running = start_run()
     running.wait_until_printed("step 0 (last: 2)")
     pids = running.pids()
     os.kill(running.process.pid, signal.SIGKILL)

@@ -23,10 +23,12 @@ from fringedic.errors import (
     StepFailedError,
     WaitTimeoutError,
 )
+from fringedic.recording.bag_files import BAG
 from fringedic.report.programme import block_end_sentence, condition_sentence
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.outcome import Progress, RunControl, StepReport
+from fringedic_bringup.procedures.recording_parts import next_part
 from fringedic_msgs.action import MeasureStep
 
 MOST_DEATHS = 3  # of one node without a measured step in between; after more, a restart does not remove the cause
@@ -346,7 +348,7 @@ class _Driver:
         """Return the parameters with which a restarted node continues where it ended."""
         entry = next(each for each in self._running.graph.nodes if each.name == name)
         if name == "recorder" and entry.parameters["bag_path"]:
-            return {"bag_path": str(next_part(Path(entry.parameters["bag_path"])))}
+            return {"bag_path": str(next_part(Path(entry.parameters["bag_path"]).with_name(BAG)))}
         if name == "experiment":
             # the interrupted step has a number already, which may not have been published
             number = max(self._rig.highest_step(entry.parameters["experiment"]), self._rig.last_step + 1)
@@ -359,14 +361,6 @@ class _Driver:
 def _in_words(names: Iterable[str]) -> str:
     """Return names as they stand in a sentence."""
     return " and ".join(sorted(names))
-
-
-def next_part(bag: Path) -> Path:
-    """Return the folder of the next part of a recording: bag-2, bag-3 ... beside bag."""
-    number = 2
-    while bag.with_name(f"{bag.name}-{number}").exists():
-        number += 1
-    return bag.with_name(f"{bag.name}-{number}")
 
 
 def _report(step: ProgrammeStep, result: MeasureStep.Result) -> StepReport:

@@ -50,6 +50,7 @@ def measure_noise(
     from fringedic_bringup.launch.graph import rig_graph
     from fringedic_bringup.launch.processes import RunningGraph
     from fringedic_bringup.procedures.driving import drive
+    from fringedic_bringup.procedures.recording_parts import join_parts
 
     if steps < FEWEST_STEPS:
         raise RigSetupError(f"{steps} steps: a noise floor needs at least {FEWEST_STEPS}")
@@ -61,6 +62,7 @@ def measure_noise(
     with RunningGraph(graph, folder / "logs", domain=domain) as running:
         drive(running, programme, progress, domain=domain)
         progress.stage("closing the recording")
+    join_parts(folder / "bag", progress, rig.recording.split)
     progress.stage("measuring the noise")
     measured = noise_of_recording(folder / "bag")
     measured.save(folder)

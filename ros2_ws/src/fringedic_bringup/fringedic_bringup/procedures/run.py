@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,19 +22,17 @@ from fringedic.figures.maps import save_pictures
 from fringedic.frames.files import image_files
 from fringedic.frames.records import frame_record, stamp_of
 from fringedic.recording.reader import BagReader
-from fringedic.recording.repair import join
-from fringedic.recording.writer import Split
 from fringedic.report import write_report
 from fringedic.report.calibration_sentences import in_force_words
 from fringedic.report.confirmation import confirmation_sentence
 from fringedic.report.experiment import TRUTH
 from fringedic.report.forecast import forecast_sentence
-from fringedic.report.recordings import content_sentences
 from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
 from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.procedures.driving import RecordedSteps, drive, next_part
+from fringedic_bringup.procedures.driving import RecordedSteps, drive
 from fringedic_bringup.procedures.outcome import Progress, RunControl, RunReport, StepReport
+from fringedic_bringup.procedures.recording_parts import join_parts, next_part
 from fringedic_msgs.msg import StepStatus
 
 Reconstruct = Callable[[xr.DataArray], xr.Dataset]
@@ -127,6 +124,8 @@ def run_experiment(
             if resume
             else f"{folder} contains a recording already; choose another --output, or go on with it by --continue"
         )
+    if resume:
+        join_parts(folder / "bag", progress, rig.recording.split)  # of a command that was killed before it joined them
     before = _recorded_steps(folder / "bag", programme) if resume else None
     expected = forecast(rig, programme)
     progress.note(f"{programme.experiment}: {forecast_sentence(expected)}")
@@ -188,35 +187,6 @@ def _continued(graph: Graph, bag: Path, before: RecordedSteps) -> Graph:
 def _known(node: NodeEntry, changes: dict[str, Any]) -> dict[str, Any]:
     """Return changes without a truth for a camera that writes none."""
     return {name: value for name, value in changes.items() if name != "truth_folder" or name in node.parameters}
-
-
-def join_parts(bag: Path, progress: Progress, split: Split) -> None:
-    """Join the parts that several recorders wrote into one recording; the parts are kept beside it.
-
-    Parameters
-    ----------
-    bag
-        Folder of the first part, and of the joined recording in the end. Without other parts nothing is done.
-    progress
-        Receives the progress, and what is missing in the parts.
-    split
-        When the joined recording continues in its next file.
-    """
-    names = (part.name.removeprefix(f"{bag.name}-") for part in bag.parent.glob(f"{bag.name}-*"))
-    numbers = sorted(int(name) for name in names if name.isdecimal())
-    others = [bag.with_name(f"{bag.name}-{number}") for number in numbers]
-    if not others:
-        return
-    first = bag.rename(bag.with_name(f"{bag.name}-1"))
-    progress.stage(f"joining {1 + len(others)} parts of the recording")
-    try:
-        joined = join((first, *others), bag, split=split)
-    except BaseException:  # a second Ctrl-C, or a full disk: the next run in the folder joins the parts
-        shutil.rmtree(bag, ignore_errors=True)
-        first.rename(bag)
-        raise
-    if not joined.whole:
-        progress.note(f"parts of the recording are not complete: {'; '.join(content_sentences(joined))}")
 
 
 def write_results(

@@ -11,8 +11,8 @@ from fringedic.recording.reader import BagReader
 from fringedic.recording.repair import recover
 from fringedic.recording.topics import RawMessage
 from fringedic.recording.writer import Split
-from fringedic_bringup.procedures import run
-from fringedic_bringup.procedures.run import join_parts
+from fringedic_bringup.procedures import recording_parts
+from fringedic_bringup.procedures.recording_parts import join_parts, next_part
 
 RECORDED = Path(__file__).parents[2] / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
 
@@ -55,11 +55,34 @@ def test_all_messages_of_all_parts_are_in_the_recording(bag: Path) -> None:
     progress = Progress()
     join_parts(bag, progress, Split(size=300_000))
     assert messages(bag) == 2 * messages(RECORDED)
-    assert len(BagReader(bag).files) >= 3
+    files = BagReader(bag).files
+    assert len(files) >= 3
+    assert files[0].name == "bag_0.mcap"
     [joining, note] = progress.lines
     assert joining == "joining 3 parts of the recording"
-    assert "bag-1: bag_0.mcap: not closed" in note
+    assert "bag: bag_0.mcap: not closed" in note
     assert "bag-3: holds no .mcap file" in note
+    assert sorted(path.name for path in bag.parent.iterdir()) == ["bag", "bag-old", "parts"]
+    assert sorted(path.name for path in (bag.parent / "parts").iterdir()) == ["bag-1", "bag-2", "bag-3"]
+
+
+def test_a_later_run_joins_only_what_is_not_in_the_recording(bag: Path) -> None:
+    join_parts(bag, Progress(), Split())
+    assert next_part(bag).name == "bag-2"
+    recover(RECORDED, next_part(bag))
+    recover(RECORDED, bag.with_name("joining") / "bag")  # a command was killed while it joined
+    join_parts(bag, Progress(), Split())
+    assert messages(bag) == 3 * messages(RECORDED)
+    kept = bag.with_name("parts")
+    assert messages(kept / "bag-4") == 2 * messages(RECORDED)
+    assert messages(kept / "bag-5") == messages(RECORDED)
+    assert sorted(path.name for path in bag.parent.iterdir()) == ["bag", "bag-old", "parts"]
+
+
+def test_the_next_part_is_the_last_one_although_one_was_deleted(tmp_path: Path) -> None:
+    for name in ("bag", "bag-3"):
+        (tmp_path / name).mkdir()
+    assert next_part(tmp_path / "bag").name == "bag-4"
 
 
 def test_one_part_stays_as_it_is(tmp_path: Path) -> None:
@@ -80,7 +103,7 @@ def test_an_interrupted_join_leaves_the_parts_as_they_were(bag: Path, monkeypatc
         return {path: path.stat().st_size for path in bag.parent.rglob("*")}
 
     before = files()
-    monkeypatch.setattr(run, "join", interrupted)
+    monkeypatch.setattr(recording_parts, "join", interrupted)
     with pytest.raises(KeyboardInterrupt):
         join_parts(bag, Progress(), Split())
     assert files() == before
