@@ -59,6 +59,16 @@ def test_a_node_that_cannot_start_fails_the_run_with_the_end_of_its_log(tmp_path
     assert "nowhere" in str(caught.value)
 
 
+def test_a_node_is_started_again_with_its_changes(tmp_path: Path) -> None:
+    """The load frame node does not end then when its machine does not answer."""
+    entry = NodeEntry("camera", "camera_node", "camera", {"source": "files", "files": "nowhere"}, {"files": "elsewhere"})
+    with private_domain() as domain, RunningGraph(Graph("rig", (entry,)), tmp_path, domain=domain) as running:
+        running.kill(["camera"])
+        assert "nowhere" in (tmp_path / "camera.yaml").read_text()
+        running.restart("camera")
+        assert "elsewhere" in (tmp_path / "camera.yaml").read_text()
+
+
 def udp_addresses(pid: int, ports: range) -> set[str]:
     """Addresses at which a process has bound one of these ports."""
     sockets = set()

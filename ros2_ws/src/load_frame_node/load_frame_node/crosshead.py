@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from contextlib import suppress
 
 from rclpy.node import Node
 
-from fringedic.errors import MachineError
+from fringedic.errors import MachineError, MachineGoneError
 from fringedic_ros.waiting import Condition
 from load_frame_node.machines import LoadMode, Machine, Sample
+
+_STANDSTILL = (LoadMode.IDLE, LoadMode.HOLD)
 
 
 class Crosshead:
@@ -37,12 +39,12 @@ class Crosshead:
         self.hold_requested = False
         self.reached: Sample | None = None
         self._ends_move: Callable[[Sample], bool] = _never
-        self._hold_is_owed = False
+        self._hold_is_owed_until: Container[LoadMode] | None = None  # a mode among these is reported; None: no hold
         self._in_use = threading.Lock()
 
     def open(self, machine: Machine) -> None:
-        """Use a machine from now on."""
-        self.machine = machine
+        """Use a machine from now on. A hold is owed unless it stands still: an earlier node may have left it moving."""
+        self.machine, self._hold_is_owed_until = machine, _STANDSTILL
 
     def close(self) -> None:
         """Release the machine."""
@@ -64,11 +66,14 @@ class Crosshead:
     def take(self, sample: Sample) -> None:
         """Make a sample the latest one, and request a hold when it ends the move or when one is owed."""
         self.sample = sample
-        if self._ends_move(sample):
-            self.reached, self._ends_move, self._hold_is_owed = sample, _never, True
-        if self._hold_is_owed:
-            with suppress(MachineError):  # requested again at the next sample
-                self.hold()
+        with self._in_use:
+            if self._hold_is_owed_until is not None and sample.mode in self._hold_is_owed_until:
+                self._hold_is_owed_until = None
+            if self._ends_move(sample):
+                self.reached, self._ends_move, self._hold_is_owed_until = sample, _never, ()
+            if self._hold_is_owed_until is not None:
+                with suppress(MachineError):  # requested again at the next sample
+                    self._request_hold()
         self.changed.notify()
 
     def move_to(self, position: float, speed: float, ends_move: Callable[[Sample], bool]) -> None:
@@ -87,9 +92,12 @@ class Crosshead:
             The machine does not accept the request.
         """
         with self._in_use:
-            self.reached, self._ends_move, self._hold_is_owed = None, _never, False
-            self._open_machine().move_to(position, speed)
-            self._ends_move = ends_move
+            try:
+                self._open_machine().move_to(position, speed)
+            except MachineGoneError:  # it may have begun the move
+                self._hold_is_owed_until = ()
+                raise
+            self.reached, self._ends_move, self._hold_is_owed_until = None, ends_move, None
 
     def end_move(self) -> None:
         """Forget what ends the move, which is over."""
@@ -104,9 +112,12 @@ class Crosshead:
             The machine does not accept the request now.
         """
         with self._in_use:
-            self._hold_is_owed = True
-            self._open_machine().hold()
-            self._hold_is_owed = False
+            self._hold_is_owed_until = ()
+            self._request_hold()
+
+    def _request_hold(self) -> None:
+        self._open_machine().hold()
+        self._hold_is_owed_until = None
 
     def _open_machine(self) -> Machine:
         if self.machine is None:

@@ -25,6 +25,11 @@ class LoadFrameParameters(HardwareParameters):
     rate_hz: float = Field(100.0, ge=2, le=1000, description="Samples of force and position per second [Hz].")
     virtual_rig: VirtualRigText = "{preset: plate}"
     machine_file: str = Field("", description="Source `machine`: YAML file with its protocol, registers and units.")
+    machine_required: bool = Field(
+        True,
+        description="Source `machine`: refuse to be configured while the machine does not answer. `fringedic run` sets "
+        "false when it starts the node again during a test.",
+    )
     position_tolerance_mm: float = Field(
         0.01, gt=0, le=10, description="A move has arrived when the crosshead stands this close to the target [mm]."
     )
@@ -57,7 +62,7 @@ class LoadFrameParameters(HardwareParameters):
             The description is wrong, or the machine does not answer.
         """
         if self.source == "machine":
-            return open_machine(load_machine(self.machine_file))
+            return open_machine(load_machine(self.machine_file), is_required=self.machine_required)
         if self.source == "controller":
             return ControllerMachine(
                 node,

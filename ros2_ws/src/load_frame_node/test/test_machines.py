@@ -24,13 +24,14 @@ from rclpy.action.client import ClientGoalHandle
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from fringedic.errors import ConfigurationError, CrossheadRangeError, MachineError
+from fringedic.errors import ConfigurationError, CrossheadRangeError, MachineError, MachineGoneError
 from fringedic_msgs.action import MoveCrosshead
 from fringedic_msgs.msg import ClockDrift, LoadState
 from fringedic_ros.qos import LATCHED, STATE
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
-from load_frame_node.machines import LoadMode, Machine, Sample, load_machine, open_machine
+from load_frame_node.crosshead import Crosshead
+from load_frame_node.machines import LoadMode, Machine, Sample, SimulatedMachine, load_machine, open_machine
 from load_frame_node.machines.machine import Motion
 
 HERE = Path(__file__).parent
@@ -388,6 +389,78 @@ def test_a_hold_that_was_not_accepted_is_requested_again(operator: Operator, tmp
             assert result.error_code == MoveCrosshead.Result.MACHINE_FAULT
             assert "a hold was not accepted and is requested again with every sample" in result.error_message
             assert operator.until(LoadState.HOLD).force < 500
+
+
+@pytest.mark.parametrize("is_reached", [True, False])
+def test_a_node_that_was_killed_in_a_move_requests_the_hold_at_its_next_start(
+    is_reached: bool, operator: Operator, tmp_path: Path
+) -> None:
+    """Whether the machine is reached at once or, as after a lost connection, later."""
+    path = tmp_path / "machine.yaml"
+    parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
+    with server("modbus_machine.py") as (process, port):
+        path.write_text(yaml.safe_dump({**description("modbus", port), "timeout_s": 0.3}))
+        killed = NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters).__enter__().process
+        operator.start(1.0 * MM, 0.02 * MM)
+        operator.until(LoadState.MOVING)
+        killed.kill()
+        killed.wait()
+        if not is_reached:
+            process.send_signal(signal.SIGSTOP)
+        with NodeProcess("load_frame_node.load_frame_node", tmp_path, {**parameters, "machine_required": False}):
+            if not is_reached:
+                operator.until(LoadState.UNKNOWN)
+                refused = operator.move(0.1 * MM, 1.0 * MM)
+                assert refused.error_code == MoveCrosshead.Result.MACHINE_FAULT, "and the hold is still owed"
+                process.send_signal(signal.SIGCONT)
+            assert operator.until(LoadState.HOLD).position < 0.9 * MM
+
+
+def test_a_start_leaves_a_machine_that_stands_still_alone(operator: Operator, tmp_path: Path) -> None:
+    path = tmp_path / "machine.yaml"
+    with server("modbus_machine.py") as (_, port):
+        path.write_text(yaml.safe_dump(description("modbus", port)))
+        parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
+        with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters):
+            operator.until(LoadState.IDLE)
+            with ModbusTcpClient("127.0.0.1", port=port) as technician:
+                for register, value in ((10, 0.5), (12, 0.1)):
+                    words = technician.convert_to_registers(value, technician.DATATYPE.FLOAT32)
+                    technician.write_registers(register, words, device_id=1)
+                technician.write_coil(0, True, device_id=1)
+            operator.until(LoadState.MOVING)
+            operator.serve(0.5)
+            operator.until(LoadState.MOVING)
+
+
+@pytest.mark.parametrize(("error", "mode"), [(MachineError, LoadMode.UNKNOWN), (MachineGoneError, LoadMode.HOLD)])
+def test_a_move_that_is_not_accepted_does_not_replace_a_hold(
+    operator: Operator, error: type[MachineError], mode: LoadMode
+) -> None:
+    """Nor may a move whose answer is missing, and which may have begun, remain without one."""
+
+    class Refusing(SimulatedMachine):
+        holds = 0
+
+        def __init__(self) -> None:
+            pass
+
+        def move_to(self, position: float, speed: float) -> None:
+            raise error(f"{position} {speed}")
+
+        def hold(self) -> None:
+            self.holds += 1
+
+    crosshead, refusing = Crosshead(operator), Refusing()
+    crosshead.open(refusing)
+    if error is MachineGoneError:
+        crosshead.take(Sample(0, LoadMode.IDLE, 0.0, 0.0))
+        assert not refusing.holds, "it stands still"
+    with pytest.raises(error):
+        crosshead.move_to(0.5 * MM, 1.0 * MM, lambda _: False)
+    for _ in range(2):
+        crosshead.take(Sample(0, mode, 0.0, 0.0))
+    assert refusing.holds == 1
 
 
 def test_a_move_that_is_stopped_at_the_machine_has_not_arrived(operator: Operator, tmp_path: Path) -> None:

@@ -24,12 +24,19 @@ RENDERING_TIMEOUT_S = 120.0
 
 @dataclass(frozen=True)
 class NodeEntry:
-    """One node process, as of ``ros2 run package executable``, with its name and parameters."""
+    """One node process, as of ``ros2 run package executable``, with its name and parameters.
+
+    Attributes
+    ----------
+    changes_at_restart
+        Parameters that differ when the node is started again after it has ended.
+    """
 
     name: str
     package: str
     executable: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    changes_at_restart: Mapping[str, Any] = field(default_factory=dict)
 
     def write_parameters(self, folder: Path, **others: Any) -> Path:
         """Write all parameters and some others into ``<name>.yaml`` of a folder, and return its path."""
@@ -89,7 +96,9 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
             }
         )
     if rig.load_frame is not None and rig.load_frame.source != "external":
-        nodes.append(NodeEntry("load_frame", "load_frame_node", "load_frame", _load_frame(rig, rig_path)))
+        # the machine, which may be moving, is requested to hold as soon as it answers
+        again = {"machine_required": False}
+        nodes.append(NodeEntry("load_frame", "load_frame_node", "load_frame", _load_frame(rig, rig_path), again))
     if rig.extensometer is not None:
         nodes.append(NodeEntry("extensometer", "dic_node", "extensometer", _extensometer(rig.extensometer)))
     settings = _experiment(rig, experiment) | {

@@ -142,7 +142,7 @@ class RunningGraph:
     def restart(self, name: str, **changes: Any) -> None:
         """Start a node that has ended once more, with these parameters changed; its log continues in the same file."""
         entry = next(each for each in self.graph.nodes if each.name == name)
-        entry = replace(entry, parameters={**entry.parameters, **changes})
+        entry = replace(entry, parameters={**entry.parameters, **entry.changes_at_restart, **changes})
         self._start(entry, _executable(entry))
 
     def kill(self, names: Iterable[str]) -> None:

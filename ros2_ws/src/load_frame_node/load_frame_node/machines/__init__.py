@@ -1,5 +1,6 @@
 """Testing machines: each gives samples and accepts requests for moves and for a hold."""
 
+from fringedic.errors import MachineError
 from load_frame_node.machines.description import (
     MachineDescription,
     ModbusDescription,
@@ -12,17 +13,27 @@ from load_frame_node.machines.scpi import ScpiMachine
 from load_frame_node.machines.simulated import SimulatedMachine
 
 
-def open_machine(description: MachineDescription) -> Machine:
+def open_machine(description: MachineDescription, *, is_required: bool = True) -> Machine:
     """Connect to the machine of a description.
+
+    Parameters
+    ----------
+    is_required
+        Whether the machine has to answer now; otherwise it is connected at a later sample.
 
     Raises
     ------
     MachineError
         The machine does not answer.
     """
-    if isinstance(description, ModbusDescription):
-        return ModbusMachine(description)
-    return ScpiMachine(description)
+    machine = ModbusMachine(description) if isinstance(description, ModbusDescription) else ScpiMachine(description)
+    if is_required:
+        try:
+            machine.sample()
+        except MachineError:
+            machine.close()
+            raise
+    return machine
 
 
 __all__ = [

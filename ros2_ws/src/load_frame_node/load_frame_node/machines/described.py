@@ -36,11 +36,6 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
         Content of the machine file.
     place
         Address of the machine for messages.
-
-    Raises
-    ------
-    MachineError
-        The machine does not answer.
     """
 
     def __init__(self, description: DescriptionT, place: str) -> None:
@@ -48,11 +43,6 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
         self._link = Link(f"{description.name} at {place}", self.connect, self.disconnect)
         self._motion = Motion(1e-3 * description.motion.slowest_mm_per_s, description.motion.span_s)
         self._device_ns, self._advanced_ns = -1, 0  # its time, and when that was new on the clock of this computer
-        try:
-            self.sample()
-        except MachineError:
-            self.close()
-            raise
 
     def sample(self) -> Sample:
         """Read force, position and status.
