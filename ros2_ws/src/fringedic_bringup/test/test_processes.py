@@ -61,7 +61,9 @@ def test_a_node_that_cannot_start_fails_the_run_with_the_end_of_its_log(tmp_path
 
 def test_a_node_is_started_again_with_its_changes(tmp_path: Path) -> None:
     """The load frame node does not end then when its machine does not answer."""
-    entry = NodeEntry("camera", "camera_node", "camera", {"source": "files", "files": "nowhere"}, {"files": "elsewhere"})
+    entry = NodeEntry(
+        "camera", "camera_node", "camera", {"source": "files", "files": "nowhere"}, {"files": "elsewhere"}
+    )
     with private_domain() as domain, RunningGraph(Graph("rig", (entry,)), tmp_path, domain=domain) as running:
         running.kill(["camera"])
         assert "nowhere" in (tmp_path / "camera.yaml").read_text()
