@@ -117,6 +117,8 @@ class FrameTaker:
         request = self._request(step, index, pattern, shown, parameters)
         # the first frame waits for subscribers; the camera reports which are missing, a time-out here would not
         timeout = parameters.camera_timeout_s + (parameters.start_timeout_s if first else 0.0)
+        if first:
+            step.requested_ns = time.time_ns()
         response = await step.goal.call(self._capture, request, timeout, Result.CAMERA_TIMEOUT, f"frame {index}")
         if response.error_code != CaptureFrame.Request.NONE:
             self._load.check_latest(step, parameters)  # a virtual camera needs the load frame
@@ -130,6 +132,7 @@ class FrameTaker:
                 "jumped back; measure the step again, and do not set the clock during a test",
             )
         step.stamps.append(stamp)
+        step.answered_ns = time.time_ns()
         step.exposed = time.monotonic()
 
     def _request(

@@ -27,6 +27,7 @@ HELD = (LoadState.HOLD, LoadState.IDLE)
 SAMPLE_TIMEOUT = 2.0  # [s] for a sample of the present, or of after the last exposure, to arrive
 LONGEST_GAP = 1.0  # [s] between two samples that prove a hold: more than twice the period of the lowest rate, 2 Hz
 MOST_AHEAD = 0.1  # [s] by which a stamp may be later than the arrival of its sample: synchronised clocks differ by less
+MOST_BEHIND = LONGEST_GAP  # [s] by which it may be earlier: a busy computer delays samples
 
 
 class LoadWatch:
@@ -115,7 +116,7 @@ class LoadWatch:
             LOAD_NOT_HELD.
         """
         if parameters.hold_required and step.experiment.has_load_frame:
-            _check_clock(step, Result.LOAD_NOT_HELD)
+            _check_load_clock(step, Result.LOAD_NOT_HELD)
             _check_held([self._latest])
 
     async def check_exposures(self, step: RunningStep, parameters: ExperimentParameters) -> None:
@@ -125,7 +126,8 @@ class LoadWatch:
         ------
         StepFailure
             CAMERA_FAILED without exposure records; LOAD_NOT_HELD also without samples that show a hold before, during
-            and after the exposures; LOAD_DRIFT also when a drift that has a limit is unknown.
+            and after the exposures; LOAD_DRIFT also when a drift that has a limit is unknown. One of the two when the
+            clocks differ: force and position of the step, which are chosen by stamps, would be those of another time.
         """
         await step.goal.wait(
             lambda: {0, len(step.patterns) - 1} <= step.exposures.keys(),
@@ -135,10 +137,13 @@ class LoadWatch:
         if not self._is_expected(step, parameters):
             return
         start, end = step.exposed_over()
+        code = Result.LOAD_NOT_HELD if parameters.hold_required else Result.LOAD_DRIFT
+        _check_camera_clock(step, code)
         if parameters.hold_required:
-            await self._await_sample(step, end, SAMPLE_TIMEOUT)
-            _check_clock(step, Result.LOAD_NOT_HELD)
-            _check_held_throughout(step.load_around_exposures(), start)
+            await self._await_sample(step, max(end, step.answered_ns), SAMPLE_TIMEOUT)
+        _check_load_clock(step, code)
+        if parameters.hold_required:
+            _check_held_throughout(step.load_around_requests(), start)
         limits = drift_limits(parameters)
         with suppress(WaitTimeoutError):  # without these samples, a drift is unknown
             await self._changed.wait(lambda: _latest_shows_end(step, limits), SAMPLE_TIMEOUT)
@@ -200,15 +205,28 @@ def _latest_shows_end(step: RunningStep, limits: Iterable[DriftLimit]) -> bool:
     return all(limit.is_known(step.load[-1]) for limit in limits)
 
 
-def _check_clock(step: RunningStep, code: int) -> None:
-    """End the step when samples carry stamps of the future: they do not show the machine at the time of the stamp."""
+def _check_load_clock(step: RunningStep, code: int) -> None:
+    """End the step when samples do not show the machine at the time of their stamp."""
     if step.load_ahead > MOST_AHEAD:
-        raise StepFailure(
-            code,
-            f"the clock of the load frame is {step.load_ahead:.1f} s ahead of the clock of the experiment node, "
-            f"{MOST_AHEAD:g} s are allowed, or the clock jumped back; synchronise the clocks of their computers "
-            "(chrony) and measure the step again",
-        )
+        raise _clock_failure(code, "load frame", step.load_ahead, MOST_AHEAD)
+    if step.load and step.load_ahead < -MOST_BEHIND:
+        raise _clock_failure(code, "load frame", step.load_ahead, MOST_BEHIND)
+
+
+def _check_camera_clock(step: RunningStep, code: int) -> None:
+    """End the step when exposures are stamped before their request or after the answer to it."""
+    behind, ahead = 1e-9 * (step.requested_ns - step.stamps[0]), 1e-9 * (step.stamp - step.answered_ns)
+    if max(behind, ahead) > MOST_AHEAD:
+        raise _clock_failure(code, "camera", ahead if ahead > behind else -behind, MOST_AHEAD)
+
+
+def _clock_failure(code: int, owner: str, ahead: float, allowed: float) -> StepFailure:
+    side = "ahead of" if ahead > 0 else "behind"
+    return StepFailure(
+        code,
+        f"the clock of the {owner} is {abs(ahead):.1f} s {side} the clock of the experiment node, {allowed:g} s are "
+        "allowed, or a clock was set; synchronise the clocks of their computers (chrony) and measure the step again",
+    )
 
 
 def _check_held(samples: Iterable[LoadState | None]) -> None:
@@ -249,7 +267,6 @@ def check_drift(step: RunningStep, limit: DriftLimit) -> None:
     StepFailure
         LOAD_DRIFT.
     """
-    _check_clock(step, Result.LOAD_DRIFT)
     start, end = step.exposed_over()
     samples = step.load_around_exposures(limit.is_known)
     stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from bisect import bisect_left, bisect_right
 from collections import deque
@@ -37,6 +38,9 @@ class RunningStep:
         Time [s] of the start, of the last frame and of the last result on the monotonic clock.
     stamps
         Stamps of the frames taken so far [ns].
+    requested_ns, answered_ns
+        When the first frame was requested and the camera answered the last request, on the clock of this node [ns]: all
+        exposures lie between them, whatever the clock of the camera.
     recorded_frames, recorded_crc
         Frames that the recorder has confirmed, and the CRC-32 of the CRCs of their images; 0 before.
     exposures
@@ -48,7 +52,7 @@ class RunningStep:
     load
         Samples of the load frame since the start.
     load_ahead
-        Longest time by which one of them was stamped after its arrival [s].
+        Longest time by which one of them was stamped after its arrival [s]; negative when all were stamped before.
     """
 
     goal: ActiveGoal
@@ -60,6 +64,8 @@ class RunningStep:
     on_stage: Callable[[str, RunningStep], None]
     started: float = field(default_factory=time.monotonic)
     stamps: list[int] = field(default_factory=list)
+    requested_ns: int = 0
+    answered_ns: int = 0
     exposed: float = 0.0
     answered: float = 0.0
     recorded_frames: int = 0
@@ -68,7 +74,7 @@ class RunningStep:
     crcs: dict[int, int] = field(default_factory=dict)
     statuses: dict[str, NodeStatus] = field(default_factory=dict)
     load: deque[LoadState] = field(default_factory=lambda: deque(maxlen=LOAD_SAMPLES))
-    load_ahead: float = 0.0
+    load_ahead: float = -math.inf
 
     def is_named(self, experiment: str, step: int) -> bool:
         """Return whether a message with this experiment and step number belongs to this step."""
@@ -106,7 +112,7 @@ class RunningStep:
         """Return the start of the first exposure and the end of the last one [ns]."""
         return self.exposures[0][0], self.exposures[len(self.patterns) - 1][1]
 
-    def load_around_exposures(self, is_known: Callable[[LoadState], bool] = lambda _: True) -> list[LoadState]:
+    def load_around_exposures(self, is_known: Callable[[LoadState], bool]) -> list[LoadState]:
         """Return the samples from the last one before the first exposure to the first one after the last exposure.
 
         Parameters
@@ -114,7 +120,14 @@ class RunningStep:
         is_known
             Returns whether a sample contains the quantity that is needed; the others are left out.
         """
+        return self._load_over(*self.exposed_over(), is_known)
+
+    def load_around_requests(self) -> list[LoadState]:
+        """Return the samples around the exposures and the requests for them, which prove a hold on every clock."""
         start, end = self.exposed_over()
+        return self._load_over(min(start, self.requested_ns), max(end, self.answered_ns), lambda _: True)
+
+    def _load_over(self, start: int, end: int, is_known: Callable[[LoadState], bool]) -> list[LoadState]:
         samples = [sample for sample in self.load if is_known(sample)]
         stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
         first = max(bisect_right(stamps, start) - 1, 0)

@@ -81,7 +81,7 @@ class Rig(Peer):
         self.received = True  # by every processing node
         self.load_mode: int | None = None
         self.force, self.force_per_frame = 100.0, 1.0  # [N]
-        self.load_clock_ahead_ns = 0
+        self.load_clock_ahead_ns = self.camera_clock_ahead_ns = 0
         self.moves_at_frame = self.last_sampled_frame = -1
         self.jump_before: int | None = None  # the frame before which the clock jumps back
         self.holds = 0
@@ -151,7 +151,8 @@ class Rig(Peer):
             exposure_time=EXPOSURE_NS * 1e-9,
             image_crc=crc(request.index),
         )
-        exposure.header.stamp = response.stamp = self.last_stamp = to_msg(start + EXPOSURE_NS // 2)
+        middle = start + EXPOSURE_NS // 2 + self.camera_clock_ahead_ns
+        exposure.header.stamp = response.stamp = self.last_stamp = to_msg(middle)
         self.exposures.publish(exposure)
         if request.index == self.moves_at_frame:
             self.load_mode = LoadState.MOVING
@@ -284,7 +285,7 @@ class Rig(Peer):
         self.moves_at_frame = self.last_sampled_frame = -1
         self.capturing = False
         self.force, self.force_per_frame = 100.0, 1.0
-        self.load_clock_ahead_ns = 0
+        self.load_clock_ahead_ns = self.camera_clock_ahead_ns = 0
         self.answers, self.silent, self.received = {}, set(), True
 
 
@@ -580,15 +581,39 @@ def test_a_load_frame_with_a_clock_ahead_proves_nothing(rig: Rig) -> None:
     told = re.search(r"the clock of the load frame is (\S+) s ahead", not_held.error_message)
     assert told is not None, not_held.error_message
     assert float(told[1]) == pytest.approx(3.0, abs=0.5)
-    rig.change(hold_required=False, load_drift_n=50.0)
     try:
-        drifted = rig.step()
-        assert drifted.error_code == Result.LOAD_DRIFT
-        assert "the clock of the load frame is" in drifted.error_message
+        for limit in (50.0, 0.0):  # without a limit, force and position of the step would be those of another time
+            rig.change(hold_required=False, load_drift_n=limit)
+            drifted = rig.step()
+            assert drifted.error_code == Result.LOAD_DRIFT
+            assert "the clock of the load frame is" in drifted.error_message
+        rig.load_clock_ahead_ns = -1_500_000_000
+        assert "the clock of the load frame is 1.5 s behind" in rig.step().error_message
         rig.load_clock_ahead_ns = 0
         assert rig.step().error_code == Result.NONE
     finally:
         rig.change(hold_required=True, load_drift_n=0.0)
+
+
+@pytest.mark.parametrize(("ahead_s", "words"), [(-3, "behind"), (3, "ahead of")])
+def test_a_camera_with_another_clock_proves_no_hold(rig: Rig, ahead_s: int, words: str) -> None:
+    """Samples that seem to be from after its exposures are from before their end, or those before from after it."""
+    rig.camera_clock_ahead_ns = ahead_s * 1_000_000_000
+    rig.say_load(LoadState.HOLD)
+    not_held = rig.step()
+    assert not_held.error_code == Result.LOAD_NOT_HELD
+    assert re.search(rf"the clock of the camera is [23]\.\d s {words} the clock of the", not_held.error_message)
+    rig.camera_clock_ahead_ns = 0
+    assert rig.step().error_code == Result.NONE
+
+
+def test_a_hold_lasts_until_the_camera_has_answered(rig: Rig) -> None:
+    """The clock of the camera may be a little behind, so that an exposure ends later than its stamp."""
+    rig.say_load(LoadState.HOLD)
+    rig.last_sampled_frame = FRAMES - 1
+    not_held = rig.step()
+    assert not_held.error_code == Result.LOAD_NOT_HELD
+    assert "whether the machine holds is unknown" in not_held.error_message
 
 
 def test_a_hold_that_is_published_late_counts(rig: Rig) -> None:
