@@ -18,11 +18,29 @@ from fringedic.recording.bag_files import BAG, recording_of
 from fringedic.recording.remote import file_system, is_remote, named_errors
 from fringedic.results.attributes import JSON_ATTRIBUTES
 from fringedic.results.millimetres import with_millimetres
-from fringedic.results.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE
+from fringedic.results.quantities import (
+    MAP_DIMENSIONS,
+    METADATA_ATTRIBUTE,
+    RECORDING,
+    STEP_NUMBERS,
+    layout_of_images,
+)
 from fringedic.results.stores import SUFFIXES, dataset_path
 
 _GROUP = "zarr.json"  # in the group of a recording in the store of a campaign
 _OF_EVERY_EXPERIMENT = ("step", "error")  # variables
+_LAYOUTS = (RECORDING, layout_of_images(scaled=True))
+_WHOLE, _NUMBER, _TEXT, _TIME = ("iu", "whole numbers"), ("iuf", "numbers"), ("OSTU", "text"), ("M", "times")
+# Dimensions of each variable, kinds of its type in NumPy and their name in messages
+_VARIABLES: dict[str, tuple[tuple[str, ...], tuple[str, str]]] = {
+    "row": (("row",), _NUMBER),
+    "column": (("column",), _NUMBER),
+    "time": (("step",), _TIME),
+    **dict.fromkeys(("step", *STEP_NUMBERS), (("step",), _WHOLE)),
+    **{name: (("step",), _NUMBER) for layout in _LAYOUTS for name in layout.scalars},
+    **{name: (("step",), _TEXT) for layout in _LAYOUTS for name in layout.texts},
+    **{name: (MAP_DIMENSIONS, _NUMBER) for layout in _LAYOUTS for name in layout.maps},
+}
 _OF_A_RUN = ("results.nc", "results.zarr")
 _OF_A_FOLDER = (*_OF_A_RUN, "displacement.nc")  # of a run, or of measured images
 
@@ -57,7 +75,8 @@ def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
     RecordingError
         There is no such recording, or it has neither a dataset nor derived topics; `process_bag` measures it.
     DatasetError
-        The file is no dataset of this library, has no step or a step number twice, or an attribute is damaged.
+        The file is no dataset of this library, has no step or a step number twice, or a variable or an attribute is
+        damaged or of another program.
     FringedicError
         The dataset is a Zarr folder and the package ``zarr`` is not installed.
     """
@@ -150,11 +169,31 @@ def _fault(dataset: xr.Dataset) -> str:
         )
     if dataset.sizes["step"] == 0:
         return "contains no step; process its recording again"
+    fault = _fault_of_variables(dataset)
+    if fault:
+        return f"{fault}; process its recording again"
     if np.unique(dataset["step"].values).size < dataset.sizes["step"]:
         return "contains a step number twice; process its recording again"
     for name, kind in JSON_ATTRIBUTES.items():
         if name in dataset.attrs and not _is_json(dataset.attrs[name], kind):
             return f"the attribute '{name}' is damaged or of another program; process its recording again"
+    return ""
+
+
+def _fault_of_variables(dataset: xr.Dataset) -> str:
+    """Return which variable has other dimensions or another type than `DatasetWriter` gives it, nothing if none has."""
+    for name, (dimensions, (kinds, words)) in _VARIABLES.items():
+        if name not in dataset.variables:
+            continue
+        variable = dataset[name]
+        if variable.dims != dimensions or variable.dtype.kind not in kinds:
+            found = f"{variable.dtype} over ({', '.join(map(str, variable.dims))})"
+            return f"'{name}' contains {found} instead of {words} over ({', '.join(dimensions)})"
+        if not isinstance(variable.attrs.get("units", ""), str):
+            return f"the attribute 'units' of '{name}' is no text"
+    for name in ("row", "column"):
+        if not np.isfinite(dataset[name].values).all():
+            return f"'{name}' contains a position that is no finite number"
     return ""
 
 

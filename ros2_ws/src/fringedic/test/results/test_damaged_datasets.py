@@ -30,6 +30,17 @@ def dataset(steps, **attributes):
         (dataset([0], parameters="{"), "the attribute 'parameters' is damaged"),
         (dataset([0], rig="none"), "the attribute 'rig' is damaged"),
         (dataset([0], calibration="null"), "the attribute 'calibration' is damaged"),
+        (dataset([0]).assign_coords(step=["first"]), r"'step' contains .* over \(step\) instead of whole numbers"),
+        (dataset([0]).assign_coords(step=[0.5]), "'step' contains float64 .* instead of whole numbers"),
+        (dataset([0]).assign(time=("step", [1.5])), r"'time' contains float64 over \(step\) instead of times"),
+        (dataset([0]).assign(error=("step", [0.0])), "'error' contains float64 .* instead of text"),
+        (dataset([0]).assign(error=(("step", "row"), [["", ""]])), r"'error' contains .* over \(step, row\) instead"),
+        (dataset([0]).assign(force=("step", ["much"])), "'force' contains .* instead of numbers"),
+        (dataset([0]).assign(sigma_w=(("row", "column"), np.zeros((2, 3)))), r"'sigma_w' .* instead of numbers over"),
+        (dataset([0]).assign(w=(dataset([0]).u.dims, np.zeros((1, 2, 3)), {"units": "days since 2026-01-01"})), "'w'"),
+        (dataset([0]).assign(w=(dataset([0]).u.dims, np.zeros((1, 2, 3)), {"units": 5})), "the attribute 'units' of"),
+        (dataset([0]).assign_coords(row=["top", "bottom"]), "'row' contains .* instead of numbers"),
+        (dataset([0]).assign_coords(column=[0, np.nan, 8]), "'column' contains a position that is no finite number"),
     ],
 )
 def test_a_damaged_dataset_is_refused(tmp_path, content, message):
