@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Collection, Iterable
 
+from rcl_interfaces.msg import Parameter
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -13,6 +14,7 @@ from rclpy.task import Future
 
 from experiment_node.topics import DERIVED_TOPICS, PROCESSING_INPUTS, PUBLISHED, READERS
 from fringedic.errors import WaitTimeoutError
+from fringedic.steps.recorded_parameters import present_name
 from fringedic_msgs.msg import NodeParameters, NodeStatus, StepStatus
 from fringedic_ros.matching import Matching
 from fringedic_ros.qos import EVENTS
@@ -100,6 +102,8 @@ class PlaybackNodes:
     def set_parameters(self, recorded: NodeParameters, kept: Collection[str]) -> str:
         """Set the recorded parameters of a processing node, and return why it refused them; empty when it did not.
 
+        Parameters that this version does not have are left out.
+
         Parameters
         ----------
         recorded
@@ -107,7 +111,12 @@ class PlaybackNodes:
         kept
             Parameters that keep the value of the node, such as ``dic.window``.
         """
-        chosen = [each for each in recorded.parameters if f"{recorded.node}.{each.name}" not in kept]
+        values = {present_name(recorded.node, each.name): each.value for each in recorded.parameters}
+        chosen = [
+            Parameter(name=name, value=value)
+            for name, value in values.items()
+            if name is not None and f"{recorded.node}.{name}" not in kept
+        ]
         if not chosen:
             return ""
         call = self._set[recorded.node].call_async(SetParametersAtomically.Request(parameters=chosen))

@@ -247,9 +247,9 @@ def test_recorded_parameters_reach_the_nodes_unless_overridden(graph: Callable[.
         for step, window in enumerate((24, 48)):
             value = ParameterValue(type=ParameterType.PARAMETER_INTEGER, integer_value=window)
             for node in ("phase", "dic"):
-                bag.add(
-                    "node_parameters", NodeParameters(node=node, parameters=[Parameter(name="window", value=value)])
-                )
+                names = ("window", "parameter_of_another_version")
+                parameters = [Parameter(name=name, value=value) for name in names]
+                bag.add("node_parameters", NodeParameters(node=node, parameters=parameters))
             bag.step(step, count=4)
     assert play(tmp_path / "bag", overrides="[phase.window]").returncode == 0
     assert of(journal, "phase", "window") == []

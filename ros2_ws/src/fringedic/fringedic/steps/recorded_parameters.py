@@ -16,6 +16,19 @@ from fringedic.steps.parameters import CouplingParameters, DicParameters, Parame
 
 METADATA_PARAMETER = "facts"  # its name in recordings
 _RENAMED = {"watch_region_px": "drift_marker_px"}  # parameters of older recordings
+_MODELS: dict[str, type[Parameters]] = {"phase": PhaseParameters, "dic": DicParameters, "coupling": CouplingParameters}
+
+
+def present_name(node: str, recorded: str) -> str | None:
+    """Return the present name of a recorded parameter of a processing node; None if this version does not have it.
+
+    Examples
+    --------
+    >>> present_name("coupling", "watch_region_px"), present_name("dic", "colour")
+    ('drift_marker_px', None)
+    """
+    name = _RENAMED.get(recorded, recorded)
+    return name if name in _MODELS[node].model_fields else None
 
 
 @dataclass(frozen=True)
