@@ -100,7 +100,8 @@ def write_report(
     Raises
     ------
     DatasetError
-        The file exists already or cannot be written, a step at rest does not exist, or no step was measured.
+        The file exists already or cannot be written, the dataset lacks variables that a report needs, a step at
+        rest does not exist, or no step was measured.
     RecordingError
         As of `fringedic.open_experiment`.
     FringedicError
@@ -112,6 +113,7 @@ def write_report(
     PosixPath('recordings/plate-7/report.html')
     """
     with open_experiment(source) as dataset:
+        _require_whole(source, dataset)
         place = recording_of(Path(source))
         if place.is_dir() and place.suffix not in SUFFIXES and "image" in dataset:
             place = Path(dataset.encoding["source"])  # the folder of measured images has no recording
@@ -123,6 +125,19 @@ def write_report(
         static = steps_at_rest(dataset) if static_steps is None else list(static_steps)
         page = render_page("experiment.html.j2", **_content(dataset, files, static, gauges, regions or {}))
     return write_page(page, target)
+
+
+def _require_whole(source: str | os.PathLike[str], dataset: xr.Dataset) -> None:
+    """Refuse a dataset from which a person has taken variables that a report needs."""
+    needed = {"reference_step", "valid_fraction", "rms_displacement"}
+    needed |= {"position"} if "force" in dataset else set()
+    needed |= {"displacement_x", "displacement_y"} if "texture" in dataset else set()
+    lacking = sorted(needed - set(map(str, dataset.variables)))
+    if lacking:
+        raise DatasetError(
+            f"{source}: has no {' and no '.join(lacking)}, which a report needs; give the whole dataset, or process "
+            "its recording again"
+        )
 
 
 def _recording(source: Path, dataset: xr.Dataset) -> Path | None:

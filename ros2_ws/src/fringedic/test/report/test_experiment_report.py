@@ -258,6 +258,13 @@ def test_the_page_shows_the_last_step_of_its_moving_picture_until_the_slider_mov
     assert len({picture.tobytes() for picture in pictures}) == 5
 
 
+@pytest.mark.parametrize("name", ["reference_step", "valid_fraction", "rms_displacement", "position", "displacement_x"])
+def test_a_dataset_without_a_variable_that_a_report_needs_is_refused(dataset, tmp_path, name):
+    dataset.drop_vars(name).to_netcdf(tmp_path / "part.nc", engine="h5netcdf")
+    with pytest.raises(DatasetError, match=rf"part\.nc: has no {name}, which a report needs; give the whole dataset"):
+        write_report(tmp_path / "part.nc")
+
+
 @pytest.mark.usefixtures("page")
 def test_a_report_is_not_overwritten_unasked_and_unwritable_places_are_named(path, tmp_path):
     with pytest.raises(DatasetError, match=r"report\.html exists already"):
