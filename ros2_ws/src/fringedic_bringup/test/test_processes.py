@@ -18,11 +18,13 @@ import pytest
 from fringedic.configuration.programme import Programme
 from fringedic.errors import NodeDiedError, ProcessError
 from fringedic_bringup.client import RigClient
+from fringedic_bringup.launch import processes
 from fringedic_bringup.launch.environment import SHARED_MEMORY, node_environment, private_domain, remove_stale_segments
 from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.driving import drive
 from fringedic_bringup.procedures.run import load_rig
+from fringedic_ros.presence import is_announced
 
 TINY = Path(__file__).parent.parent / "config" / "tiny.yaml"
 
@@ -69,6 +71,25 @@ def test_a_node_is_started_again_with_its_changes(tmp_path: Path) -> None:
         assert "nowhere" in (tmp_path / "camera.yaml").read_text()
         running.restart("camera")
         assert "elsewhere" in (tmp_path / "camera.yaml").read_text()
+
+
+def test_a_rig_whose_nodes_run_already_is_not_started(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They take no lease when `ros2 launch` starts them; two load frame nodes would move the machine."""
+    monkeypatch.setattr(processes, "ENDING_S", 0.2)
+    graph = Graph("rig", (NodeEntry("load_frame", "load_frame_node", "load_frame"),))
+    with private_domain() as domain, RunningGraph(graph, tmp_path, domain=domain, owner=False) as launched:
+        end = time.monotonic() + 90
+        while not is_announced(domain, "/rig/load_frame"):
+            launched.check()
+            assert time.monotonic() < end, "the node is not announced"
+            time.sleep(0.1)
+        with pytest.raises(ProcessError, match="rig 'rig' in ROS domain .* runs already, .*: load_frame; end it"):
+            RunningGraph(graph, tmp_path / "second", domain=domain).__enter__()
+        with RunningGraph(Graph("other", graph.nodes), tmp_path / "other", domain=domain):
+            pass
+        launched.kill(["load_frame"])
+        with RunningGraph(graph, tmp_path / "second", domain=domain):
+            pass
 
 
 def udp_addresses(pid: int, ports: range) -> set[str]:

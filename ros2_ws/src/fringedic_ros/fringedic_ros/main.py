@@ -17,6 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 
 from fringedic.errors import FringedicError
 from fringedic_ros.parameters import report_unknown_parameters
+from fringedic_ros.presence import announce
 from fringedic_ros.rig_node import RigNode
 
 # Fast DDS may block a process whose node has closed what it owns (decision 0033); SIGALRM ends it after this time.
@@ -44,6 +45,7 @@ def run(make_node: Callable[[], Node]) -> int:
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         node = make_node()
+        announce(node)
         if isinstance(node, RigNode):
             node.before_end = _end_soon
         report_unknown_parameters(node)

@@ -16,7 +16,7 @@ from fringedic.configuration.rig_file import NAMESPACE, load_rig_file
 from fringedic.errors import ConfigurationError
 from fringedic_bringup.launch.environment import node_environment
 from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
-from fringedic_bringup.launch.processes import GRACE_S, RECORDER_GRACE_S
+from fringedic_bringup.launch.processes import GRACE_S, RECORDER_GRACE_S, require_no_nodes
 from fringedic_bringup.launch.rig_files import rig_path_of
 
 # A new recorder needs a new folder, and a new experiment node the number of the next step: only a client knows them.
@@ -116,6 +116,8 @@ def launched_rig(arguments: LaunchArguments) -> LaunchedRig:
     ------
     ConfigurationError
         The rig file cannot be read, a node is unknown, or the folder contains a recording.
+    ProcessError
+        A node runs already.
     """
     path = rig_path_of(Path(arguments.rig)).absolute()
     rig = load_rig_file(path)
@@ -126,6 +128,8 @@ def launched_rig(arguments: LaunchArguments) -> LaunchedRig:
     if (folder / "bag").exists():
         raise ConfigurationError(f"{folder} contains a recording already; choose another folder:=")
     graph = _on_this_computer(rig_graph(rig, path, folder, experiment=arguments.experiment), arguments.nodes)
+    environment = node_environment()
+    require_no_nodes(int(environment.get("ROS_DOMAIN_ID") or 0), graph)
     logs = folder / "logs"
     logs.mkdir(exist_ok=True)
     clock = {"use_sim_time": True} if arguments.use_sim_time else {}
@@ -138,7 +142,7 @@ def launched_rig(arguments: LaunchArguments) -> LaunchedRig:
         )
         for node in graph.nodes
     )
-    changed = {name: value for name, value in node_environment().items() if os.environ.get(name) != value}
+    changed = {name: value for name, value in environment.items() if os.environ.get(name) != value}
     return LaunchedRig(graph.namespace, processes, changed)
 
 

@@ -20,11 +20,13 @@ from fringedic.warm_up import require_kernels
 from fringedic_bringup.launch.environment import node_environment, remove_stale_segments
 from fringedic_bringup.launch.graph import PROCESSING_NODES, Graph, NodeEntry
 from fringedic_bringup.launch.lease import RigLease
+from fringedic_ros.presence import is_announced
 
 # Wait after each signal, in which a node finishes its current work.
 GRACE_S = {signal.SIGINT: 15.0, signal.SIGTERM: 5.0, signal.SIGKILL: 5.0}
 # The recorder writes its backlog and closes the recording: half a gigabyte takes a slow disk two minutes.
 RECORDER_GRACE_S = GRACE_S | {signal.SIGINT: 120.0}
+ENDING_S = 10.0  # longest wait for the nodes of a command that has just been killed
 
 
 class RunningGraph:
@@ -47,7 +49,8 @@ class RunningGraph:
     Raises
     ------
     ProcessError
-        The executable of a node is not installed, or another process has the rig; nothing was started.
+        The executable of a node is not installed, another process has the rig, or one of its nodes runs already;
+        nothing was started.
     """
 
     def __init__(
@@ -63,7 +66,8 @@ class RunningGraph:
         self.logs = Path(logs)
         self.environment = node_environment(domain) | dict(environment or {})
         self._owner = owner
-        self._lease = RigLease(int(self.environment.get("ROS_DOMAIN_ID") or 0), graph.namespace, self.logs.parent)
+        self._domain = int(self.environment.get("ROS_DOMAIN_ID") or 0)
+        self._lease = RigLease(self._domain, graph.namespace, self.logs.parent)
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._may_end: set[str] = set()
 
@@ -74,6 +78,8 @@ class RunningGraph:
         if self._owner:
             self._lease.__enter__()
         try:
+            if self._owner:
+                require_no_nodes(self._domain, self.graph)
             self.logs.mkdir(parents=True, exist_ok=True)
             for entry in self.graph.nodes:
                 self._start(entry, executables[entry.name])
@@ -183,6 +189,25 @@ class RunningGraph:
                 start_new_session=True,  # Ctrl-C reaches the command alone, which ends its nodes in order
                 preexec_fn=_die_with_parent,
             )
+
+
+def require_no_nodes(domain: int, graph: Graph) -> None:
+    """Check that no node of a graph runs on this computer, after those that are ending have had some seconds for it.
+
+    Raises
+    ------
+    ProcessError
+        The message names the nodes.
+    """
+    place = f"/{graph.namespace}" if graph.namespace else ""
+    end = time.monotonic() + ENDING_S
+    while names := [name for name in graph.names if is_announced(domain, f"{place}/{name}")]:
+        if time.monotonic() > end:
+            raise ProcessError(
+                f"rig '{graph.namespace or '/'}' in ROS domain {domain} runs already, started by ros2 launch or ros2 "
+                f"run: {', '.join(names)}; end it, or choose another namespace or ROS_DOMAIN_ID"
+            )
+        time.sleep(0.1)
 
 
 def _executable(entry: NodeEntry) -> Path:
