@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -16,16 +17,17 @@ from typer.testing import CliRunner
 
 from fringedic.errors import ConfigurationError, RigSetupError
 from fringedic.metadata import NoiseFloorMetadata
+from fringedic.recording.reader import BagReader
 from fringedic_bringup.command.main import app
 
+NOISE = (sys.executable, "-c", "from fringedic_bringup.command.main import main; main()", "noise")
 TINY = Path(__file__).parent.parent / "config" / "tiny.yaml"
 
 
 def test_steps_at_rest_of_the_virtual_rig(tmp_path: Path) -> None:
     """The camera of the preset has 1 grey level of read noise, rounds, and a variance of 0.02 per grey level."""
-    program = "from fringedic_bringup.command.main import main; main()"
     done = subprocess.run(
-        [sys.executable, "-c", program, "noise", str(TINY), "--steps", "3", "--output", str(tmp_path / "noise")],
+        [*NOISE, str(TINY), "--steps", "3", "--output", str(tmp_path / "noise")],
         env=dict(os.environ),
         capture_output=True,
         text=True,
@@ -43,6 +45,21 @@ def test_steps_at_rest_of_the_virtual_rig(tmp_path: Path) -> None:
     for name, found in (("displacement_x_px", metadata.spatial), ("phase_fringe", metadata.temporal)):
         assert 0.8 < found[name] / metadata.limit[name] < 1.4, name
     assert (metadata.window_px, metadata.spacing_px, metadata.strain_window_px) == (32, 1, 85)
+
+
+def test_ctrl_c_ends_the_measurement_without_a_result(tmp_path: Path) -> None:
+    command = [*NOISE, str(TINY), "--steps", "20", "--output", str(tmp_path / "noise")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as running:
+        assert running.stdout is not None
+        for line in running.stdout:
+            if "step 4 " in line:
+                running.send_signal(signal.SIGINT)
+                break
+        rest = running.stdout.read()
+    assert running.returncode == 130, rest
+    assert "interrupted; nothing is running any more" in rest
+    assert not (tmp_path / "noise" / "noise_floor.yaml").exists()
+    assert not BagReader(tmp_path / "noise" / "bag").lost
 
 
 @pytest.fixture

@@ -83,7 +83,7 @@ def test_a_rig_whose_nodes_run_already_is_not_started(tmp_path: Path, monkeypatc
             launched.check()
             assert time.monotonic() < end, "the node is not announced"
             time.sleep(0.1)
-        with pytest.raises(ProcessError, match="rig 'rig' in ROS domain .* runs already, .*: load_frame; end it"):
+        with pytest.raises(ProcessError, match=r"rig 'rig' in ROS domain .* runs already, .*: load_frame; end it"):
             RunningGraph(graph, tmp_path / "second", domain=domain).__enter__()
         with RunningGraph(Graph("other", graph.nodes), tmp_path / "other", domain=domain):
             pass

@@ -45,6 +45,8 @@ def measure_noise(
         Too few steps were requested or measured.
     NodeDiedError, WaitTimeoutError, StepFailedError
         The nodes did not start, or one of them ended.
+    KeyboardInterrupt
+        Ctrl-C or a signal ended the measurement; the recording is closed.
     """
     # not at the top: images need no ROS
     from fringedic_bringup.launch.graph import rig_graph
@@ -60,9 +62,11 @@ def measure_noise(
     graph = rig_graph(rig, rig_path, folder, experiment=programme.experiment)
     progress.stage(f"starting {len(graph.nodes)} nodes")
     with RunningGraph(graph, folder / "logs", domain=domain) as running:
-        drive(running, programme, progress, domain=domain)
+        driven = drive(running, programme, progress, domain=domain)
         progress.stage("closing the recording")
     join_parts(folder / "bag", progress, rig.recording.split)
+    if driven.interrupted:
+        raise KeyboardInterrupt
     progress.stage("measuring the noise")
     measured = noise_of_recording(folder / "bag")
     measured.save(folder)
