@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 
-from fringedic_bringup.command.main import _Terminal
+from fringedic_bringup.display.terminal import Terminal
 
 
 def test_what_is_written_to_a_closed_terminal_is_lost() -> None:
     terminal, end = os.openpty()
-    stream = _Terminal.opened(end)
+    stream = Terminal.opened(end)
     stream.write("before\n")
     assert os.read(terminal, 100) == b"before\r\n"
     os.close(terminal)

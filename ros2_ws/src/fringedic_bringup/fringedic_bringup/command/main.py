@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import io
 import os
 import signal
 import sys
@@ -23,6 +21,7 @@ from fringedic_bringup.command import (
     rig_setup,
 )
 from fringedic_bringup.command.app import app
+from fringedic_bringup.display.terminal import Terminal
 
 __all__ = [
     "app",
@@ -63,32 +62,14 @@ def main() -> None:
     sys.exit(code)
 
 
-class _Terminal(io.FileIO):
-    """A terminal that may be closed: what is written to it then is lost, without an error."""
-
-    @classmethod
-    def opened(cls, number: int) -> io.TextIOWrapper:
-        """Return the stream of a file descriptor as text."""
-        return io.TextIOWrapper(io.BufferedWriter(cls(number, "w", closefd=False)), line_buffering=True)
-
-    def write(self, data: Any) -> int:
-        """Write bytes and return their number."""
-        try:
-            return super().write(data)
-        except OSError as error:
-            if error.errno != errno.EIO:
-                raise
-            return len(data)
-
-
 def _interrupt_at_end_of_session() -> None:
     """Let SIGTERM and SIGHUP end the command as Ctrl-C does: at a shutdown, or when its terminal is closed."""
     terminals = [stream for stream in (0, 1, 2) if os.isatty(stream)]
     # written to before the signal is handled, a closed terminal would end the command with an error of its own
     if 1 in terminals:
-        sys.stdout = _Terminal.opened(1)
+        sys.stdout = Terminal.opened(1)
     if 2 in terminals:
-        sys.stderr = _Terminal.opened(2)
+        sys.stderr = Terminal.opened(2)
 
     def leave_terminals(*_: object) -> None:
         # a closed terminal fails every line that is written to it
