@@ -132,7 +132,9 @@ def _require_whole(source: str | os.PathLike[str], dataset: xr.Dataset) -> None:
     needed = {"reference_step", "valid_fraction", "rms_displacement"}
     needed |= {"position"} if "force" in dataset else set()
     needed |= {"displacement_x", "displacement_y"} if "texture" in dataset else set()
-    lacking = sorted(needed - set(map(str, dataset.variables)))
+    present = set(map(str, dataset.variables))
+    needed |= set("xyzuv") if "w" in present else set()
+    lacking = sorted(needed - present)
     if lacking:
         raise DatasetError(
             f"{source}: has no {' and no '.join(lacking)}, which a report needs; give the whole dataset, or process "

@@ -258,7 +258,9 @@ def test_the_page_shows_the_last_step_of_its_moving_picture_until_the_slider_mov
     assert len({picture.tobytes() for picture in pictures}) == 5
 
 
-@pytest.mark.parametrize("name", ["reference_step", "valid_fraction", "rms_displacement", "position", "displacement_x"])
+@pytest.mark.parametrize(
+    "name", ["reference_step", "valid_fraction", "rms_displacement", "position", "displacement_x", "u"]
+)
 def test_a_dataset_without_a_variable_that_a_report_needs_is_refused(dataset, tmp_path, name):
     dataset.drop_vars(name).to_netcdf(tmp_path / "part.nc", engine="h5netcdf")
     with pytest.raises(DatasetError, match=rf"part\.nc: has no {name}, which a report needs; give the whole dataset"):
