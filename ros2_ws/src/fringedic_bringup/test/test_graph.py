@@ -32,6 +32,8 @@ def test_real_devices_get_the_parameters_of_the_rig_file(tmp_path: Path) -> None
     machine_file = str(tmp_path / "frame.yaml")
     expected = {"source": "machine", "rate_hz": 500.0, "position_tolerance_mm": 0.02, "machine_file": machine_file}
     assert nodes["load_frame"] == expected
+    again = {node.name: node.changes_at_restart for node in graph.nodes if node.changes_at_restart}
+    assert again == {"load_frame": {"machine_required": False}}, "a machine that does not answer does not end it again"
 
 
 def test_recorder_gets_the_limits_of_its_files(tmp_path: Path) -> None:
