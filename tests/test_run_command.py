@@ -248,7 +248,7 @@ def test_a_rig_has_one_owner_whose_interruption_closes_recording_and_nodes(
         position = dataset.position.sel(step=measured).values
     assert position == pytest.approx([0.0, 0.3e-3, 0.6e-3], abs=1e-6)
     again = fringedic_command("run", tmp_path / "rig.yaml", "--output", running.bag.parent, "--continue")
-    assert "all 3 steps of the programme are measured" in str(again.exception)
+    assert "no step of the programme is left, 3 of 3 are measured" in str(again.exception)
 
 
 def test_the_end_of_a_session_ends_a_run_as_ctrl_c_does(start_run: Callable[..., Running]) -> None:

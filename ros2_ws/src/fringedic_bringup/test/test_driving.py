@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from fringedic.configuration.programme import Programme
-from fringedic.errors import NodeDiedError, OperatorError, RigBusyError
+from fringedic.errors import NodeDiedError, OperatorError, RigBusyError, StepFailedError
 from fringedic_bringup.launch.graph import Graph, NodeEntry
 from fringedic_bringup.procedures import driving
-from fringedic_bringup.procedures.driving import Driven, RecordedSteps
+from fringedic_bringup.procedures.driving import STEPS_DONE, Driven, RecordedSteps
+from fringedic_bringup.procedures.run import steps_done
 
 EXPERIMENT = "plate"
 MEASURED = 5  # steps of an earlier run
@@ -38,20 +40,22 @@ class Rig:
 
     Parameters
     ----------
+    logs
+        Folder of the logs.
     plan
-        How the steps end, one after the other: by the end of a node, by Ctrl-C, by a step of another controller, or by
-        a result ("").
+        How the steps end, one after the other: by the end of a node, by Ctrl-C, by a step of another controller, by an
+        error, or by a result ("").
     presses
         What a person does, one after the other, while the machine is requested to hold.
     """
 
-    def __init__(self, plan: list[str], presses: tuple[BaseException, ...] = ()) -> None:
+    def __init__(self, logs: Path, plan: list[str], presses: tuple[BaseException, ...] = ()) -> None:
         entries = (
             NodeEntry("dic", "dic_node", "dic"),
             NodeEntry("experiment", "experiment_node", "experiment", {"experiment": EXPERIMENT}),
         )
         self.graph = Graph("rig", entries)
-        self.plan, self.presses = plan, list(presses)
+        self.logs, self.plan, self.presses = logs, plan, list(presses)
         self.used: list[int] = []
         self.held = self.cancelled = 0
         self.last_step, self.reference, self.recorder, self.strain_of_step = -1, 0, None, 0.0
@@ -88,6 +92,8 @@ class Rig:
             raise KeyboardInterrupt
         if end == "another":
             raise RigBusyError(f"step {number} is being measured")
+        if end == "error":
+            raise StepFailedError(f"step {number}: the load frame was moving")
         if end:
             self._dead[end] = "was ended by SIGKILL"
             raise NodeDiedError(end)
@@ -117,11 +123,11 @@ class Rig:
     def wait_until_recorded(self) -> None: ...
 
 
-def drive(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Driven:
-    """Drive a programme of one step more than an earlier run has measured."""
+def drive(rig: Rig, monkeypatch: pytest.MonkeyPatch, *, steps: int = 1) -> Driven:
+    """Drive a programme of some steps more than an earlier run has done."""
     monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
-    programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": [{}] * (MEASURED + 1)})
-    before = RecordedSteps(list(range(MEASURED)), MEASURED - 1)
+    programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": [{}] * (MEASURED + steps)})
+    before = RecordedSteps(list(range(MEASURED)), MEASURED - 1, MEASURED)
     return driving.drive(rig, programme, Progress(), before=before)  # type: ignore[arg-type]
 
 
@@ -129,8 +135,10 @@ def drive(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Driven:
     "ends",
     [("dic", "experiment"), ("experiment", "experiment"), ("experiment", "dic"), ("another", "another", "experiment")],
 )
-def test_no_number_of_a_step_is_used_twice(ends: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
-    rig = Rig([*ends, ""])
+def test_no_number_of_a_step_is_used_twice(
+    ends: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = Rig(tmp_path, [*ends, ""])
     (report,) = drive(rig, monkeypatch).steps
     assert rig.used == sorted(set(rig.used))
     assert len(rig.used) == len(ends) + 1
@@ -139,10 +147,26 @@ def test_no_number_of_a_step_is_used_twice(ends: tuple[str, ...], monkeypatch: p
 
 @pytest.mark.parametrize("presses", [(), (KeyboardInterrupt(),) * 3, (OperatorError("stopped"), KeyboardInterrupt())])
 def test_an_interrupted_programme_requests_a_hold_however_often_it_is_interrupted(
-    presses: tuple[BaseException, ...], monkeypatch: pytest.MonkeyPatch
+    presses: tuple[BaseException, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rig = Rig(["Ctrl-C"], presses)
+    rig = Rig(tmp_path, ["Ctrl-C"], presses)
     driven = drive(rig, monkeypatch)
     assert driven.interrupted
     assert driven.ended_early == "interrupted"
     assert (rig.held, rig.cancelled) == (1, 1)
+
+
+def test_a_failed_step_is_done_and_an_interrupted_one_is_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(tmp_path, ["", "error", "Ctrl-C"])
+    driven = drive(rig, monkeypatch, steps=4)
+    assert [bool(report.error) for report in driven.steps] == [False, True]
+    assert driven.interrupted
+    assert (tmp_path / STEPS_DONE).read_text() == str(MEASURED + 2)
+
+
+@pytest.mark.parametrize(("measured", "done"), [(0, 0), (1, 2), (2, 4), (3, 4)])
+def test_steps_of_a_run_that_did_not_count_them(measured: int, done: int, tmp_path: Path) -> None:
+    moves_only, measures = {"position_mm": 1.0, "mode": "none"}, {"position_mm": 1.0}
+    steps = [moves_only, measures, moves_only, measures, moves_only]
+    programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": steps})
+    assert steps_done(tmp_path / STEPS_DONE, measured, programme.load_steps()) == done

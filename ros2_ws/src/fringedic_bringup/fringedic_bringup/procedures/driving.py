@@ -6,6 +6,7 @@ repeated.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -24,6 +25,7 @@ from fringedic.errors import (
     WaitTimeoutError,
 )
 from fringedic.recording.bag_files import BAG
+from fringedic.recording.manifest import write_whole
 from fringedic.report.programme import block_end_sentence, condition_sentence
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.processes import RunningGraph
@@ -37,14 +39,26 @@ WITH_REFERENCE = ("dic", "coupling")  # keep the reference step in memory and lo
 INTERRUPTION_S = 5.0  # wait for the answer to hold and cancel
 BUSY_S = 1.0  # between two attempts while another controller uses the rig
 PAUSE_S = 30 * 86400.0  # longest pause
+STEPS_DONE = "steps_done"  # file among the logs: how many steps of the programme were done
 RESTART_S = 40.0  # from the start of a node until it is ready and its predecessor's lease has ended
 
 
 class RecordedSteps(NamedTuple):
-    """Numbers of the measured steps of a recording, and of its last step; -1 without steps."""
+    """Steps of the run that a programme goes on with.
+
+    Attributes
+    ----------
+    measured
+        Numbers of the measured steps.
+    last
+        Number of the last step; -1 without steps.
+    done
+        How many steps of the programme were done, also those that move only or failed.
+    """
 
     measured: list[int]
     last: int
+    done: int
 
 
 class Driven(NamedTuple):
@@ -117,22 +131,20 @@ def drive(
             rig.wait_for_strain()
         count = sum(step.mode != "none" for step in programme.load_steps())
         driver = _Driver(running, rig, progress, control, count - 1)
-        measured = 0
         if before is not None:
-            measured, rig.last_step = len(before.measured), before.last
+            rig.last_step = before.last
         walk = programme.walk(lambda end: progress.note(block_end_sentence(end)))
         reading: Reading | None = None
         ended_early, interrupted = "", False
         try:
             with suppress(StopIteration):
-                while True:
+                for done in itertools.count(1):
                     step = walk.send(reading)
-                    if measured:
-                        measured -= step.mode != "none"
-                    else:
+                    if before is None or done > before.done:
                         reading = driver.do(step)
+                        write_whole(running.logs / STEPS_DONE, str(done))
             driver.finish()
-        except FringedicError as error:
+        except (FringedicError, OSError) as error:
             driver.end()
             ended_early = str(error)
             progress.note(f"the programme ends early: {ended_early}")

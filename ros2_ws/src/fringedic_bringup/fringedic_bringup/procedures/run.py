@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.configuration.forecast import forecast
-from fringedic.configuration.programme import Programme
+from fringedic.configuration.programme import Programme, ProgrammeStep
 from fringedic.configuration.rig_file import RigFile, load_programme, load_rig_file
 from fringedic.configuration.sections import VIRTUAL_RIG
 from fringedic.configuration.virtual_calibration import calibration_of
@@ -30,7 +31,7 @@ from fringedic.report.forecast import forecast_sentence
 from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
 from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.procedures.driving import RecordedSteps, drive
+from fringedic_bringup.procedures.driving import STEPS_DONE, RecordedSteps, drive
 from fringedic_bringup.procedures.outcome import Progress, RunControl, RunReport, StepReport
 from fringedic_bringup.procedures.recording_parts import join_parts, next_part
 from fringedic_msgs.msg import StepStatus
@@ -155,7 +156,7 @@ def _recorded_steps(bag: Path, programme: Programme) -> RecordedSteps:
     Raises
     ------
     ConfigurationError
-        The programme has conditions, whose readings are not known any more, or every step is measured.
+        The programme has conditions, whose readings are not known any more, or no step is left.
     """
     if programme.conditions():
         raise ConfigurationError(
@@ -164,10 +165,22 @@ def _recorded_steps(bag: Path, programme: Programme) -> RecordedSteps:
     reader = BagReader(bag)
     statuses = [message for _, message, _ in reader.messages(reader.find("experiment/step").values())]
     measured = sorted({status.step for status in statuses if status.stage == StepStatus.END})
-    count = sum(step.mode != "none" for step in programme.load_steps())
-    if len(measured) >= count:
-        raise ConfigurationError(f"{bag.parent}: all {count} steps of the programme are measured")
-    return RecordedSteps(measured, max((status.step for status in statuses), default=-1))
+    steps = programme.load_steps()
+    done = steps_done(bag.with_name("logs") / STEPS_DONE, len(measured), steps)
+    if done >= len(steps):
+        count = sum(step.mode != "none" for step in steps)
+        raise ConfigurationError(
+            f"{bag.parent}: no step of the programme is left, {len(measured)} of {count} are measured"
+        )
+    return RecordedSteps(measured, max((status.step for status in statuses), default=-1), done)
+
+
+def steps_done(file: Path, measured: int, steps: Sequence[ProgrammeStep]) -> int:
+    """Return how many steps of a programme were done; of a run of an earlier version, as if none had failed."""
+    with suppress(OSError, ValueError):
+        return int(file.read_text())
+    ends = [number for number, step in enumerate(steps, 1) if step.mode != "none"]
+    return ([0, *ends])[min(measured, len(ends))]
 
 
 def _continued(graph: Graph, bag: Path, before: RecordedSteps) -> Graph:
