@@ -73,6 +73,7 @@ MISTAKES = [
     Mistake("measure a.tif b.tif --pixel-size-mm 50µm", MISWRITTEN, "number"),
     Mistake("measure a.tif b.tif --scale-length-mm 20", UNUSABLE, "no display"),
     Mistake("measure a.tif b.tif --scale-length-mm -20", UNUSABLE, "--scale-length-mm"),
+    Mistake("measure a.tif b.tif --scale-length-mm 20 --pixel-size-mm 0.05", UNUSABLE, "give one of them"),
     Mistake("measure a.tif b.tif --mask missing.png", UNUSABLE, "missing.png"),
     Mistake("measure a.tif b.tif --mask small.tif", UNUSABLE, "the mask has 60x50 px"),
     Mistake("measure a.tif b.tif --mask black.png", UNUSABLE, "black everywhere"),

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 
 import cv2
 import numpy as np
+from tifffile import TiffFile
 
 from fringedic.errors import ImageError
 from fringedic.frames.grey import luminance
 
 _PNG, _PNG_END = b"\x89PNG", b"IEND"
+logging.getLogger("tifffile").addHandler(logging.NullHandler())  # it prints what is wrong with a file
 IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
 
 
@@ -33,7 +37,8 @@ def read_grey(path: Path) -> np.ndarray:
     Raises
     ------
     ImageError
-        The file is missing, is no image, is larger than 268 million pixels, has several pages, or another pixel type.
+        The file is missing, is no image, is larger than 268 million pixels, has several pages, or another pixel type;
+        or it is a TIFF file whose pixels would be turned, mirrored or scaled when they are read.
 
     Examples
     --------
@@ -51,6 +56,8 @@ def read_grey(path: Path) -> np.ndarray:
         raise ImageError(f"{path} cannot be read: {error.strerror}") from error
     if content.startswith(_PNG) and _PNG_END not in content[-16:]:  # libpng prints a line of its own about it
         raise ImageError(f"{path} is cut off; copy it again")
+    if content[:2] in (b"II", b"MM"):
+        _refuse_changed_tiff(path, content)
     try:
         with _quiet_opencv():
             image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED) if content else None
@@ -66,15 +73,31 @@ def read_grey(path: Path) -> np.ndarray:
     return image if image.ndim == 2 else luminance(image)
 
 
+def _refuse_changed_tiff(path: Path, content: bytes) -> None:
+    """Refuse a TIFF file whose pixels OpenCV changes: it turns them by their tag and scales packed bits to 16."""
+    try:
+        with TiffFile(BytesIO(content)) as file:
+            page = file.pages.first
+            turned, bits, white_is_0 = page.tags.valueof(274, 1) != 1, page.bitspersample, page.photometric == 0
+    except Exception:  # of many classes for damaged files, which OpenCV judges
+        return
+    if turned:
+        raise ImageError(f"{path} has a tag that turns or mirrors its pixels; save it as it is shown, without the tag")
+    if bits % 8 and bits != 1:
+        raise ImageError(f"{path} packs {bits} bits per pixel; save it with 16 bits")
+    if white_is_0 and bits > 8:  # fewer bits are inverted as they should be
+        raise ImageError(f"{path} stores white as 0; save it with black as 0")
+
+
 @contextmanager
 def _quiet_opencv() -> Iterator[None]:
     """Keep OpenCV from printing what is wrong with a file, which the error says in one sentence."""
-    logging = cv2.utils.logging
-    before = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+    log = cv2.utils.logging
+    before = log.setLogLevel(log.LOG_LEVEL_SILENT)
     try:
         yield
     finally:
-        logging.setLogLevel(before)
+        log.setLogLevel(before)
 
 
 def image_files(places: Iterable[Path]) -> list[Path]:

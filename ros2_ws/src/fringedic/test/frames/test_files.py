@@ -7,10 +7,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tifffile
 from PIL import Image as Picture
 
 from fringedic.errors import ImageError
 from fringedic.frames.files import read_grey
+
+TURNED, BITS, PHOTOMETRIC, WHITE_IS_0 = 274, 258, 262, 0  # tags of TIFF 6.0
 
 
 def levels(dtype: type[np.unsignedinteger], *shape: int) -> np.ndarray:
@@ -47,6 +50,25 @@ def test_grey_palette_keeps_its_levels(tmp_path: Path) -> None:
     picture.putpalette([level for grey in range(256) for level in (grey, grey, grey)])
     picture.save(tmp_path / "a.tif")
     np.testing.assert_array_equal(read_grey(tmp_path / "a.tif"), image)
+
+
+@pytest.mark.parametrize(
+    ("tags", "words"),
+    [
+        ({TURNED: 3}, "turns or mirrors"),
+        ({TURNED: 6}, "turns or mirrors"),
+        ({BITS: 12}, "packs 12 bits"),
+        ({PHOTOMETRIC: WHITE_IS_0}, "stores white as 0"),
+    ],
+)
+def test_tiff_files_whose_pixels_would_be_changed_are_refused(tmp_path: Path, tags: dict[int, int], words: str) -> None:
+    path = tmp_path / "a.tif"
+    tifffile.imwrite(path, levels(np.uint16, 12, 16), photometric="minisblack", extratags=[(TURNED, "H", 1, 1, True)])
+    with tifffile.TiffFile(path, mode="r+b") as file:
+        for number, value in tags.items():
+            file.pages.first.tags[number].overwrite(value)
+    with pytest.raises(ImageError, match=words):
+        read_grey(path)
 
 
 def test_bad_files_are_named(tmp_path: Path) -> None:

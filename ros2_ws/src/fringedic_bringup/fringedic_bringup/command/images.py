@@ -76,6 +76,8 @@ def measure(  # noqa: PLR0913 (options of a command)
         raise ConfigurationError(f"--pixel-size-mm {pixel_size_mm:g}: give the size of a pixel in mm, such as 0.05")
     if scale_length_mm is not None and not scale_length_mm > 0:
         raise ConfigurationError(f"--scale-length-mm {scale_length_mm:g}: give a known length in mm, such as 20")
+    if pixel_size_mm is not None and scale_length_mm is not None:
+        raise ConfigurationError("--pixel-size-mm and --scale-length-mm both give the scale: give one of them")
     from fringedic.frames.files import image_files, read_grey
     from fringedic.report import write_report
     from fringedic.report.image_series import failure_sentences, series_sentences
