@@ -14,14 +14,18 @@ import xarray as xr
 
 from fringedic.errors import ExportError, optional_import
 from fringedic.results.attributes import map_names, origin_of, origin_text, seconds, step_numbers
-from fringedic.results.quantities import MAP_DIMENSIONS, STEP_NUMBERS, people_unit
+from fringedic.results.quantities import MAP_DIMENSIONS, STEP_NUMBERS, PeopleUnit, people_unit
 from fringedic.results.stores import save_netcdf
 
 MATLAB_LIMIT = 2**31 - 1  # bytes of one variable in a MATLAB 5 file
 _WITH_MARK = "utf-8-sig"  # spreadsheets take µ for another character without a byte-order mark
 _LIGHT = ("modulation", "texture")  # known of every pixel, measured or not
 _SCALARS = ("force", "position", "valid_fraction", "rms_displacement")
-_SCALAR_UNITS = {"force": ("N", 1.0), "position": ("mm", 1e-3), "rms_displacement": ("µm", 1e-6)}
+_SCALAR_UNITS = {  # the others have that of `people_unit`
+    "force": PeopleUnit("N", "N", 1.0),
+    "position": PeopleUnit("mm", "mm", 1e-3),
+    "valid_fraction": PeopleUnit("1", "1", 1.0),
+}
 
 
 def write_csv(dataset: xr.Dataset, folder: Path) -> list[str]:
@@ -56,9 +60,9 @@ def _steps_table(dataset: xr.Dataset) -> list[list[Any]]:
     heading = ["step", "time [s]"]
     columns: list[list[Any]] = [dataset["step"].values.tolist(), seconds(dataset).tolist()]
     for name in scalars:
-        unit, factor = _SCALAR_UNITS.get(name, ("1", 1.0))
-        heading.append(f"{name} [{unit}]")
-        columns.append([float(f"{value / factor:.9g}") for value in dataset[name].values])
+        unit = _SCALAR_UNITS.get(name) or people_unit(dataset[name])
+        heading.append(f"{name} [{unit.text}]")
+        columns.append([float(f"{value / unit.factor:.9g}") for value in dataset[name].values])
     for name in (*STEP_NUMBERS, "error"):
         if name in dataset:
             heading.append(name)

@@ -1,5 +1,6 @@
 """Every exported file, read back with the library that users would take, against the dataset it came from."""
 
+import csv
 import json
 import os
 import shutil
@@ -19,7 +20,7 @@ from fringedic.errors import ExportError
 from fringedic.export import FORMATS, export_dataset, tables
 from fringedic.metadata import Metadata
 from fringedic.results import open_experiment
-from fringedic.results.quantities import MAPS, STEP_NUMBERS
+from fringedic.results.quantities import MAPS, STEP_NUMBERS, layout_of_images
 from fringedic.results.rows import Row
 from fringedic.results.writer import DatasetWriter
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
@@ -93,6 +94,27 @@ def exported(dataset, tmp_path_factory):
     assert all(each.path is not None and each.path.exists() for each in done.values())
     assert not [name for name in os.listdir(folder) if name.startswith(".")]
     return done
+
+
+@pytest.fixture(params=[True, False], ids=["scale", "no scale"])
+def image_series(request, tmp_path):
+    """Three images without times, whose points move to the right and downwards."""
+    scaled = request.param
+    attributes = {"experiment": "series", "image_width": 14, "image_height": 11} | (
+        {"pixel_size": PIXEL} if scaled else {}
+    )
+    parameters = {"dic": DicParameters(spacing=SPACING)}
+    with DatasetWriter(tmp_path / "series.nc", attributes, layout_of_images(scaled)) as writer:
+        for step in (0, 1, 2):
+            moved = {
+                "displacement_x": np.full((ROWS, COLUMNS), 0.4 * step, np.float32),
+                "displacement_y": np.full((ROWS, COLUMNS), 0.3 * step, np.float32),
+            }
+            rms = 0.5 * step * (PIXEL if scaled else 1.0)
+            row = Row(step, None, "", 0, 0, valid_fraction=1.0, rms_displacement=rms, maps=moved, image=f"{step}.tif")
+            writer.add(row, StepSettings(parameters, None, {}, None))
+    with open_experiment(tmp_path / "series.nc") as opened:
+        yield opened
 
 
 def measured(dataset, name, step, factor):
@@ -194,6 +216,23 @@ def test_csv_names_its_units(dataset, exported):
     assert "never arrived" in str(steps["error"][4])
     check_metadata(json.loads((folder / "metadata.json").read_text()))
     assert exported["csv"].problems == ["step 4 has no measured point"]
+
+
+def steps_of(exported):
+    """Return the table of steps in CSV as text, by heading."""
+    with open(exported.path / "steps.csv", newline="", encoding="utf-8-sig") as stream:
+        heading, *lines = csv.reader(stream)
+    return dict(zip(heading, map(list, zip(*lines, strict=True)), strict=True))
+
+
+def test_csv_names_the_unit_of_the_displacement_of_images(image_series, tmp_path):
+    [done] = export_dataset(image_series, tmp_path, ["csv"])
+    steps = steps_of(done)
+    if "pixel_size" in image_series.attrs:
+        assert steps["rms_displacement [µm]"] == ["0.0", "25.0", "50.0"]
+    else:
+        assert steps["rms_displacement [px]"] == ["0.0", "0.5", "1.0"]
+    assert steps["valid_fraction [1]"] == ["1.0"] * 3
 
 
 def test_matlab_gets_si_units_and_names_them(dataset, exported):
