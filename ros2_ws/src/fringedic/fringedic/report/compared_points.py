@@ -67,6 +67,24 @@ def last_compared(found: xr.Dataset, nowhere: str) -> int:
     return int(compared[-1])
 
 
+def reference_sentences(found: xr.Dataset) -> list[str]:
+    """Return a sentence if the compared experiments have different reference steps, else none.
+
+    Parameters
+    ----------
+    found
+        From `compare_experiments` or `compare_specimens`.
+    """
+    differ = found["references_differ"].values
+    if not differ.any():
+        return []
+    return [
+        f"at {np.count_nonzero(differ)} of {differ.size} steps the experiments have different reference steps: "
+        "their displacement and strain are relative to different states of the specimen and are not comparable; "
+        "process them with the same --reference"
+    ]
+
+
 def write_compared(
     template: str,
     output: Path,

@@ -15,6 +15,7 @@ from fringedic.report.compared_points import (
     entry_text,
     experiment_title,
     last_compared,
+    reference_sentences,
     write_compared,
 )
 from fringedic.report.embedding import chart_html
@@ -73,7 +74,7 @@ def write_specimens(experiments: Mapping[str, xr.Dataset], output: Path, *, over
 
 
 def specimen_sentences(found: xr.Dataset) -> list[str]:
-    """Return one sentence for each quantity of the last compared step.
+    """Return one sentence for each quantity of the last compared step, before them one on different reference steps.
 
     Parameters
     ----------
@@ -81,7 +82,7 @@ def specimen_sentences(found: xr.Dataset) -> list[str]:
         From `fringedic.results.compare_specimens`.
     """
     last = found.sel(step=last_compared(found, _NOWHERE))
-    return [
+    return reference_sentences(found) + [
         f"{name}: the spread of the specimens at a point is {float(each['spread_over_uncertainty']):.2f} times the "
         f"uncertainty of one measurement ({int(each['points'])} points)"
         for name in last["quantity"].values.tolist()

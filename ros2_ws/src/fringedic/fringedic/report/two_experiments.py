@@ -13,6 +13,7 @@ from fringedic.report.compared_points import (
     entry_text,
     experiment_title,
     last_compared,
+    reference_sentences,
     write_compared,
 )
 from fringedic.report.embedding import chart_html
@@ -67,7 +68,7 @@ def write_comparison(one: xr.Dataset, other: xr.Dataset, output: Path, *, overwr
 
 
 def comparison_sentences(found: xr.Dataset) -> list[str]:
-    """Return one sentence for each quantity of the last compared step.
+    """Return one sentence for each quantity of the last compared step, before them one on different reference steps.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def comparison_sentences(found: xr.Dataset) -> list[str]:
         From `compare_experiments`.
     """
     last = found.sel(step=last_compared(found, _NOWHERE))
-    return [
+    return reference_sentences(found) + [
         f"{name}: {100 * float(each['within_2_sigma']):.1f} % of {int(each['points'])} points differ by less than "
         f"2 sigma (95 % expected of independent noise), RMS over sigma {float(each['normalized_rms']):.2f}"
         for name in last["quantity"].values.tolist()

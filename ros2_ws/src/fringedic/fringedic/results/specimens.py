@@ -12,7 +12,7 @@ from fringedic.errors import DatasetError
 from fringedic.inputs.arguments import check_arguments, several, whole
 from fringedic.inputs.arguments import dataset as dataset_of
 from fringedic.results.quantities import MAP_DIMENSIONS, sigma_of
-from fringedic.results.two_experiments import common_maps
+from fringedic.results.two_experiments import common_maps, references_differ
 
 STATISTICS = {
     "points": "points that are measured of all specimens",
@@ -40,7 +40,8 @@ def compare_specimens(experiments: Sequence[xr.Dataset]) -> xr.Dataset:
     Returns
     -------
     Dataset
-        `STATISTICS` over (step, quantity) in the unit of each quantity.
+        `STATISTICS` over (step, quantity) in the unit of each quantity, and ``references_differ``: whether the
+        displacements of a step are relative to different reference steps.
 
     Raises
     ------
@@ -67,7 +68,8 @@ def compare_specimens(experiments: Sequence[xr.Dataset]) -> xr.Dataset:
         {
             name: (("step", "quantity"), values[..., place], {"long_name": meaning})
             for place, (name, meaning) in enumerate(STATISTICS.items())
-        },
+        }
+        | {"references_differ": ("step", references_differ(experiments, steps))},
         {"step": steps, "quantity": names},
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,7 +53,8 @@ def compare_experiments(one: xr.Dataset, other: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     Dataset
-        `STATISTICS` over (step, quantity) in the unit of each quantity, and ``force_one``, ``force_other`` [N].
+        `STATISTICS` over (step, quantity) in the unit of each quantity, ``force_one``, ``force_other`` [N], and
+        ``references_differ``: whether the displacements of a step are relative to different reference steps.
 
     Raises
     ------
@@ -82,6 +83,7 @@ def compare_experiments(one: xr.Dataset, other: xr.Dataset) -> xr.Dataset:
         },
         {"step": steps, "quantity": names},
     )
+    found["references_differ"] = ("step", references_differ([one, other], steps))
     for name, dataset in (("force_one", one), ("force_other", other)):
         if "force" in dataset:
             found[name] = dataset["force"].sel(step=steps)
@@ -114,7 +116,7 @@ def difference_maps(one: xr.Dataset, other: xr.Dataset, step: int) -> xr.Dataset
 
 
 def differing_attributes(one: xr.Dataset, other: xr.Dataset) -> list[Difference]:
-    """Return the settings, parts of the calibration and the rig, and the software that differ.
+    """Return the settings, parts of the calibration and the rig, the software and the reference steps that differ.
 
     Examples
     --------
@@ -124,9 +126,29 @@ def differing_attributes(one: xr.Dataset, other: xr.Dataset) -> list[Difference]
     """
     first, second = _flat_attributes(one), _flat_attributes(other)
     names = [*first, *(name for name in second if name not in first)]
-    return [
+    differences = [
         Difference(name, first.get(name), second.get(name)) for name in names if first.get(name) != second.get(name)
     ]
+    return differences + _differing_references(one, other)
+
+
+def references_differ(experiments: Sequence[xr.Dataset], steps: Sequence[int] | np.ndarray) -> np.ndarray:
+    """Return at which steps the reference steps of experiments differ, as far as they are recorded: booleans (step,).
+
+    Examples
+    --------
+    >>> recorded = ([0, 0, 0], [-1, 0, 2])
+    >>> group = [xr.Dataset({"reference_step": ("step", each)}, {"step": range(3)}) for each in recorded]
+    >>> references_differ(group, [0, 1, 2]).tolist()
+    [False, False, True]
+    """
+    recorded = [each["reference_step"].sel(step=steps).values for each in experiments if "reference_step" in each]
+    if not recorded:
+        return np.zeros(len(steps), bool)
+    values = np.array(recorded, float)
+    known = values >= 0
+    highest, lowest = np.where(known, values, -np.inf).max(axis=0), np.where(known, values, np.inf).min(axis=0)
+    return np.asarray(highest > lowest)
 
 
 def common_maps(one: xr.Dataset, other: xr.Dataset) -> list[str]:
@@ -191,6 +213,18 @@ def _statistics(maps: xr.Dataset, name: str) -> list[float]:
         float(np.sqrt(np.mean(known**2))) if known.size else np.nan,
         float(np.mean(np.abs(known) <= 2)) if known.size else np.nan,
     ]
+
+
+def _differing_references(one: xr.Dataset, other: xr.Dataset) -> list[Difference]:
+    """Return the reference steps, each experiment's in ascending order, of the common steps where they differ."""
+    if not all("reference_step" in each for each in (one, other)):
+        return []
+    steps = np.intersect1d(one["step"], other["step"])
+    steps = steps[references_differ([one, other], steps)]
+    if not steps.size:
+        return []
+    values = [np.unique(each["reference_step"].sel(step=steps)).astype(int).tolist() for each in (one, other)]
+    return [Difference("reference_step", *(each[0] if len(each) == 1 else each for each in values))]
 
 
 def _flat_attributes(dataset: xr.Dataset) -> dict[str, Any]:

@@ -64,6 +64,19 @@ def test_experiments_have_to_have_something_in_common() -> None:
         specimen_maps([one, one], 5)
 
 
+def test_specimens_with_other_reference_steps_are_named(tmp_path: Path) -> None:
+    steps = {"a": [0, 0], "b": [0, 1], "c": [-1, 0]}
+    group = {
+        name: specimen(seed).assign(reference_step=("step", steps[name])) for seed, name in enumerate(sorted(steps))
+    }
+    assert compare_specimens(list(group.values())).references_differ.values.tolist() == [False, True]
+    page = write_specimens(group, tmp_path / "group.html").read_text()
+    assert "<td>reference_step</td><td>0; 1</td>" in page
+    assert "at 1 of 2 steps the experiments have different reference steps" in page
+    del group["b"]
+    assert not compare_specimens(list(group.values())).references_differ.any()
+
+
 def test_the_page_contains_curves_maps_and_what_differs(tmp_path: Path) -> None:
     group = {f"plate-{seed}": specimen(seed, experiment=f"plate {seed}", commit=str(seed % 2)) for seed in range(3)}
     page = write_specimens(group, tmp_path / "group.html").read_text()

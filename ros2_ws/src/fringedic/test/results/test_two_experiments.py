@@ -72,6 +72,21 @@ def test_an_experiment_equals_itself(experiments: tuple[xr.Dataset, xr.Dataset])
     assert differing_attributes(experiments[0], experiments[0]) == []
 
 
+def test_displacements_relative_to_other_reference_steps_are_named(tmp_path: Path) -> None:
+    one = noise(1, steps=3).assign(reference_step=("step", [0, 0, 0]))
+    other = noise(2, steps=4).assign(reference_step=("step", [-1, 0, 2, 2]))
+    assert differing_attributes(one, other) == [("reference_step", 0, 2)]
+    assert differing_attributes(one, other.isel(step=[0, 1])) == []
+    assert differing_attributes(one, other.drop_vars("reference_step")) == []
+    found = compare_experiments(one, other)
+    assert found.references_differ.values.tolist() == [False, False, True]
+    assert "different reference steps" in comparison_sentences(found)[0]
+    page = write_comparison(one, other, tmp_path / "page.html").read_text()
+    assert "<tr><td>reference_step</td><td>0</td><td>2</td></tr>" in page
+    assert "at 1 of 3 steps the experiments have different reference steps" in page
+    assert "different reference steps" not in comparison_sentences(compare_experiments(one, one))[0]
+
+
 def test_the_page_shows_settings_curves_and_maps(experiments: tuple[xr.Dataset, xr.Dataset], tmp_path: Path) -> None:
     page = write_comparison(*experiments, tmp_path / "page.html").read_text()
     assert "parameters.dic.window" in page
