@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from fringedic.errors import DatasetError
 from fringedic.metadata import Metadata
 from fringedic.provenance import git_commit, software
-from fringedic.results.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE, STEP_NUMBERS
+from fringedic.results.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE, STEP_NUMBERS, TIME_ZERO
 
 JSON_ATTRIBUTES = {"calibration": dict, "parameters": list, "rig": dict, METADATA_ATTRIBUTE: dict}
 """The attributes that contain JSON, and the kind of its content."""
@@ -23,7 +23,7 @@ def origin_of(dataset: xr.Dataset) -> dict[str, Any]:
     """Return the attributes of a dataset, calibration and parameters unpacked, with the software that exports it."""
     found: dict[str, Any] = {}
     for name, value in dataset.attrs.items():
-        found[str(name)] = json.loads(value) if name in JSON_ATTRIBUTES else _plain(value)
+        found[str(name)] = json.loads(value) if name in JSON_ATTRIBUTES else plain(value)
     return found | {"exported_by": software(), "exported_by_commit": git_commit()}
 
 
@@ -78,13 +78,17 @@ def step_numbers(step: xr.Dataset) -> dict[str, int]:
     return {name: int(step[name]) for name in STEP_NUMBERS if name in step}
 
 
+def first_time(dataset: xr.Dataset) -> np.datetime64:
+    """Return the time of the first step; of a selection of steps, that of the dataset that they were selected from."""
+    recorded = dataset.attrs.get(TIME_ZERO)
+    return np.datetime64(recorded if recorded is not None else dataset["time"].values.min())
+
+
 def seconds(dataset: xr.Dataset) -> np.ndarray:
-    """Return the time of each step since the first one [s]; the numbers of the steps if the times are not known."""
-    if "time" not in dataset:
-        return dataset["step"].values.astype(float)
-    stamps = dataset["time"].values
-    return np.asarray((stamps - stamps.min()) / np.timedelta64(1, "s"))
+    """Return the time of each step since `first_time` [s]; the dataset needs the variable ``time``."""
+    return np.asarray((dataset["time"].values - first_time(dataset)) / np.timedelta64(1, "s"))
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """Return the value of an attribute without NumPy's types."""
     return value.tolist() if isinstance(value, np.ndarray | np.generic) else value

@@ -12,6 +12,7 @@ import xarray as xr
 from fringedic.errors import DatasetError
 from fringedic.inputs.arguments import check_arguments, whole
 from fringedic.inputs.arguments import dataset as dataset_of
+from fringedic.results.attributes import plain
 from fringedic.results.quantities import MAP_DIMENSIONS, sigma_of
 
 COMPARED = ("displacement_x", "displacement_y", "u", "v", "w", "e_11", "e_22", "e_12")
@@ -25,7 +26,10 @@ STATISTICS = {
     "normalized_rms": "root mean square of the difference over its standard uncertainty",
     "within_2_sigma": "share of points whose difference is within two standard uncertainties",
 }
-_ATTRIBUTES = ("experiment", "source", "software", "commit", "parameters", "calibration", "rig", "facts")
+_ATTRIBUTES = (
+    *("experiment", "source", "software", "commit", "parameters", "calibration", "rig", "facts"),
+    *("pixel_size", "image_width", "image_height"),  # of images without a rig
+)
 _EXPERIMENT = dataset_of(over=MAP_DIMENSIONS)
 
 
@@ -116,7 +120,7 @@ def difference_maps(one: xr.Dataset, other: xr.Dataset, step: int) -> xr.Dataset
 
 
 def differing_attributes(one: xr.Dataset, other: xr.Dataset) -> list[Difference]:
-    """Return the settings, parts of the calibration and the rig, the software and the reference steps that differ.
+    """Return the settings, parts of calibration and rig, software, scale, image size and reference steps that differ.
 
     Examples
     --------
@@ -232,7 +236,7 @@ def _flat_attributes(dataset: xr.Dataset) -> dict[str, Any]:
     for name in _ATTRIBUTES:
         if name not in dataset.attrs:
             continue
-        value = dataset.attrs[name]
+        value = plain(dataset.attrs[name])
         if name == "parameters":
             value = json.loads(value)[-1]["parameters"]
         elif name in ("calibration", "rig", "facts"):

@@ -87,6 +87,17 @@ def test_displacements_relative_to_other_reference_steps_are_named(tmp_path: Pat
     assert "different reference steps" not in comparison_sentences(compare_experiments(one, one))[0]
 
 
+def test_scale_and_size_of_images_are_named(tmp_path: Path) -> None:
+    one = noise(1).assign_attrs(pixel_size=5e-5, image_width=100, image_height=80)
+    one.to_netcdf(tmp_path / "one.nc", engine="h5netcdf")
+    with xr.open_dataset(tmp_path / "one.nc", engine="h5netcdf") as read:
+        assert differing_attributes(one, read) == []
+        found = differing_attributes(read, noise(2).assign_attrs(pixel_size=1e-4, image_width=120, image_height=90))
+        assert found == [("pixel_size", 5e-5, 1e-4), ("image_width", 100, 120), ("image_height", 80, 90)]
+        assert [str(each.one) for each in found] == ["5e-05", "100", "80"]
+        assert not any(isinstance(each.one, np.generic) for each in found)
+
+
 def test_the_page_shows_settings_curves_and_maps(experiments: tuple[xr.Dataset, xr.Dataset], tmp_path: Path) -> None:
     page = write_comparison(*experiments, tmp_path / "page.html").read_text()
     assert "parameters.dic.window" in page
