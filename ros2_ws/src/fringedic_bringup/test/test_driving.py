@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from fringedic.configuration.programme import Programme
-from fringedic.errors import NodeDiedError, OperatorError, RigBusyError, StepFailedError
+from fringedic.configuration.programme import Programme, ProgrammeStep
+from fringedic.errors import ConfigurationError, NodeDiedError, OperatorError, RigBusyError, StepFailedError
 from fringedic_bringup.launch.graph import Graph, NodeEntry
 from fringedic_bringup.procedures import driving
-from fringedic_bringup.procedures.driving import STEPS_DONE, Driven, RecordedSteps
-from fringedic_bringup.procedures.run import steps_done
+from fringedic_bringup.procedures.continuing import STEPS_DONE, RecordedSteps, steps_done
+from fringedic_bringup.procedures.driving import Driven
 
 EXPERIMENT = "plate"
 MEASURED = 5  # steps of an earlier run
@@ -161,7 +161,10 @@ def test_a_failed_step_is_done_and_an_interrupted_one_is_not(tmp_path: Path, mon
     driven = drive(rig, monkeypatch, steps=4)
     assert [bool(report.error) for report in driven.steps] == [False, True]
     assert driven.interrupted
-    assert (tmp_path / STEPS_DONE).read_text() == str(MEASURED + 2)
+    assert steps_done(tmp_path / STEPS_DONE, 0, [ProgrammeStep()] * (MEASURED + 4)) == MEASURED + 2
+    others = [*[ProgrammeStep()] * (MEASURED + 1), *[ProgrammeStep(position_mm=1.0)] * 3]
+    with pytest.raises(ConfigurationError, match=f"the first {MEASURED + 2} steps of the programme are not those"):
+        steps_done(tmp_path / STEPS_DONE, 0, others)
 
 
 @pytest.mark.parametrize(("measured", "done"), [(0, 0), (1, 2), (2, 4), (3, 4)])

@@ -6,7 +6,6 @@ repeated.
 
 from __future__ import annotations
 
-import itertools
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -25,10 +24,10 @@ from fringedic.errors import (
     WaitTimeoutError,
 )
 from fringedic.recording.bag_files import BAG
-from fringedic.recording.manifest import write_whole
 from fringedic.report.programme import block_end_sentence, condition_sentence
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.processes import RunningGraph
+from fringedic_bringup.procedures.continuing import STEPS_DONE, RecordedSteps, save_steps_done
 from fringedic_bringup.procedures.outcome import Progress, RunControl, StepReport
 from fringedic_bringup.procedures.recording_parts import next_part
 from fringedic_msgs.action import MeasureStep
@@ -39,26 +38,7 @@ WITH_REFERENCE = ("dic", "coupling")  # keep the reference step in memory and lo
 INTERRUPTION_S = 5.0  # wait for the answer to hold and cancel
 BUSY_S = 1.0  # between two attempts while another controller uses the rig
 PAUSE_S = 30 * 86400.0  # longest pause
-STEPS_DONE = "steps_done"  # file among the logs: how many steps of the programme were done
 RESTART_S = 40.0  # from the start of a node until it is ready and its predecessor's lease has ended
-
-
-class RecordedSteps(NamedTuple):
-    """Steps of the run that a programme goes on with.
-
-    Attributes
-    ----------
-    measured
-        Numbers of the measured steps.
-    last
-        Number of the last step; -1 without steps.
-    done
-        How many steps of the programme were done, also those that move only or failed.
-    """
-
-    measured: list[int]
-    last: int
-    done: int
 
 
 class Driven(NamedTuple):
@@ -138,11 +118,12 @@ def drive(
         ended_early, interrupted = "", False
         try:
             with suppress(StopIteration):
-                for done in itertools.count(1):
-                    step = walk.send(reading)
-                    if before is None or done > before.done:
-                        reading = driver.do(step)
-                        write_whole(running.logs / STEPS_DONE, str(done))
+                done: list[ProgrammeStep] = []
+                while True:
+                    done.append(walk.send(reading))
+                    if before is None or len(done) > before.done:
+                        reading = driver.do(done[-1])
+                        save_steps_done(running.logs / STEPS_DONE, done)
             driver.finish()
         except (FringedicError, OSError) as error:
             driver.end()

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from fringedic.errors import ConfigurationError, NodeDiedError, RecordingError
+from fringedic.recording.frames import records
 from fringedic.recording.reader import BagReader
+from fringedic.results.timeline import refuse_repeated_steps
 from fringedic.rig.compatibility import check_calibration
 from fringedic.rig.model import RigModel
 from fringedic.steps.recorded_rig import recorded_setup, require_calibration
@@ -68,6 +70,8 @@ def replay(
         The coarsest fringes repeat in the view of the calibration.
     ConfigurationError
         A chosen step is not in the recording.
+    DatasetError
+        The recording contains several measurements of a step under one number.
     NodeDiedError
         A node ended, or nodes did not answer the player; the message contains the end of its log.
     """
@@ -79,6 +83,7 @@ def replay(
     else:
         check_calibration(RigModel.from_yaml(calibration), recorded_setup(BagReader(bag)))
     count = _count_steps(bag, set(steps), reference)
+    refuse_repeated_steps(records(BagReader(bag)), bag)
     graph = replay_graph(bag, target, overrides or {}, steps=steps, reference=reference, calibration=calibration)
     with (
         private_domain() as domain,

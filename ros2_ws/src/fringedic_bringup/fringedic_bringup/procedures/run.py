@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import replace
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from fringedic.configuration.forecast import forecast
-from fringedic.configuration.programme import Programme, ProgrammeStep
+from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_programme, load_rig_file
 from fringedic.configuration.sections import VIRTUAL_RIG
 from fringedic.configuration.virtual_calibration import calibration_of
@@ -29,12 +26,18 @@ from fringedic.report.confirmation import confirmation_sentence
 from fringedic.report.experiment import TRUTH
 from fringedic.report.forecast import forecast_sentence
 from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
-from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
+from fringedic_bringup.launch.graph import rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.procedures.driving import STEPS_DONE, RecordedSteps, drive
+from fringedic_bringup.procedures.continuing import (
+    continued,
+    folder_of_one_command,
+    recorded_steps,
+    require_same_calibration,
+    require_same_settings,
+)
+from fringedic_bringup.procedures.driving import drive
 from fringedic_bringup.procedures.outcome import Progress, RunControl, RunReport, StepReport
-from fringedic_bringup.procedures.recording_parts import join_parts, next_part
-from fringedic_msgs.msg import StepStatus
+from fringedic_bringup.procedures.recording_parts import join_parts
 
 Reconstruct = Callable[[xr.DataArray], xr.Dataset]
 
@@ -113,7 +116,8 @@ def run_experiment(
     Raises
     ------
     ConfigurationError
-        The folder contains a recording already; or, with `resume`, none, or the programme has conditions.
+        The folder contains a recording already, or another command uses it; or, with `resume`, it contains none, or
+        the programme or the settings do not continue it.
     RecordingError
         The disk has less space than the programme needs; nothing was started.
     NodeDiedError, WaitTimeoutError, StepFailedError
@@ -125,81 +129,34 @@ def run_experiment(
             if resume
             else f"{folder} contains a recording already; choose another --output, or go on with it by --continue"
         )
-    if resume:
-        join_parts(folder / "bag", progress, rig.recording.split)  # of a command that was killed before it joined them
-    before = _recorded_steps(folder / "bag", programme) if resume else None
     expected = forecast(rig, programme)
     progress.note(f"{programme.experiment}: {forecast_sentence(expected)}")
     expected.check_disk(folder)
-    graph = rig_graph(rig, rig_path, folder, experiment=programme.experiment)
-    if before is not None:
-        progress.note(f"{programme.experiment}: {len(before.measured)} steps are measured already")
-        graph = _continued(graph, folder / "bag", before)
-    if isinstance(rig.calibration, str) and rig.calibration != VIRTUAL_RIG:
-        for words in in_force_words(rig_path.parent / rig.calibration, datetime.now(UTC)):
-            progress.note(words)
-    progress.stage(f"{programme.experiment}: starting {len(graph.nodes)} nodes")
-    with RunningGraph(graph, folder / "logs", domain=domain) as running:
-        driven = drive(running, programme, progress, domain=domain, before=before, control=control)
-        progress.stage(f"{programme.experiment}: closing the recording")
-    join_parts(folder / "bag", progress, rig.recording.split)
-    progress.stage(f"{programme.experiment}: writing dataset, pictures and report")
-    again = before.measured[0] if before is not None and before.measured else driven.measure_again
-    report = write_results(programme.experiment, folder, driven.steps, exact=_exact(rig), measure_again=again)
-    report.ended_early, report.interrupted = driven.ended_early, driven.interrupted
-    return report
-
-
-def _recorded_steps(bag: Path, programme: Programme) -> RecordedSteps:
-    """Return the steps of a recording that a programme goes on with.
-
-    Raises
-    ------
-    ConfigurationError
-        The programme has conditions, whose readings are not known any more, or no step is left.
-    """
-    if programme.conditions():
-        raise ConfigurationError(
-            f"{programme.experiment} has conditions (until), which need the readings of all steps: start a new run"
-        )
-    reader = BagReader(bag)
-    statuses = [message for _, message, _ in reader.messages(reader.find("experiment/step").values())]
-    measured = sorted({status.step for status in statuses if status.stage == StepStatus.END})
-    steps = programme.load_steps()
-    done = steps_done(bag.with_name("logs") / STEPS_DONE, len(measured), steps)
-    if done >= len(steps):
-        count = sum(step.mode != "none" for step in steps)
-        raise ConfigurationError(
-            f"{bag.parent}: no step of the programme is left, {len(measured)} of {count} are measured"
-        )
-    return RecordedSteps(measured, max((status.step for status in statuses), default=-1), done)
-
-
-def steps_done(file: Path, measured: int, steps: Sequence[ProgrammeStep]) -> int:
-    """Return how many steps of a programme were done; of a run of an earlier version, as if none had failed."""
-    with suppress(OSError, ValueError):
-        return int(file.read_text())
-    ends = [number for number, step in enumerate(steps, 1) if step.mode != "none"]
-    return ([0, *ends])[min(measured, len(ends))]
-
-
-def _continued(graph: Graph, bag: Path, before: RecordedSteps) -> Graph:
-    """Return a graph that records the next part, with the next numbers of steps; the truth ends with the first part."""
-    changes: dict[str, dict[str, Any]] = {
-        "recorder": {"bag_path": str(next_part(bag).absolute())},
-        "experiment": {"first_step": before.last + 1},
-        "camera": {"truth_folder": ""},
-    }
-    nodes = (
-        replace(node, parameters={**node.parameters, **_known(node, changes.get(node.name, {}))})
-        for node in graph.nodes
-    )
-    return replace(graph, nodes=tuple(nodes))
-
-
-def _known(node: NodeEntry, changes: dict[str, Any]) -> dict[str, Any]:
-    """Return changes without a truth for a camera that writes none."""
-    return {name: value for name, value in changes.items() if name != "truth_folder" or name in node.parameters}
+    with folder_of_one_command(folder):
+        bag, calibration, before = folder / "bag", folder / "calibration.yaml", None
+        if resume:
+            join_parts(bag, progress, rig.recording.split)  # of a command that was killed before it joined them
+            before = recorded_steps(bag, programme)
+        first_calibration = calibration.read_text() if resume and calibration.exists() else ""
+        graph = rig_graph(rig, rig_path, folder, experiment=programme.experiment)
+        if before is not None:
+            require_same_calibration(calibration, first_calibration)
+            require_same_settings(graph, folder / "logs")
+            progress.note(f"{programme.experiment}: {len(before.measured)} steps are measured already")
+            graph = continued(graph, bag, before)
+        if isinstance(rig.calibration, str) and rig.calibration != VIRTUAL_RIG:
+            for words in in_force_words(rig_path.parent / rig.calibration, datetime.now(UTC)):
+                progress.note(words)
+        progress.stage(f"{programme.experiment}: starting {len(graph.nodes)} nodes")
+        with RunningGraph(graph, folder / "logs", domain=domain) as running:
+            driven = drive(running, programme, progress, domain=domain, before=before, control=control)
+            progress.stage(f"{programme.experiment}: closing the recording")
+        join_parts(bag, progress, rig.recording.split)
+        progress.stage(f"{programme.experiment}: writing dataset, pictures and report")
+        again = before.measured[0] if before is not None and before.measured else driven.measure_again
+        report = write_results(programme.experiment, folder, driven.steps, exact=_exact(rig), measure_again=again)
+        report.ended_early, report.interrupted = driven.ended_early, driven.interrupted
+        return report
 
 
 def write_results(
@@ -239,6 +196,10 @@ def write_results(
         return RunReport(experiment, folder, steps, [], unmeasured=str(error))
     with open_experiment(target) as dataset:
         pictures, errors, no_errors = _compare(dataset, folder, exact)
+        if measure_again is not None:  # the nodes measured against another reference
+            for report in steps:
+                if report.step in dataset.step:
+                    report.rms_displacement = float(dataset.rms_displacement.sel(step=report.step))
         verdict = confirmation_sentence(dataset)
     write_report(bag if measure_again is None else target, folder / "report.html", overwrite=True)
     for report in steps:

@@ -1,0 +1,72 @@
+"""A command goes on with the run of an earlier one: alone in its folder, and with the same settings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from fringedic.configuration.rig_file import load_rig_file
+from fringedic.errors import ConfigurationError
+from fringedic_bringup.launch.graph import Graph, rig_graph
+from fringedic_bringup.procedures.continuing import (
+    folder_of_one_command,
+    require_same_calibration,
+    require_same_settings,
+)
+
+TINY = Path(__file__).parents[1] / "config" / "tiny.yaml"
+
+
+def graph_of(folder: Path, **sections: object) -> Graph:
+    """Return the nodes of the tiny rig with some sections of its file replaced."""
+    path = folder / "rig.yaml"
+    path.write_text(yaml.safe_dump(yaml.safe_load(TINY.read_text()) | sections))
+    return rig_graph(load_rig_file(path), path, folder / "run", experiment="tiny")
+
+
+def test_a_folder_belongs_to_one_command(tmp_path: Path) -> None:
+    refused = pytest.raises(ConfigurationError, match="run is in use by another command")
+    with folder_of_one_command(tmp_path / "run"), refused, folder_of_one_command(tmp_path / "run"):
+        pass
+    with folder_of_one_command(tmp_path / "run"):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("sections", "named"),
+    [
+        ({"sequence": {"pitches_px": [100.0, 20.0, 10.0], "shifts": 4}}, "experiment.pitches_px"),
+        ({"nodes": {"dic": {"window": 24}}}, "dic.window"),
+        ({"camera": {"source": "virtual", "exposure_ms": 12.0}}, "camera.exposure_time_s"),
+        ({"load_frame": {"source": "simulated", "rate_hz": 50.0}}, ""),
+    ],
+)
+def test_settings_that_change_results_are_those_of_the_first_steps(
+    sections: dict[str, object], named: str, tmp_path: Path
+) -> None:
+    logs = tmp_path / "run" / "logs"
+    first = graph_of(tmp_path)
+    logs.mkdir()
+    for node in first.nodes:
+        node.write_parameters(logs)
+    require_same_settings(first, logs)
+    changed = graph_of(tmp_path, **sections)
+    if not named:
+        require_same_settings(changed, logs)
+        return
+    with pytest.raises(ConfigurationError, match=rf"not those of its first steps \({named}\); undo the change"):
+        require_same_settings(changed, logs)
+
+
+def test_another_calibration_is_refused_and_the_first_one_stays(tmp_path: Path) -> None:
+    graph_of(tmp_path)
+    file = tmp_path / "run" / "calibration.yaml"
+    first = file.read_text()
+    graph_of(tmp_path)
+    require_same_calibration(file, first)
+    file.write_text(f"{first}# another one\n")
+    with pytest.raises(ConfigurationError, match=r"not that of its first steps, calibration\.yaml"):
+        require_same_calibration(file, first)
+    assert file.read_text() == first
