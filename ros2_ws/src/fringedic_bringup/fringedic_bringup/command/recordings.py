@@ -60,6 +60,7 @@ def process(
     from fringedic.recording.reader import BagReader
     from fringedic.recording.remote import local_copy
     from fringedic.report.confirmation import confirmation_sentence
+    from fringedic.report.references import references_sentence
     from fringedic.results import open_experiment, process_bag
     from fringedic.results.datasets import PROCESSED_TOPICS
     from fringedic.rig.model import RigModel
@@ -96,8 +97,8 @@ def process(
                 progress=tell,
             )
         with open_experiment(written) as dataset:
-            verdict = confirmation_sentence(dataset)
-        say(f"dataset: {written}", f"whole: {errors.count('')} of {len(errors)} steps", *([verdict] if verdict else []))
+            sentences = [references_sentence(dataset), confirmation_sentence(dataset)]
+        say(f"dataset: {written}", f"whole: {errors.count('')} of {len(errors)} steps", *filter(None, sentences))
         say(next_reading(written))
 
     if output is not None and len(bags) > 1:
