@@ -1,6 +1,7 @@
 """Metadata of an experiment in the R3XA schema, version 2024.7.1.
 
-Only known values are written; a text that the schema requires is empty if nobody entered it.
+Only known values are written; a text that the schema requires is empty if nobody entered it. Without the times of the
+steps the document lacks ``date`` and ``time_reference``, which the schema requires.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from fringedic.results.attributes import experiment_name, origin_of, seconds
+from fringedic.results.attributes import experiment_name, first_time, origin_of, seconds
 
 VERSION = "2024.7.1"
 
@@ -20,7 +21,9 @@ VERSION = "2024.7.1"
 def write_r3xa(dataset: xr.Dataset, file: Path) -> list[str]:
     """Write the metadata as JSON."""
     file.write_text(json.dumps(r3xa_document(dataset), indent=1, ensure_ascii=False), encoding="utf-8")
-    return []
+    if "time" in dataset:
+        return []
+    return ["the times of the steps are not known; enter date and time_reference, which the schema of R3XA requires"]
 
 
 def r3xa_document(dataset: xr.Dataset) -> dict[str, Any]:
@@ -28,18 +31,17 @@ def r3xa_document(dataset: xr.Dataset) -> dict[str, Any]:
     known = origin_of(dataset)
     entered = known.get("facts", {})
     specimen, hardware = entered.get("specimen", {}), entered.get("hardware", {})
-    calibration, rig = known.get("calibration"), known.get("rig", {})
     name = experiment_name(dataset)
-    stamps = dataset["time"].values if "time" in dataset else None
+    date = {"date": str(np.datetime_as_string(first_time(dataset), unit="D"))} if "time" in dataset else {}
     return {
         "title": name,
         "description": specimen.get("notes") or f"Experiment {name}, measured by {known.get('software', 'fringedic')}",
         "version": VERSION,
         "authors": specimen.get("operator", ""),
-        "date": "1970-01-01" if stamps is None else str(np.datetime_as_string(stamps.min(), unit="D")),
+        **date,
         "settings": [_specimen(name, specimen)],
-        "data_sources": [_camera(calibration, hardware, rig), _analysis(known)],
-        "data_sets": [_results(dataset, stamps)],
+        "data_sources": [_camera(dataset, known, hardware), _analysis(dataset, known)],
+        "data_sets": [_results(dataset)],
     }
 
 
@@ -60,12 +62,12 @@ def _specimen(experiment: str, entered: dict[str, Any]) -> dict[str, Any]:
     return setting | ({"patterning_technique": entered["pattern"]} if entered.get("pattern") else {})
 
 
-def _camera(calibration: dict[str, Any] | None, hardware: dict[str, Any], rig: dict[str, Any]) -> dict[str, Any]:
+def _camera(dataset: xr.Dataset, known: dict[str, Any], hardware: dict[str, Any]) -> dict[str, Any]:
     source: dict[str, Any] = {
         "id": "camera",
         "kind": "data_sources/camera",
         "title": "camera",
-        "description": "frames of fringes and white light",
+        "description": "frames of fringes and white light" if "w" in dataset else "images",
         "output_components": 1,
         "output_dimension": "surface",
         "output_units": [{"kind": "unit", "unit": "grey level"}],
@@ -73,17 +75,21 @@ def _camera(calibration: dict[str, Any] | None, hardware: dict[str, Any], rig: d
         "model": hardware.get("camera", ""),
         "image_size": [],
     }
-    if calibration is not None:
-        width, height, scale = (calibration[key] for key in ("camera_width", "camera_height", "pixel_size"))
-        across = scale / calibration["pixel_aspect"]
+    calibration = known.get("calibration")
+    view, prefix = (known, "image") if calibration is None else (calibration, "camera")
+    width, height, scale = (view.get(key) for key in (f"{prefix}_width", f"{prefix}_height", "pixel_size"))
+    if width is not None and height is not None:
         source["image_size"] = [_quantity(width, "px", "width"), _quantity(height, "px", "height")]
-        source["field_of_view"] = [
-            _quantity(1e3 * width * across, "mm", "width"),
-            _quantity(1e3 * height * scale, "mm", "height"),
-        ]
+        if scale is not None:
+            source["field_of_view"] = [
+                _quantity(1e3 * width * scale / view.get("pixel_aspect", 1.0), "mm", "width"),
+                _quantity(1e3 * height * scale, "mm", "height"),
+            ]
+    if scale is not None:
         source["image_scale"] = _quantity(1e-3 / scale, "px/mm")
+    if calibration is not None:
         source["standoff_distance"] = _quantity(1e3 * calibration["camera_distance"], "mm")
-    exposure = rig.get("camera", {}).get("exposure_time_s")
+    exposure = known.get("rig", {}).get("camera", {}).get("exposure_time_s")
     if exposure is not None:
         source["exposure"] = _quantity(1e3 * exposure, "ms")
     if hardware.get("focal_length_mm") is not None:
@@ -92,22 +98,26 @@ def _camera(calibration: dict[str, Any] | None, hardware: dict[str, Any], rig: d
     return source | {theirs: hardware[ours] for ours, theirs in entered.items() if hardware.get(ours)}
 
 
-def _analysis(known: dict[str, Any]) -> dict[str, Any]:
+def _analysis(dataset: xr.Dataset, known: dict[str, Any]) -> dict[str, Any]:
+    spatial = "w" in dataset
     return {
         "id": "analysis",
         "kind": "data_sources/generic",
-        "title": "shape and 3D displacement",
+        "title": "shape and 3D displacement" if spatial else "in-plane displacement",
         "description": json.dumps(known.get("parameters", [])),
-        "output_components": 3,
+        "output_components": 3 if spatial else 2,
         "output_dimension": "surface",
-        "output_units": [{"kind": "unit", "unit": "m"}],
+        "output_units": [{"kind": "unit", "unit": "m" if "u" in dataset else "px"}],
         "manufacturer": "",
         "model": f"{known.get('software', '')}, commit {known.get('commit', '')}",
     }
 
 
-def _results(dataset: xr.Dataset, stamps: np.ndarray | None) -> dict[str, Any]:
-    begin = 0.0 if stamps is None else float(stamps.min().astype("datetime64[ns]").astype(np.int64)) * 1e-9
+def _results(dataset: xr.Dataset) -> dict[str, Any]:
+    times: dict[str, Any] = {"timestamps": []}
+    if "time" in dataset:
+        begin = float(first_time(dataset).astype("datetime64[ns]").astype(np.int64)) * 1e-9
+        times = {"time_reference": begin, "timestamps": seconds(dataset).tolist()}
     return {
         "id": "results",
         "kind": "data_sets/list",
@@ -115,7 +125,6 @@ def _results(dataset: xr.Dataset, stamps: np.ndarray | None) -> dict[str, Any]:
         "description": "one labelled dataset; each step is one index of its dimension 'step'",
         "file_type": "application/x-netcdf",
         "data_sources": ["camera", "analysis"],
-        "time_reference": begin,
-        "timestamps": seconds(dataset).tolist(),
+        **times,
         "data": [f"step {int(number)}" for number in dataset["step"].values],
     }

@@ -76,7 +76,7 @@ def _maps(step: xr.Dataset, names: Iterable[str], valid: np.ndarray) -> dict[str
 
 
 def write_vtk(dataset: xr.Dataset, folder: Path) -> list[str]:
-    """Write one ``.vtp`` per step and a ``.pvd`` that gives them their times.
+    """Write one ``.vtp`` per step and a ``.pvd`` that gives them their times; without times the numbers of the steps.
 
     The points are those of the reference surface [mm]; ``displacement_mm`` moves them (Warp By Vector, factor 1).
 
@@ -96,7 +96,8 @@ def write_vtk(dataset: xr.Dataset, folder: Path) -> list[str]:
     entries: list[str] = []
     skipped: list[str] = []
     text = origin_text(dataset)
-    times = dict(zip(dataset["step"].values.tolist(), seconds(dataset), strict=True))
+    timed, numbers = "time" in dataset, dataset["step"].values.tolist()
+    times = dict(zip(numbers, seconds(dataset) if timed else numbers, strict=True))
     names = [
         name for name in map_names(dataset) if name not in (*_POSITIONS, *_MOTION) and not name.startswith("shape_")
     ]
@@ -112,7 +113,8 @@ def write_vtk(dataset: xr.Dataset, folder: Path) -> list[str]:
         for name, values in _maps(step, names, valid).items():
             mesh.point_data[name] = values
         mesh.field_data["metadata"] = [text]
-        mesh.field_data["TimeValue"] = np.array([time])
+        if timed:
+            mesh.field_data["TimeValue"] = np.array([time])
         for name, value in step_numbers(step).items():
             mesh.field_data[name] = np.array([value])
         name = f"step_{int(step.step):03d}.vtp"

@@ -57,8 +57,11 @@ def write_csv(dataset: xr.Dataset, folder: Path) -> list[str]:
 def _steps_table(dataset: xr.Dataset) -> list[list[Any]]:
     """Return heading and one line per step, in the units of people."""
     scalars = [name for name in _SCALARS if name in dataset]
-    heading = ["step", "time [s]"]
-    columns: list[list[Any]] = [dataset["step"].values.tolist(), seconds(dataset).tolist()]
+    heading = ["step"]
+    columns: list[list[Any]] = [dataset["step"].values.tolist()]
+    if "time" in dataset:
+        heading.append("time [s]")
+        columns.append(seconds(dataset).tolist())
     for name in scalars:
         unit = _SCALAR_UNITS.get(name) or people_unit(dataset[name])
         heading.append(f"{name} [{unit.text}]")
@@ -91,9 +94,10 @@ def write_matlab(dataset: xr.Dataset, file: Path) -> list[str]:
         content[name] = dataset[name].transpose("row", "column", "step").values
     content |= {name: dataset[name].values.astype(float) for name in (*_SCALARS, *STEP_NUMBERS) if name in dataset}
     content |= {name: dataset[name].values.astype(float) for name in MAP_DIMENSIONS}
-    content["time"] = seconds(dataset)
-    units = {name: dataset[name].attrs.get("units", "1") for name in content if name in dataset}
-    content["units"] = units | {"time": "s"}
+    units = {name: dataset[name].attrs.get("units", "1") for name in content}
+    if "time" in dataset:
+        content["time"], units["time"] = seconds(dataset), "s"
+    content["units"] = units
     content["metadata"] = origin_text(dataset)
     scipy.io.savemat(file, content, do_compression=True, oned_as="column")
     return []

@@ -18,7 +18,8 @@ from fringedic.figures.maps import save_pictures
 from fringedic.figures.panels import ANIMATED
 from fringedic.inputs.arguments import check_arguments, optional, path, several, text, whole
 from fringedic.inputs.arguments import dataset as dataset_of
-from fringedic.results.attributes import file_stem
+from fringedic.results.attributes import file_stem, first_time
+from fringedic.results.quantities import TIME_ZERO
 
 
 class _Format(NamedTuple):
@@ -136,6 +137,8 @@ def export_dataset(
         if absent:
             present = ", ".join(str(number) for number in dataset["step"].values)
             raise ExportError(f"the dataset has no step {', '.join(map(str, absent))}; it has {present}")
+        if "time" in dataset:  # the times of a selection count from the first step of the whole dataset
+            dataset = dataset.assign_attrs({TIME_ZERO: str(first_time(dataset))})
         dataset = dataset.sel(step=chosen)
     try:
         folder.mkdir(parents=True, exist_ok=True)

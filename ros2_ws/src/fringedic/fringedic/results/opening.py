@@ -23,6 +23,7 @@ from fringedic.results.quantities import (
     METADATA_ATTRIBUTE,
     RECORDING,
     STEP_NUMBERS,
+    TIME_ZERO,
     layout_of_images,
 )
 from fringedic.results.stores import SUFFIXES, dataset_path
@@ -177,6 +178,8 @@ def _fault(dataset: xr.Dataset) -> str:
     for name, kind in JSON_ATTRIBUTES.items():
         if name in dataset.attrs and not _is_json(dataset.attrs[name], kind):
             return f"the attribute '{name}' is damaged or of another program; process its recording again"
+    if TIME_ZERO in dataset.attrs and not _is_time(dataset.attrs[TIME_ZERO]):
+        return f"the attribute '{TIME_ZERO}' is damaged or of another program; process its recording again"
     return ""
 
 
@@ -195,6 +198,13 @@ def _fault_of_variables(dataset: xr.Dataset) -> str:
         if not np.isfinite(dataset[name].values).all():
             return f"'{name}' contains a position that is no finite number"
     return ""
+
+
+def _is_time(text: Any) -> bool:
+    try:
+        return isinstance(text, str) and bool(np.isfinite(np.datetime64(text)))
+    except ValueError:
+        return False
 
 
 def _is_json(text: Any, kind: type) -> bool:

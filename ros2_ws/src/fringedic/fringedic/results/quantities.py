@@ -10,6 +10,7 @@ import xarray as xr
 
 MAP_DIMENSIONS = ("step", "row", "column")
 METADATA_ATTRIBUTE = "facts"  # name of the metadata in datasets
+TIME_ZERO = "time_zero"  # attribute of selected steps: time of the first step of the whole dataset
 
 
 class Quantity(NamedTuple):

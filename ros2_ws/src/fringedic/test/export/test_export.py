@@ -291,6 +291,61 @@ def test_r3xa_says_what_is_known_and_nothing_else(exported):
     assert document["settings"][0]["sizes"] == [{"kind": "unit", "unit": "mm2", "value": 12.5, "title": "section"}]
 
 
+def test_images_without_times_have_no_times_in_their_exports(image_series, tmp_path):
+    done = {each.format: each for each in export_dataset(image_series, tmp_path, ["csv", "mat", "r3xa"])}
+    assert [heading for heading in steps_of(done["csv"]) if "time" in heading] == []
+    content = scipy.io.loadmat(done["mat"].path, squeeze_me=True, simplify_cells=True)
+    assert "time" not in content
+    assert "time" not in content["units"]
+    document = json.loads(done["r3xa"].path.read_text("utf-8"))
+    assert "date" not in document
+    assert "time_reference" not in document["data_sets"][0]
+    assert document["data_sets"][0]["timestamps"] == []
+    assert "date and time_reference" in done["r3xa"].problems[0]
+
+
+def test_vtk_series_of_images_without_times_counts_steps(image_series, tmp_path):
+    [done] = export_dataset(image_series, tmp_path, ["vtk"], steps=[1, 2])
+    if "pixel_size" not in image_series.attrs:
+        assert done.path is None
+        return
+    reader = pyvista.get_reader(done.path / "series.pvd")
+    assert reader.time_values == [1.0, 2.0]
+    assert "TimeValue" not in pyvista.read(done.path / "step_001.vtp").field_data
+
+
+def test_r3xa_of_images_describes_their_displacement(image_series, tmp_path):
+    [done] = export_dataset(image_series, tmp_path, ["r3xa"])
+    camera, analysis = json.loads(done.path.read_text("utf-8"))["data_sources"]
+    assert camera["description"] == "images"
+    assert [side["value"] for side in camera["image_size"]] == [14, 11]
+    assert (analysis["title"], analysis["output_components"]) == ("in-plane displacement", 2)
+    scaled = "pixel_size" in image_series.attrs
+    assert analysis["output_units"] == [{"kind": "unit", "unit": "m" if scaled else "px"}]
+    assert ("image_scale" in camera, "field_of_view" in camera) == (scaled, scaled)
+    if scaled:
+        assert camera["image_scale"]["value"] == pytest.approx(20.0)
+        assert [side["value"] for side in camera["field_of_view"]] == pytest.approx([0.7, 0.55])
+
+
+def test_chosen_steps_keep_their_times(dataset, tmp_path):
+    done = {
+        each.format: each for each in export_dataset(dataset, tmp_path, ["csv", "mat", "vtk", "r3xa"], steps=[1, 2])
+    }
+    assert steps_of(done["csv"])["time [s]"] == ["1.5", "3.0"]
+    assert scipy.io.loadmat(done["mat"].path, squeeze_me=True)["time"].tolist() == [1.5, 3.0]
+    assert pyvista.get_reader(done["vtk"].path / "sheet.pvd").time_values == [1.5, 3.0]
+    [results] = json.loads(done["r3xa"].path.read_text("utf-8"))["data_sets"]
+    assert (results["time_reference"], results["timestamps"]) == (pytest.approx(START * 1e-9), [1.5, 3.0])
+
+
+def test_times_of_a_selection_stay_comparable_when_it_is_exported_again(dataset, tmp_path):
+    [selected] = export_dataset(dataset, tmp_path, ["netcdf"], steps=[1, 2])
+    with open_experiment(selected.path) as again:
+        [done] = export_dataset(again, tmp_path, ["csv"], steps=[2])
+    assert steps_of(done)["time [s]"] == ["3.0"]
+
+
 def test_nothing_is_overwritten_unasked(dataset, tmp_path):
     first = export_dataset(dataset, tmp_path, ["mat", "csv"], steps=[1])
     before = first[0].path.read_bytes()

@@ -30,6 +30,8 @@ def dataset(steps, **attributes):
         (dataset([0], parameters="{"), "the attribute 'parameters' is damaged"),
         (dataset([0], rig="none"), "the attribute 'rig' is damaged"),
         (dataset([0], calibration="null"), "the attribute 'calibration' is damaged"),
+        (dataset([0], time_zero="noon"), "the attribute 'time_zero' is damaged"),
+        (dataset([0], time_zero=5), "the attribute 'time_zero' is damaged"),
         (dataset([0]).assign_coords(step=["first"]), r"'step' contains .* over \(step\) instead of whole numbers"),
         (dataset([0]).assign_coords(step=[0.5]), "'step' contains float64 .* instead of whole numbers"),
         (dataset([0]).assign(time=("step", [1.5])), r"'time' contains float64 over \(step\) instead of times"),
