@@ -1,4 +1,4 @@
-"""Commands refuse the calibration of another rig, fringes that repeat in view, and recordings without calibration."""
+"""Commands refuse the calibration of another rig, fringes that repeat in view, and unsuitable recordings."""
 
 from __future__ import annotations
 
@@ -102,6 +102,22 @@ def test_recording_without_calibration_says_how_to_give_one(command: str, uncali
     error = refusal(command, uncalibrated, "--output", tmp_path / "new.nc")
     assert error.code is ErrorCode.NO_CALIBRATION
     assert "--calibration FILE" in str(error)
+
+
+@pytest.mark.parametrize("command", ["process", "replay"])
+def test_two_measurements_under_one_number_are_refused(command: str, tmp_path: Path) -> None:
+    reader = BagReader(RECORDED / "bag")
+    with BagWriter(tmp_path / "bag") as writer:
+        for topic in reader.topics.values():
+            writer.add_recorded_topic(topic)
+        for message in reader.stored():
+            writer.write(*message)
+            if message.topic.endswith("/exposure"):
+                second = int.from_bytes(message.data[4:8], "little") + 60  # of the stamp, after the CDR header
+                writer.write(*message._replace(data=message.data[:4] + second.to_bytes(4, "little") + message.data[8:]))
+    error = refusal(command, tmp_path / "bag", "--output", tmp_path / "new.nc")
+    assert "step 0 of experiment 'tiny' was measured more than once under this number" in str(error)
+    assert not (tmp_path / "new.nc").exists(), "nothing was started"
 
 
 def test_recording_without_calibration_is_measured_with_a_given_one(

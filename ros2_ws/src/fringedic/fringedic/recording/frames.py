@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -92,6 +93,24 @@ def records(bag: BagReader, experiment: str | None = None) -> Iterator[FrameReco
         record = frame_record(message)
         if experiment is None or record.experiment == experiment:
             yield record
+
+
+def repeated_steps(exposures: Iterable[tuple[str, int, int, int]]) -> list[tuple[str, int]]:
+    """Return experiment and number of the steps of which a frame was exposed more than once.
+
+    Parameters
+    ----------
+    exposures
+        Experiment, step, index and stamp [ns] of each exposure. A copy of a record has the same stamp and is no other
+        exposure.
+
+    Examples
+    --------
+    >>> repeated_steps([("plate", 0, 0, 10), ("plate", 0, 0, 10), ("plate", 1, 0, 20), ("plate", 1, 0, 90)])
+    [('plate', 1)]
+    """
+    counted = Counter(each[:3] for each in set(exposures))
+    return sorted({(experiment, step) for (experiment, step, _), count in counted.items() if count > 1})
 
 
 def events(

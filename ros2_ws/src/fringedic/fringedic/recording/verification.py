@@ -10,7 +10,7 @@ from pathlib import Path
 
 from fringedic.frames.records import stamp_of
 from fringedic.recording.bag_metadata import offered_profiles
-from fringedic.recording.frames import EXPOSURE, IMAGE
+from fringedic.recording.frames import EXPOSURE, IMAGE, repeated_steps
 from fringedic.recording.manifest import ManifestCheck, check_manifest
 from fringedic.recording.reader import BagReader
 from fringedic.recording.topics import RawMessage, Topic
@@ -43,6 +43,8 @@ class Verification:
         Frames with image and exposure record, and frames that lack one of them or both.
     unfinished_steps
         Experiment and number of each step without a successful end -> (frames recorded, frames of the step).
+    repeated_steps
+        Experiment and number of each step that was measured more than once under this number.
     dropped
         Frames that the camera dropped before it published them.
     """
@@ -57,13 +59,15 @@ class Verification:
     frames: int
     lost_frames: int
     unfinished_steps: dict[Step, tuple[int, int]]
+    repeated_steps: list[Step]
     dropped: int
 
     @property
     def complete(self) -> bool:
-        """Whether nothing is damaged, changed or lost, proved by the checksums of all chunks or by the manifest."""
+        """Whether nothing is damaged, lost or ambiguous, proved by the checksums of all chunks or by the manifest."""
         unconfirmed = self.unchecked and not self.manifest.present
-        return self.manifest.fits and not (self.damage or self.gaps or self.lost_frames or unconfirmed)
+        problems = self.damage, self.gaps, self.lost_frames, self.repeated_steps, unconfirmed
+        return self.manifest.fits and not any(problems)
 
 
 def verify(path: str | os.PathLike[str]) -> Verification:
@@ -103,6 +107,7 @@ def verify(path: str | os.PathLike[str]) -> Verification:
         frames=frames.complete,
         lost_frames=frames.lost(gaps.missing, reader.missing),
         unfinished_steps=frames.unfinished_steps(),
+        repeated_steps=frames.repeated_steps(),
         dropped=frames.dropped,
     )
 
@@ -144,6 +149,7 @@ class _Frames:
         self._images: set[int] = set()
         self._records: set[int] = set()
         self._indices: defaultdict[Step, set[int]] = defaultdict(set)
+        self._exposures: set[tuple[str, int, int, int]] = set()
         self._sizes: dict[Step, int] = {}
         self._finished: set[Step] = set()
 
@@ -160,6 +166,7 @@ class _Frames:
             self._records.add(stamp_of(message))
             if message.count:  # 0 in a free run, whose frames belong to no step
                 self._indices[step].add(message.index)
+                self._exposures.add((*step, message.index, stamp_of(message)))
                 self._sizes[step] = message.count
             self.dropped = max(self.dropped, message.dropped)
         elif message.stage == _END:
@@ -193,3 +200,7 @@ class _Frames:
         return {
             step: (len(self._indices[step]), size) for step, size in self._sizes.items() if step not in self._finished
         }
+
+    def repeated_steps(self) -> list[Step]:
+        """Return each step that was measured more than once under its number."""
+        return repeated_steps(self._exposures)

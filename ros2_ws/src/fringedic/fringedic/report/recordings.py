@@ -77,6 +77,8 @@ def verification_sentences(verification: Verification) -> Iterator[str]:
     for (experiment, step), (recorded, frames) in verification.unfinished_steps.items():
         name = f"step {step} of {experiment or 'no experiment'}"
         yield f"{name}: no successful end recorded, {recorded} of {frames} frames"
+    for experiment, step in verification.repeated_steps:
+        yield f"step {step} of {experiment}: measured more than once under this number"
     if verification.dropped:
         yield f"camera: dropped {grouped(verification.dropped)} frames before it published them"
     exposed = verification.frames + verification.lost_frames

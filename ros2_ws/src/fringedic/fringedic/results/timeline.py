@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from fringedic.errors import DatasetError
 from fringedic.frames.records import FrameRecord, stamp_of
 from fringedic.metadata import FIRST_STEP, SpecimenMetadata
 from fringedic.patterns.pattern import PatternKind
-from fringedic.recording.frames import records
+from fringedic.recording.frames import records, repeated_steps
 from fringedic.recording.load_samples import samples_over
 from fringedic.recording.reader import BagReader
 from fringedic.results.rows import Row
@@ -68,7 +69,8 @@ class Timeline:
     Raises
     ------
     DatasetError
-        The recording contains no frame of the experiment, or several experiments and none is named.
+        The recording contains no frame of the experiment, several experiments and none is named, or several
+        measurements of a step.
     """
 
     def __init__(self, reader: BagReader, names: Mapping[str, str], experiment: str | None) -> None:
@@ -80,7 +82,9 @@ class Timeline:
         self.experiment = _chosen_experiment(reader, exposed, experiment)
         self.source = reader.path.name
         self.damage = reader.lost
-        self._exposed = _exposure_times(record for record in exposed if record.experiment == self.experiment)
+        exposed = [record for record in exposed if record.experiment == self.experiment]
+        refuse_repeated_steps(exposed, reader.path)
+        self._exposed = _exposure_times(exposed)
         announced = {each.step for each in messages("experiment/reference") if each.experiment == self.experiment}
         self.references = announced | {min(self._exposed)}
         self._load = _LoadSamples.of(messages("load_frame/state"))
@@ -127,6 +131,23 @@ def _chosen_experiment(reader: BagReader, exposed: Iterable[FrameRecord], name: 
         wanted = "any experiment" if name is None else f"experiment '{name}'"
         raise DatasetError(f"{reader.path} holds no frame of {wanted}; it has {', '.join(present) or 'none'}")
     return present[0] if name is None else name
+
+
+def refuse_repeated_steps(exposed: Iterable[FrameRecord], path: Path) -> None:
+    """Refuse a recording with several measurements under one number, whose frames and forces would be mixed.
+
+    Raises
+    ------
+    DatasetError
+        The message names the first such step.
+    """
+    repeated = repeated_steps((each.experiment, each.step, each.index, each.stamp) for each in exposed if each.count)
+    if repeated:
+        experiment, step = repeated[0]
+        raise DatasetError(
+            f"{path}: step {step} of experiment '{experiment}' was measured more than once under this number; "
+            "use the separate recordings of the measurements"
+        )
 
 
 def _exposure_times(exposed: Iterable[FrameRecord]) -> dict[int, tuple[float, float]]:

@@ -39,6 +39,22 @@ def copy(target, *, without=(), sequence=None, split=None):
     return target
 
 
+def repeat(target, *, seconds=60, renamed=b"tiny"):
+    """Write the recording and its frames once more, this much later, and optionally as frames of another experiment."""
+    reader = BagReader(RECORDED)
+    with BagWriter(target) as writer:
+        for topic in reader.topics.values():
+            writer.add_recorded_topic(topic)
+        for message in reader.stored():
+            writer.write(*message[:4])
+        for topic, data, log_time, publish_time, _ in reader.stored():
+            if topic in (IMAGE, EXPOSURE):
+                second = int.from_bytes(data[4:8], "little") + seconds  # of the stamp, after the CDR header
+                data = data[:4] + second.to_bytes(4, "little") + data[8:].replace(b"tiny", renamed)
+                writer.write(topic, data, log_time + seconds * 10**9, publish_time + seconds * 10**9)
+    return target
+
+
 def number_of(topic, wanted):
     """Return the number of the first message of a topic that fulfils a condition."""
     messages = BagReader(RECORDED).messages([topic])
@@ -112,6 +128,15 @@ def test_interrupted_step_is_listed_and_loses_nothing(tmp_path):
     assert (found.frames, found.lost_frames) == (FRAMES - 7, 0)
     assert [*found.unfinished_steps.values()] == [(5, 12)]
     assert "step 2 of tiny: no successful end recorded, 5 of 12 frames" in list(verification_sentences(found))
+
+
+def test_two_measurements_of_a_step_number_are_not_complete(tmp_path):
+    found = verify(repeat(tmp_path / "twice"))
+    assert found.repeated_steps == [("tiny", 0), ("tiny", 1), ("tiny", 2)]
+    assert not found.complete
+    assert "step 1 of tiny: measured more than once under this number" in list(verification_sentences(found))
+    assert verify(repeat(tmp_path / "copied", seconds=0)).repeated_steps == []
+    assert verify(repeat(tmp_path / "other", renamed=b"next")).complete
 
 
 def test_frames_of_a_free_run_belong_to_no_step(tmp_path):

@@ -1,12 +1,14 @@
-"""The files of a split recording are measured as one."""
+"""The files of a split recording are measured as one; two measurements in one recording are not."""
 
 from pathlib import Path
 
 import pytest
 
+from fringedic.errors import DatasetError
 from fringedic.recording import BagReader, BagWriter, Split
 from fringedic.recording.frames import frames
 from fringedic.results import open_experiment, process_bag
+from fringedic.results.timeline import Timeline
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 
@@ -34,3 +36,26 @@ def test_datasets_are_identical(split, tmp_path):
     other = process_bag(RECORDED, output=tmp_path / "whole.nc")
     with open_experiment(one) as found, open_experiment(other) as whole:
         assert found.load().identical(whole.load())
+
+
+@pytest.mark.parametrize("seconds", [0, 60])
+def test_two_measurements_under_one_number_are_refused(tmp_path, seconds):
+    """A copy of a record has the same stamp and is no second measurement."""
+    reader = BagReader(RECORDED)
+    with BagWriter(tmp_path / "bag") as writer:
+        for topic in reader.topics.values():
+            writer.add_recorded_topic(topic)
+        for message in reader.stored():
+            writer.write(*message)
+        for topic, data, log_time, publish_time, _ in reader.stored():
+            if topic.endswith(("image_raw", "exposure")):
+                second = int.from_bytes(data[4:8], "little") + seconds  # of the stamp, after the CDR header
+                data = data[:4] + second.to_bytes(4, "little") + data[8:]
+                writer.write(topic, data, log_time + seconds * 10**9, publish_time + seconds * 10**9)
+    reader = BagReader(tmp_path / "bag")
+    if not seconds:
+        assert Timeline(reader, reader.find("camera/exposure"), None).steps == [0, 1, 2]
+        return
+    with pytest.raises(DatasetError, match="step 0 of experiment 'tiny' was measured more than once under this number"):
+        process_bag(tmp_path / "bag", output=tmp_path / "new.nc")
+    assert not (tmp_path / "new.nc").exists()
