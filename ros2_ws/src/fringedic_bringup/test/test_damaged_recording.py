@@ -73,6 +73,11 @@ def test_process_counts_whole_steps(damaged: Path, losses: str, tmp_path: Path) 
     assert re.search(f"{re.escape(steps)} {verdict} {re.escape(following)}", answer)
 
 
+def test_calibration_names_the_losses_of_its_recording(damaged: Path, losses: str, tmp_path: Path) -> None:
+    done = CliRunner().invoke(app, ["calibrate", "--from", str(damaged), "--output", str(tmp_path / "again")])
+    assert losses in " ".join(done.output.split())
+
+
 def test_list_of_topics_fits_an_ordinary_terminal() -> None:
     lines = CliRunner().invoke(app, ["info", str(RECORDED)], env={"COLUMNS": "80"}).output.splitlines()
     [line] = [line for line in lines if "/camera/image_raw " in line]

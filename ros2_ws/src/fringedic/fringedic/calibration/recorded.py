@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
@@ -66,7 +66,8 @@ def calibrate_recording(
     Raises
     ------
     RecordingError
-        The recording contains no calibration, or planes whose frames are incomplete, or no grid before them.
+        The recording contains no calibration, one that ended before its last plane, planes whose frames are incomplete,
+        or no grid before them.
     CalibrationError
         The planes do not give a calibration, or one that contradicts the recorded rig; the message gives the reason.
     PatternError
@@ -77,6 +78,10 @@ def calibrate_recording(
     wanted, name = _latest(planes)
     if not wanted:
         raise RecordingError(f"{path} holds no calibration: a grid, and planes after it")
+    if not _repeats_first([plane for key, plane in planes.items() if key in wanted and plane.kind == PlaneKind.PLANE]):
+        raise RecordingError(
+            f"{path}: calibration '{name}' ended before its last plane, which repeats the first one; calibrate again"
+        )
     replay = _Replay(name)
     for stack, parameters in _stacks(reader, wanted):
         wanted.discard((stack.experiment, stack.step))
@@ -138,6 +143,12 @@ def _latest(planes: Mapping[tuple[str, int], Any]) -> tuple[set[tuple[str, int]]
         elif grids:
             steps.setdefault(key[0], set(grids)).add(key)
     return (steps[name], name) if (name := next(reversed(steps), "")) else (set(), "")
+
+
+def _repeats_first(planes: Sequence[Any]) -> bool:
+    """Return whether the last plane repeats the first one, as that of a complete calibration."""
+    first, last = planes[0], planes[-1]
+    return len(planes) > 1 and last.held_out and (first.angle, first.height) == (last.angle, last.height)
 
 
 def _messages(reader: BagReader, name: str) -> Iterator[Any]:

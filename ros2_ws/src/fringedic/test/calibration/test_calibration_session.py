@@ -8,14 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fringedic.calibration import check_rig
 from fringedic.calibration.findings import CalibrationWarning
 from fringedic.calibration.history import record_check
 from fringedic.calibration.placement import PlaneKind
+from fringedic.calibration.recorded import calibrate_recording
 from fringedic.calibration.session import CalibrationSession, Plane, Setting
-from fringedic.errors import CalibrationError
+from fringedic.errors import CalibrationError, RecordingError
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
+from fringedic.recording import BagWriter, Topic
 from fringedic.report.calibration import write_calibration_report
 from fringedic.report.calibration_sentences import (
     check_in_words,
@@ -130,3 +133,26 @@ def test_a_rig_that_stands_still_has_no_drift(session: CalibrationSession) -> No
     result = session.calibrate(NOW)
     assert session.drift < 5e-6
     assert CalibrationWarning.DRIFT not in [each.code for each in result.warnings]
+
+
+@pytest.mark.parametrize("kept", range(1, 6))
+def test_recorded_session_that_was_cut_off_is_refused(tmp_path: Path, kept: int) -> None:
+    """The planes are a grid on either side and four angles, the last of which is held out; the first is repeated."""
+    kind = "fringedic_msgs/msg/ReferencePlane"
+    store = get_typestore(Stores.ROS2_JAZZY)
+    text = (Path(__file__).parents[3] / "fringedic_msgs" / "msg" / "ReferencePlane.msg").read_text()
+    store.register(get_types_from_msg(text, kind))
+    definition, _ = store.generate_msgdef(kind, ros_version=2)
+    header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](0, 0), "")
+    planes = [(PlaneKind.GRID, angle, False) for angle in (0.0, -0.2, 0.2)]
+    planes += [(PlaneKind.PLANE, angle, angle == 0.2) for angle in (0.0, -0.3, 0.3, 0.2)]
+    planes.append((PlaneKind.PLANE, 0.0, True))
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_recorded_topic(Topic("/rig/experiment/plane", kind, definition, "ros2msg", "", ""))
+        for step, (plane, angle, held_out) in enumerate(planes[: 3 + kept]):
+            name, number = ("grid", step) if plane == PlaneKind.GRID else ("planes", step - 3)
+            message = store.types[kind](header, plane, angle, 0.0, name, number, 3e-3, held_out, 1e-3, 0.0)
+            writer.write("/rig/experiment/plane", bytes(store.serialize_cdr(message, kind)), step, step)
+    reason = "'planes' ended before its last plane" if kept < 5 else "has no camera/image_raw"
+    with pytest.raises(RecordingError, match=reason):
+        calibrate_recording(tmp_path / "bag")

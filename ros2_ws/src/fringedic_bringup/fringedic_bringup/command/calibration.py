@@ -16,6 +16,7 @@ from fringedic_bringup.command.app import (
     app,
     begin,
     console,
+    losses,
     output_file,
     say,
 )
@@ -47,6 +48,7 @@ def calibrate(
         raise ConfigurationError("give a rig file, or with --from the recording of a calibration")
     begin(rig or recording or output)
     folder = unused_folder(output)
+    say(*(losses(recording) if recording is not None else []))
     with LiveProgress(console) as progress:
         if recording is not None:
             from fringedic_bringup.procedures.calibrate_again import calibrate_again
