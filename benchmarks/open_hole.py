@@ -28,7 +28,7 @@ from fringedic.models import Model
 PIXEL = 0.1e-3  # size is unknown; constants and ratios do not depend on it [m]
 CENTRE, RADIUS = (193.0, 542.0), 52.0  # of the hole: column, row [px]
 SIDES = ((37.0, 352.5), (40.0, 355.5))  # columns of the plate's edges at the first and at the last row
-HEIGHT = 1040  # [px]
+WIDTH, HEIGHT = 400, 1040  # [px]
 ENDS = (48, 992)  # rows whose measured displacement is that of the model
 MARGIN = 5.0  # between edges and measured points [px]
 FITTED = (5, 8, 11)  # steps
@@ -59,7 +59,7 @@ def sides(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def measure(folder: Path, images: Sequence[Path], *, spacing: int = 8) -> xr.Dataset:
     """Measure the images; the first is the reference."""
-    row, column = np.mgrid[:HEIGHT, :400].astype(float)
+    row, column = np.mgrid[:HEIGHT, :WIDTH].astype(float)
     left, right = sides(row)
     mask = (column > left + MARGIN) & (column < right - MARGIN)
     mask &= np.hypot(column - CENTRE[0], row - CENTRE[1]) > RADIUS + MARGIN
@@ -142,7 +142,8 @@ def measured_ends(data: xr.Dataset, plate: Plate) -> np.ndarray:
 def model_of(plate: Plate, constants: Constants, ends: np.ndarray) -> Model:
     """Return the model whose loads are the numbers of the steps."""
     moved = np.moveaxis(plate.solve(constants, ends), -1, 0)
-    nodes = np.pad(PIXEL * plate.nodes, ((0, 0), (0, 1)))
+    middle = 0.5 * np.array([WIDTH - 1, 1 - HEIGHT])  # of the image, the origin of the measured surface
+    nodes = np.pad(PIXEL * (plate.nodes - middle), ((0, 0), (0, 1)))
     loads = np.arange(ends.shape[-1], dtype=float)
     return Model("plate", nodes, plate.triangles, False, loads, np.pad(moved, ((0, 0), (0, 0), (0, 1))))
 

@@ -8,6 +8,18 @@ from collections.abc import Mapping
 import xarray as xr
 
 
+def origin_in_image(dataset: xr.Dataset) -> tuple[float, float]:
+    """Return column and row of the origin of measured images: their middle, or the first pixel if the size is unknown.
+
+    Examples
+    --------
+    >>> origin_in_image(xr.Dataset(attrs={"image_width": 320, "image_height": 241}))
+    (159.5, 120.0)
+    """
+    width, height = (float(dataset.attrs.get(name, 1)) for name in ("image_width", "image_height"))
+    return 0.5 * (width - 1), 0.5 * (height - 1)
+
+
 def with_millimetres(dataset: xr.Dataset) -> xr.Dataset:
     """Return a dataset with the coordinates ``x_mm`` (right) and ``y_mm`` (up) of its columns and rows.
 
@@ -27,8 +39,7 @@ def with_millimetres(dataset: xr.Dataset) -> xr.Dataset:
         rig = {
             "pixel_size": float(attributes["pixel_size"]),
             "pixel_aspect": 1.0,
-            "principal_column": 0.5 * (float(attributes["image_width"]) - 1),
-            "principal_row": 0.5 * (float(attributes["image_height"]) - 1),
+            **dict(zip(("principal_column", "principal_row"), origin_in_image(dataset), strict=True)),
         }
     else:
         return dataset

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.errors import DatasetError
+from fringedic.results.millimetres import origin_in_image
 from fringedic.results.step_maps import maps_by_step, require_maps
 
 _SPACE = ("x", "y", "z", "u", "v", "w")
@@ -44,15 +45,16 @@ class Motion:
     def by_step(self) -> Iterator[np.ndarray]:
         """Iterate over the steps: x, y, z, u, v, w and, when known, their sigmas [`unit`], (map, row, column).
 
-        x and u point to the right, y and v upwards.
+        x and u point to the right, y and v upwards; in images from their middle, if their size is known.
         """
         if self.spatial:
             yield from maps_by_step(self.dataset, (*_SPACE, *self.sigmas))
             return
-        column, row = np.meshgrid(self.dataset["column"].values, self.dataset["row"].values)
-        zero = np.zeros(column.shape)
+        first, top = origin_in_image(self.dataset)
+        x, y = np.meshgrid(self.dataset["column"].values - first, top - self.dataset["row"].values)
+        zero = np.zeros(x.shape)
         for maps in maps_by_step(self.dataset, (*_IMAGE, *self.sigmas)):
-            moved = [column, -row, zero, maps[0], -maps[1], np.where(np.isfinite(maps[0]), 0.0, np.nan)]
+            moved = [x, y, zero, maps[0], -maps[1], np.where(np.isfinite(maps[0]), 0.0, np.nan)]
             yield self.scale * np.stack([*moved, *maps[2:], zero] if self.sigmas else moved)
 
 

@@ -346,6 +346,17 @@ def test_times_of_a_selection_stay_comparable_when_it_is_exported_again(dataset,
     assert steps_of(done)["time [s]"] == ["3.0"]
 
 
+def test_surfaces_of_images_have_the_origin_of_the_pictures(image_series, tmp_path):
+    """The origin is the middle of the image, in the dataset, in VTK and in PLY."""
+    if "pixel_size" not in image_series.attrs:
+        return
+    done = export_dataset(image_series, tmp_path, ["vtk", "ply"], steps=[0])
+    x, y = np.meshgrid(image_series["x_mm"].values, image_series["y_mm"].values)
+    for each, file in zip(done, ("step_000.vtp", "step_000.ply"), strict=True):
+        points = pyvista.read(each.path / file).points
+        np.testing.assert_allclose(points, np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=-1), atol=1e-6)
+
+
 def test_nothing_is_overwritten_unasked(dataset, tmp_path):
     first = export_dataset(dataset, tmp_path, ["mat", "csv"], steps=[1])
     before = first[0].path.read_bytes()

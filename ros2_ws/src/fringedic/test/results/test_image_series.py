@@ -5,6 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 import fringedic
@@ -99,6 +100,24 @@ def test_extensometer_and_rigid_motion_need_no_shape(dataset):
     wider = dataset.fringedic.strain(61)
     assert wider.attrs["virtual_strain_gauge_px"] == 32 + 64, "17 points every 4 px"
     assert float(wider.sigma_e_xx.median()) < float(dataset.sigma_e_xx.sel(step=3).median())
+
+
+@pytest.mark.parametrize(("scale", "unit"), [({"pixel_size": PIXEL}, "m"), ({}, "px")])
+def test_rigid_motion_of_images_turns_about_their_middle(scale, unit):
+    """Points that turn about the middle of the image, seen in a corner of it, have no translation."""
+    angle, column, row = 0.02, np.arange(0, 80, 4), np.arange(0, 60, 4)
+    x, y = np.meshgrid(column - 0.5 * (SIZE[1] - 1), 0.5 * (SIZE[0] - 1) - row)
+    u, v = x * (np.cos(angle) - 1) - y * np.sin(angle), x * np.sin(angle) + y * (np.cos(angle) - 1)
+    maps = {"displacement_x": (("row", "column"), u), "displacement_y": (("row", "column"), -v)}
+    attributes = {"image_width": SIZE[1], "image_height": SIZE[0], **scale}
+    turned = xr.Dataset(maps, {"row": row, "column": column}, attributes)
+    rest = turned.fringedic.remove_rigid_motion()
+    assert rest.translation.attrs["units"] == unit
+    np.testing.assert_allclose(rest.translation, 0.0, atol=1e-9)
+    np.testing.assert_allclose(rest.rotation, [0.0, 0.0, angle], atol=1e-9)
+    gauge = turned.fringedic.extensometer((10, 10), (70, 50), subset=4)
+    assert float(gauge.strain) == pytest.approx(0.0, abs=1e-12)
+    assert float(gauge.length) == pytest.approx(np.hypot(60, 40) * scale.get("pixel_size", 1.0))
 
 
 def test_images_in_memory_have_the_same_methods(folder):
