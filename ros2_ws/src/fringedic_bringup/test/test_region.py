@@ -193,6 +193,13 @@ def test_measure_takes_mask_and_polygons(tmp_path: Path) -> None:
     assert measured[10:28, 14:34].all()
     assert np.nanmedian(maps[0]) == pytest.approx(2.0, abs=0.01)
     np.testing.assert_array_equal(*maps)
+    other = Region(REGION.polygons, 640, 480).save(tmp_path / "other.png")[1]
+    refused = CliRunner().invoke(
+        app, ["measure", *images, "--region", f"hole={other}", "--output", str(tmp_path / "refused")]
+    )
+    assert isinstance(refused.exception, ImageError)
+    assert "640x480 px, this one has 200x160 px" in str(refused.exception)
+    assert not (tmp_path / "refused").exists(), "refused before the measurement"
     with pytest.raises(ImageError, match="200x160"):
         mask_of(polygons, (100, 200))
     with pytest.raises(ImageError, match="200x160"):

@@ -151,15 +151,25 @@ class Region:
         ImageError
             The region was drawn in an image of another size, or is empty.
         """
-        if self.width is not None and tuple(shape) != (self.height, self.width):
-            raise ImageError(
-                f"the region was drawn in an image of {self.width}x{self.height} px, this one has "
-                f"{shape[1]}x{shape[0]} px: draw it again with 'fringedic region'"
-            )
+        self.require_size(shape[1], shape[0])
         mask = self._filled(shape[1], shape[0])
         if not mask.any():
             raise ImageError("the region is empty: its holes leave nothing to measure")
         return mask
+
+    def require_size(self, width: int, height: int) -> None:
+        """Refuse an image of another size [px] than that of the image in which the region was drawn, if this is known.
+
+        Raises
+        ------
+        ImageError
+            The region was drawn in an image of another size.
+        """
+        if self.width is not None and (width, height) != (self.width, self.height):
+            raise ImageError(
+                f"the region was drawn in an image of {self.width}x{self.height} px, this one has "
+                f"{width}x{height} px: draw it again with 'fringedic region'"
+            )
 
     def mask_at(self, columns: ArrayLike, rows: ArrayLike) -> np.ndarray:
         """Return which points of a grid of pixels lie in the region.

@@ -11,7 +11,7 @@ import xarray as xr
 
 from fringedic.metadata import Metadata
 from fringedic.report.recorded_exposures import Exposures
-from fringedic.results.attributes import recorded_metadata
+from fringedic.results.attributes import image_size, recorded_metadata
 from fringedic.rig_setup.advice import Advice
 
 
@@ -72,10 +72,7 @@ class ReportData:
     @property
     def image_size(self) -> tuple[int, int] | None:
         """Width and height of the camera's images [px], None if they are not known."""
-        source, names = self.calibration, ("camera_width", "camera_height")
-        if not source:
-            source, names = dict(self.dataset.attrs), ("image_width", "image_height")
-        return (int(source[names[0]]), int(source[names[1]])) if names[0] in source else None
+        return image_size(self.dataset)
 
     @property
     def pixel_size(self) -> float | None:

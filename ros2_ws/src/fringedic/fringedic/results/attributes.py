@@ -43,6 +43,20 @@ def recorded_metadata(dataset: xr.Dataset) -> Metadata:
         raise DatasetError(f"attribute '{METADATA_ATTRIBUTE}' of the dataset: {place}: {problem['msg']}") from error
 
 
+def image_size(dataset: xr.Dataset) -> tuple[int, int] | None:
+    """Return width and height of the camera's images [px], None if they are not known.
+
+    Examples
+    --------
+    >>> image_size(xr.Dataset(attrs={"image_width": 320, "image_height": 240}))
+    (320, 240)
+    """
+    source, names = json.loads(dataset.attrs.get("calibration", "{}")), ("camera_width", "camera_height")
+    if not source:
+        source, names = dataset.attrs, ("image_width", "image_height")
+    return (int(source[names[0]]), int(source[names[1]])) if names[0] in source else None
+
+
 def origin_text(dataset: xr.Dataset) -> str:
     """Return `origin_of` as one line of ASCII JSON."""
     return json.dumps(origin_of(dataset))

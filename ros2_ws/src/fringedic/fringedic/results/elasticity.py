@@ -61,6 +61,8 @@ def strain_curve(dataset: xr.Dataset, region: Region | None = None) -> xr.Datase
     ------
     DatasetError
         The dataset has no strain, or no point of it lies in the region.
+    ImageError
+        The region was drawn in an image of another size.
 
     Examples
     --------
@@ -151,6 +153,8 @@ def elastic_constants(
     ------
     DatasetError
         The dataset has no strain, no point of it lies in the region, or an argument is no such number.
+    ImageError
+        The region was drawn in an image of another size.
 
     Examples
     --------

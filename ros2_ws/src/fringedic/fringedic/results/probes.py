@@ -17,6 +17,7 @@ from fringedic.errors import DatasetError
 from fringedic.frames.region import Point, Region
 from fringedic.inputs.arguments import check_arguments, number, of_type, optional, several, text, whole
 from fringedic.inputs.arguments import dataset as dataset_of
+from fringedic.results.attributes import image_size
 from fringedic.results.motion import motion_of
 from fringedic.results.step_maps import StepValues, maps_by_step, require_maps, values_by_step
 
@@ -242,6 +243,8 @@ def region_statistics(dataset: xr.Dataset, names: Sequence[str], region: Region)
     ------
     DatasetError
         A map is missing, or no point of the result lies in the region.
+    ImageError
+        The region was drawn in an image of another size.
 
     Examples
     --------
@@ -296,7 +299,12 @@ def points_in(region: Region, dataset: xr.Dataset) -> np.ndarray:
     ------
     DatasetError
         No point lies in the region.
+    ImageError
+        The region was drawn in an image of another size.
     """
+    size = image_size(dataset)
+    if size is not None:
+        region.require_size(*size)
     inside = region.mask_at(dataset["column"].values, dataset["row"].values)
     if not inside.any():
         corners = "; ".join(str(polygon.points) for polygon in region.polygons)

@@ -45,6 +45,8 @@ def remove_rigid_motion(dataset: xr.Dataset, region: Region | None = None) -> xr
     DatasetError
         The dataset has no displacement, fewer than three points are measured in a step, or no point of the result lies
         in the region.
+    ImageError
+        The region was drawn in an image of another size.
 
     References
     ----------

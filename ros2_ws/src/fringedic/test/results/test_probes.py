@@ -7,8 +7,9 @@ import pytest
 import xarray as xr
 from scipy.spatial.transform import Rotation
 
-from fringedic.errors import DatasetError
+from fringedic.errors import DatasetError, ImageError
 from fringedic.frames.region import Region
+from fringedic.results.elasticity import strain_curve
 from fringedic.results.force import force_curve
 from fringedic.results.probes import extensometer, points_in, profile, region_statistics
 from fringedic.results.rigid_motion import remove_rigid_motion
@@ -117,6 +118,31 @@ def test_statistics_of_a_region() -> None:
     assert bool(region_statistics(dataset, ["u"], triangle).u.sel(step=1).isnull().all())
     with pytest.raises(DatasetError, match="no point"):
         points_in(Region.rectangle((1, 1), (2, 2)), dataset)
+
+
+@pytest.mark.parametrize(
+    "attributes",
+    [
+        {"image_width": np.int64(160), "image_height": np.int64(96)},
+        {"calibration": json.dumps({"camera_width": 160, "camera_height": 96})},
+    ],
+)
+def test_a_region_of_another_image_size_is_refused(attributes: dict[str, object]) -> None:
+    polygons = Region.rectangle((0, 0), (80, 80)).polygons
+    right, wrong = Region(polygons, 160, 96), Region(polygons, 640, 480)
+    sizeless = plate()
+    assert points_in(wrong, sizeless).any(), "the size of the images is not known"
+    dataset = sizeless.assign_attrs(attributes)
+    assert points_in(right, dataset).any()
+    assert points_in(Region(polygons), dataset).any()
+    strains = dict.fromkeys(("e_11", "e_22", "sigma_e_11", "sigma_e_22"), dataset.u)
+    for refused in (
+        lambda: region_statistics(dataset, ["u"], wrong),
+        lambda: remove_rigid_motion(dataset, wrong),
+        lambda: strain_curve(dataset.assign(strains), wrong),
+    ):
+        with pytest.raises(ImageError, match="drawn in an image of 640x480 px, this one has 160x96 px"):
+            refused()
 
 
 def test_positions_are_column_and_row() -> None:

@@ -86,6 +86,8 @@ def measure(  # noqa: PLR0913 (options of a command)
     from fringedic_bringup.procedures.region import mask_of
 
     files = image_files(images)
+    for each in regions.values():
+        each.mask_for(read_grey(files[0]).shape)  # refused before the measurement
     pixel_size = None if pixel_size_mm is None else 1e-3 * pixel_size_mm
     if scale_length_mm is not None:
         pixel_size = draw_scale(read_grey(files[0]), 1e-3 * scale_length_mm)
