@@ -38,7 +38,7 @@ def remove_rigid_motion(dataset: xr.Dataset, region: Region | None = None) -> xr
         ``rotation`` (rotation vector [rad]) and ``translation`` [m] over (step, axis): a reference point X moved to
         rotation X + translation, plus the remaining displacement turned by the rotation. Of images alone it contains
         the remaining ``displacement_x``, ``displacement_y`` [px]; the motion is that of the image with x to the right
-        and y upwards, in px without a scale.
+        and y upwards from its middle (from its first pixel if its size is not known), in px without a scale.
 
     Raises
     ------
