@@ -120,6 +120,22 @@ def test_two_measurements_under_one_number_are_refused(command: str, tmp_path: P
     assert not (tmp_path / "new.nc").exists(), "nothing was started"
 
 
+def test_one_of_two_experiments_is_processed(tmp_path: Path) -> None:
+    reader, bag = BagReader(RECORDED / "bag"), tmp_path / "bag"
+    with BagWriter(bag) as writer:
+        for topic in reader.topics.values():
+            writer.add_recorded_topic(topic)
+        for message in reader.stored():
+            writer.write(*message)
+            if message.topic.endswith("/exposure"):
+                writer.write(*message._replace(data=message.data.replace(b"tiny", b"next")))
+    assert "holds the experiments tiny, next: say which one" in str(refusal("process", bag))
+    words = ("process", bag, "--experiment", "tiny", "--step", "1", "--output", tmp_path / "new.nc")
+    done = CliRunner().invoke(app, [*map(str, words)])
+    assert done.exit_code == 0, done.exception
+    assert "whole: 2 of 2 steps" in done.output
+
+
 def test_recording_without_calibration_is_measured_with_a_given_one(
     uncalibrated: Path, recorded_model: RigModel, tmp_path: Path
 ) -> None:

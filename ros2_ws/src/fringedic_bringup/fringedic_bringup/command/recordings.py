@@ -50,6 +50,9 @@ def process(
     steps: Steps = None,
     reference: ReferenceStep = None,
     calibration: Calibration = None,
+    experiment: Annotated[
+        str | None, typer.Option(help="Name of the experiment, if the recording contains several.")
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option(help="Dataset, .nc or .zarr; by default beside the recording. For several recordings a folder."),
@@ -93,6 +96,7 @@ def process(
                 steps=steps or None,
                 reference=reference,
                 calibration=model,
+                experiment=experiment,
                 overwrite=overwrite,
                 progress=tell,
             )
