@@ -6,7 +6,9 @@ import heapq
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from datetime import UTC, datetime
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from fringedic.recording.bag_files import BagFiles, find_files, open_file, recor
 from fringedic.recording.mcap_file import McapFile, count_without_checksum, read_messages
 from fringedic.recording.topics import RawMessage, Topic
 
+_SET_BACK_NS = 1_000_000_000  # chunks of messages that were received one after the other overlap by less
 REORDER_WINDOW = 64  # messages by which topics may overtake each other on their way into the recording
 
 
@@ -43,8 +46,10 @@ class BagReader:
         Messages of each topic.
     missing
         Messages of each topic that an index or ``metadata.yaml`` counts and that are not in the files.
+    set_back
+        Description of a clock that was set back during the recording, by the times of its chunks; empty if it was not.
     damage
-        Description of damaged and missing files; empty if there are none.
+        Description of damaged and missing files and of a clock that was set back; empty if there are none.
     lost
         The damage with the missing messages of each topic; empty for a complete recording.
     unlisted
@@ -83,7 +88,8 @@ class BagReader:
                 indexed[channel.topic] += file.indexed[number]
         missing = (indexed | Counter(found.counts)) - Counter(self.counts)
         self.missing = dict(sorted(missing.items()))
-        self.damage = "; ".join(_damage(self._files, found))
+        self.set_back = describe_set_back(_spans(file for file in self._files if file.path.name not in self.unlisted))
+        self.damage = "; ".join(filter(None, (*_damage(self._files, found), self.set_back)))
         self.lost = "; ".join(filter(None, (self.damage, _missing_words(self.missing))))
 
     @property
@@ -302,6 +308,39 @@ def _damage(files: Iterable[McapFile], found: BagFiles) -> Iterator[str]:
         yield f"{name} is missing"
     if found.damage:
         yield found.damage
+
+
+def _spans(files: Iterable[McapFile]) -> Iterator[tuple[int, int]]:
+    """Yield the log times of the first and the last message of each chunk [ns], in the order of writing."""
+    for file in files:
+        for chunk in sorted(file.chunks, key=lambda place: place.offset):
+            if chunk.end_time:  # 0 for a chunk without messages
+                yield chunk.start_time, chunk.end_time
+
+
+def describe_set_back(spans: Iterable[tuple[int, int]]) -> str:
+    """Return that the clock was set back during a recording, and when; empty if it was not.
+
+    Parameters
+    ----------
+    spans
+        Log times of the first and the last message [ns] of each chunk or of each message, in the order of writing. A
+        clock that is set back within a single chunk is found by the times of the messages only.
+
+    Examples
+    --------
+    >>> describe_set_back([(0, 4_000_000_000), (3_900_000_000, 9_000_000_000), (6_000_000_000, 7_000_000_000)])
+    'the clock was set back by 3.0 s at 1970-01-01 00:00:09 UTC; order and times of later messages are wrong'
+    """
+    back, when = 0, 0
+    for (_, end), (start, _) in pairwise(spans):
+        if end - start > max(back, _SET_BACK_NS):
+            back, when = end - start, end
+    if not back:
+        return ""
+    time = datetime.fromtimestamp(1e-9 * when, UTC)
+    later = "order and times of later messages are wrong"
+    return f"the clock was set back by {1e-9 * back:.1f} s at {time:%Y-%m-%d %H:%M:%S} UTC; {later}"
 
 
 def _missing_words(missing: dict[str, int]) -> str:

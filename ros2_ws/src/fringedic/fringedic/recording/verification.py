@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from array import array
 from collections import Counter, defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ from fringedic.frames.records import stamp_of
 from fringedic.recording.bag_metadata import offered_profiles
 from fringedic.recording.frames import EXPOSURE, IMAGE, repeated_steps
 from fringedic.recording.manifest import ManifestCheck, check_manifest
-from fringedic.recording.reader import BagReader
+from fringedic.recording.reader import BagReader, describe_set_back
 from fringedic.recording.topics import RawMessage, Topic
 
 STEP = "experiment/step"
@@ -92,16 +93,19 @@ def verify(path: str | os.PathLike[str]) -> Verification:
     True
     """
     reader = BagReader(path, check=True)
-    gaps, frames = _Gaps(reader.topics), _Frames(reader)
+    gaps, frames, times = _Gaps(reader.topics), _Frames(reader), array("q")
     for message in reader.stored():
         gaps.add(message)
         frames.add(message)
+        times.append(message.log_time)
+    known = reader.set_back or reader.unlisted  # files of other recordings have times of their own
+    set_back = "" if known else describe_set_back(zip(times, times, strict=True))
     return Verification(
         path=reader.path,
         files=len(reader.files),
         messages=sum(reader.counts.values()),
         manifest=check_manifest(reader.path) if reader.path.is_dir() else ManifestCheck(present=False),
-        damage=reader.lost,
+        damage="; ".join(filter(None, (reader.lost, set_back))),
         unchecked=reader.chunks_without_checksum,
         gaps=dict(gaps.missing),
         frames=frames.complete,

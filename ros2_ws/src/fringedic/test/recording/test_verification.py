@@ -1,5 +1,6 @@
 """A verification finds every lost frame, every lost message and every changed file, and nothing else."""
 
+import re
 import shutil
 from hashlib import sha256
 from pathlib import Path
@@ -52,6 +53,21 @@ def repeat(target, *, seconds=60, renamed=b"tiny"):
                 second = int.from_bytes(data[4:8], "little") + seconds  # of the stamp, after the CDR header
                 data = data[:4] + second.to_bytes(4, "little") + data[8:].replace(b"tiny", renamed)
                 writer.write(topic, data, log_time + seconds * 10**9, publish_time + seconds * 10**9)
+    return target
+
+
+def set_back(target, *, after, seconds, **options):
+    """Write the recording as if its clock had been set back after a share of the messages."""
+    reader = BagReader(RECORDED)
+    messages = list(reader.stored())
+    with BagWriter(target, **options) as writer:
+        for topic in reader.topics.values():
+            writer.add_recorded_topic(topic)
+        for number, message in enumerate(messages):
+            shift = int(seconds * 1e9) if number > after * len(messages) else 0
+            writer.write(message.topic, message.data, message.log_time - shift, message.publish_time - shift)
+            if number % 20 == 0:
+                writer.flush()
     return target
 
 
@@ -137,6 +153,30 @@ def test_two_measurements_of_a_step_number_are_not_complete(tmp_path):
     assert "step 1 of tiny: measured more than once under this number" in list(verification_sentences(found))
     assert verify(repeat(tmp_path / "copied", seconds=0)).repeated_steps == []
     assert verify(repeat(tmp_path / "other", renamed=b"next")).complete
+
+
+@pytest.mark.parametrize("split", [Split(), Split(size=150_000)])
+@pytest.mark.parametrize("after", [0.3, 0.7])
+def test_clock_that_was_set_back_is_damage(tmp_path, after, split):
+    bag = set_back(tmp_path / "bag", after=after, seconds=6, split=split)
+    found = verify(bag)
+    assert re.fullmatch(r"the clock was set back by (5\.\d|6\.0) s at [\d :-]+ UTC; order .* are wrong", found.damage)
+    assert not found.complete
+    assert found.damage in content_sentences(info(bag))[-1]
+    (bag / "metadata.yaml").unlink()
+    assert found.damage == BagReader(bag).damage
+
+
+def test_clock_that_was_set_back_within_a_chunk_is_found_by_the_messages(tmp_path):
+    set_back(tmp_path / "bag", after=0.5, seconds=6)
+    recover(tmp_path / "bag", tmp_path / "recovered")  # writes few chunks
+    found = verify(tmp_path / "recovered")
+    assert "the clock was set back by" in found.damage
+    assert not found.complete
+
+
+def test_chunks_may_overlap_by_less_than_a_second(tmp_path):
+    assert verify(set_back(tmp_path / "bag", after=0.5, seconds=0.9)).damage == ""
 
 
 def test_frames_of_a_free_run_belong_to_no_step(tmp_path):
