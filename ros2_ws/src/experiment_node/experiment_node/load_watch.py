@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from itertools import pairwise
@@ -27,7 +28,8 @@ HELD = (LoadState.HOLD, LoadState.IDLE)
 SAMPLE_TIMEOUT = 2.0  # [s] for a sample of the present, or of after the last exposure, to arrive
 LONGEST_GAP = 1.0  # [s] between two samples that prove a hold: more than twice the period of the lowest rate, 2 Hz
 MOST_AHEAD = 0.1  # [s] by which a stamp may be later than the arrival of its sample: synchronised clocks differ by less
-MOST_BEHIND = LONGEST_GAP  # [s] by which it may be earlier: a busy computer delays samples
+MOST_BEHIND = LONGEST_GAP  # [s] by which it may be earlier
+RECENT = 30.0  # [s] in which one sample has to come in time: a busy computer delays some, a clock that is behind all
 
 
 class LoadWatch:
@@ -54,10 +56,19 @@ class LoadWatch:
         self._node = node
         self._changed = changed
         self._latest: LoadState | None = None
+        self._ahead: deque[tuple[float, float]] = deque()  # when a sample arrived, how far ahead its stamp was [s]
         node.create_subscription(LoadState, "load_frame/state", self._take, STATE)
 
     def _take(self, message: LoadState) -> None:
+        if self._latest is not None and to_nanoseconds(message.header.stamp) < to_nanoseconds(
+            self._latest.header.stamp
+        ):
+            self._ahead.clear()  # its clock was set back
         self._latest = message
+        now = time.monotonic()
+        self._ahead.append((now, _ahead(message)))
+        while self._ahead[0][0] < now - RECENT:
+            self._ahead.popleft()
         if self.step is not None:
             _collect(self.step, message)
             self._changed.notify()
@@ -116,8 +127,16 @@ class LoadWatch:
             LOAD_NOT_HELD.
         """
         if parameters.hold_required and step.experiment.has_load_frame:
-            _check_load_clock(step, Result.LOAD_NOT_HELD)
+            self._check_clock(step, Result.LOAD_NOT_HELD)
             _check_held([self._latest])
+
+    def _check_clock(self, step: RunningStep, code: int) -> None:
+        """End the step when samples do not show the machine at the time of their stamp."""
+        if step.load_ahead > MOST_AHEAD:
+            raise _clock_failure(code, "load frame", step.load_ahead, MOST_AHEAD)
+        recent = max((ahead for _, ahead in self._ahead), default=0.0)
+        if recent < -MOST_BEHIND:
+            raise _clock_failure(code, "load frame", recent, MOST_BEHIND)
 
     async def check_exposures(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         """Check hold and drift over the exposures of a step whose frames are all taken.
@@ -141,7 +160,7 @@ class LoadWatch:
         _check_camera_clock(step, code)
         if parameters.hold_required:
             await self._await_sample(step, max(end, step.answered_ns), SAMPLE_TIMEOUT)
-        _check_load_clock(step, code)
+        self._check_clock(step, code)
         if parameters.hold_required:
             _check_held_throughout(step.load_around_requests(), start)
         limits = drift_limits(parameters)
@@ -195,7 +214,12 @@ def drift_limits(parameters: ExperimentParameters) -> list[DriftLimit]:
 def _collect(step: RunningStep, sample: LoadState) -> None:
     """Add a sample that has arrived now to a step."""
     step.load.append(sample)
-    step.load_ahead = max(step.load_ahead, 1e-9 * (to_nanoseconds(sample.header.stamp) - time.time_ns()))
+    step.load_ahead = max(step.load_ahead, _ahead(sample))
+
+
+def _ahead(sample: LoadState) -> float:
+    """Return how much later than now a sample was stamped [s]."""
+    return 1e-9 * (to_nanoseconds(sample.header.stamp) - time.time_ns())
 
 
 def _latest_shows_end(step: RunningStep, limits: Iterable[DriftLimit]) -> bool:
@@ -203,14 +227,6 @@ def _latest_shows_end(step: RunningStep, limits: Iterable[DriftLimit]) -> bool:
     if not step.load or to_nanoseconds(step.load[-1].header.stamp) < step.exposed_over()[1]:
         return False
     return all(limit.is_known(step.load[-1]) for limit in limits)
-
-
-def _check_load_clock(step: RunningStep, code: int) -> None:
-    """End the step when samples do not show the machine at the time of their stamp."""
-    if step.load_ahead > MOST_AHEAD:
-        raise _clock_failure(code, "load frame", step.load_ahead, MOST_AHEAD)
-    if step.load and step.load_ahead < -MOST_BEHIND:
-        raise _clock_failure(code, "load frame", step.load_ahead, MOST_BEHIND)
 
 
 def _check_camera_clock(step: RunningStep, code: int) -> None:

@@ -52,7 +52,7 @@ class RunningStep:
     load
         Samples of the load frame since the start.
     load_ahead
-        Longest time by which one of them was stamped after its arrival [s]; negative when all were stamped before.
+        Longest time by which one of them was stamped after its arrival [s]; -inf before the first.
     """
 
     goal: ActiveGoal
