@@ -153,7 +153,7 @@ def main() -> None:
         folder = Path(name) / "run"
         noted = soak(folder, 60 * minutes)
         console.print(table_of(noted, folder / "bag", minutes))
-    for failure in noted.failures[:10]:
+    for failure in noted.failures:
         console.print(failure, highlight=False)
 
 
