@@ -6,6 +6,7 @@ import importlib
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import xarray as xr
 
@@ -55,7 +56,7 @@ def test_recordings_of_earlier_versions_are_translated() -> None:
 
 def test_datasets_of_earlier_versions_are_translated(tmp_path: Path) -> None:
     attributes = {"facts": json.dumps({"specimen": {"name": "sheet", "extensometers_px": [[480, 200, 470, 1000]]}})}
-    of_steps = {"time": ("step", [0]), "error": ("step", [""])}
+    of_steps = {"time": ("step", np.zeros(1, "datetime64[ns]")), "error": ("step", [""])}
     maps = {"w": (("step", "row", "column"), [[[0.0]]])}
     dataset = xr.Dataset({**maps, **of_steps}, coords={"step": [0]}, attrs=attributes)
     dataset.to_netcdf(tmp_path / "old.nc", engine="h5netcdf")

@@ -93,9 +93,20 @@ def step_numbers(step: xr.Dataset) -> dict[str, int]:
 
 
 def first_time(dataset: xr.Dataset) -> np.datetime64:
-    """Return the time of the first step; of a selection of steps, that of the dataset that they were selected from."""
+    """Return the time of the first step; of a selection of steps, that of the dataset that they were selected from.
+
+    Raises
+    ------
+    DatasetError
+        The variable ``time`` contains no times.
+    """
+    times = dataset["time"].values
+    if times.dtype.kind != "M":
+        raise DatasetError(
+            f"'time' of the dataset contains {times.dtype} instead of times; process its recording again"
+        )
     recorded = dataset.attrs.get(TIME_ZERO)
-    return np.datetime64(recorded if recorded is not None else dataset["time"].values.min())
+    return np.datetime64(recorded if recorded is not None else times.min())
 
 
 def seconds(dataset: xr.Dataset) -> np.ndarray:
