@@ -243,6 +243,8 @@ def test_recording_is_readable_after_the_recorder_was_killed(rig: Rig) -> None:
     ]
     assert result.step in ends
     whole = recover(rig.folder / "bag", rig.folder / "recovered").path
-    with fringedic.open_experiment(fringedic.process_bag(whole, output=rig.folder / "recovered.nc")) as dataset:
+    # an experiment node that was started again by hand has used some of the other numbers twice
+    processed = fringedic.process_bag(whole, output=rig.folder / "recovered.nc", steps={result.step})
+    with fringedic.open_experiment(processed) as dataset:
         last = dataset.sel(step=result.step)
         assert np.isfinite(last.w.values).mean() > WORKING

@@ -191,7 +191,7 @@ def process_into(
     reader = BagReader(path)
     reference = settings.reference
     names = _processed_topics(reader)
-    timeline = Timeline(reader, names, settings.experiment)
+    timeline = Timeline(reader, names, settings.experiment, steps=settings.steps)
     if settings.calibration is not None:
         check_calibration(settings.calibration, recorded_setup(reader))
     pipeline = OfflinePipeline(settings.overrides, timeline.experiment, reference, settings.calibration)

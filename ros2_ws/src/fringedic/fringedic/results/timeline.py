@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,8 @@ class Timeline:
         Relative name -> full name of its topics.
     experiment
         Name of the experiment; None for the only one.
+    steps
+        The steps that are read, None for all.
 
     Attributes
     ----------
@@ -73,7 +76,14 @@ class Timeline:
         measurements of a step.
     """
 
-    def __init__(self, reader: BagReader, names: Mapping[str, str], experiment: str | None) -> None:
+    def __init__(
+        self,
+        reader: BagReader,
+        names: Mapping[str, str],
+        experiment: str | None,
+        *,
+        steps: AbstractSet[int] | None = None,
+    ) -> None:
         def messages(name: str) -> Iterable[Any]:
             topics = [names[name]] if name in names else []
             return (message for _, message, _ in reader.messages(topics))
@@ -83,7 +93,7 @@ class Timeline:
         self.source = reader.path.name
         self.damage = reader.lost
         exposed = [record for record in exposed if record.experiment == self.experiment]
-        refuse_repeated_steps(exposed, reader.path)
+        refuse_repeated_steps((each for each in exposed if steps is None or each.step in steps), reader.path)
         self._exposed = _exposure_times(exposed)
         announced = {each.step for each in messages("experiment/reference") if each.experiment == self.experiment}
         self.references = announced | {min(self._exposed)}
@@ -146,7 +156,7 @@ def refuse_repeated_steps(exposed: Iterable[FrameRecord], path: Path) -> None:
         experiment, step = repeated[0]
         raise DatasetError(
             f"{path}: step {step} of experiment '{experiment}' was measured more than once under this number; "
-            "use the separate recordings of the measurements"
+            "use the separate recordings of the measurements, or choose the other steps (--step)"
         )
 
 
