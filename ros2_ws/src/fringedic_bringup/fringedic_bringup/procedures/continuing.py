@@ -53,6 +53,7 @@ def folder_of_one_command(folder: Path) -> Iterator[None]:
     ConfigurationError
         Another command uses the folder.
     """
+    is_new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
     descriptor = os.open(folder, os.O_RDONLY)  # nodes do not inherit it
     try:
@@ -63,6 +64,9 @@ def folder_of_one_command(folder: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
+        if is_new:
+            with suppress(OSError):  # only a folder that is empty, because nothing was started, is removed
+                folder.rmdir()
 
 
 def recorded_steps(bag: Path, programme: Programme) -> RecordedSteps:
