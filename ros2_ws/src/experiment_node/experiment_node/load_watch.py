@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from itertools import pairwise
@@ -56,19 +55,18 @@ class LoadWatch:
         self._node = node
         self._changed = changed
         self._latest: LoadState | None = None
-        self._ahead: deque[tuple[float, float]] = deque()  # when a sample arrived, how far ahead its stamp was [s]
+        self._ahead = 0.0  # [s] by which the latest sample was stamped after its arrival
+        self._arrival = self._in_time = -math.inf  # [s] of the latest sample, and of the latest one in time
         node.create_subscription(LoadState, "load_frame/state", self._take, STATE)
 
     def _take(self, message: LoadState) -> None:
         if self._latest is not None and to_nanoseconds(message.header.stamp) < to_nanoseconds(
             self._latest.header.stamp
         ):
-            self._ahead.clear()  # its clock was set back
-        self._latest = message
-        now = time.monotonic()
-        self._ahead.append((now, _ahead(message)))
-        while self._ahead[0][0] < now - RECENT:
-            self._ahead.popleft()
+            self._in_time = -math.inf  # its clock was set back
+        self._latest, self._ahead, self._arrival = message, _ahead(message), time.monotonic()
+        if self._ahead >= -MOST_BEHIND:
+            self._in_time = self._arrival
         if self.step is not None:
             _collect(self.step, message)
             self._changed.notify()
@@ -134,9 +132,8 @@ class LoadWatch:
         """End the step when samples do not show the machine at the time of their stamp."""
         if step.load_ahead > MOST_AHEAD:
             raise _clock_failure(code, "load frame", step.load_ahead, MOST_AHEAD)
-        recent = max((ahead for _, ahead in self._ahead), default=0.0)
-        if recent < -MOST_BEHIND:
-            raise _clock_failure(code, "load frame", recent, MOST_BEHIND)
+        if self._arrival - self._in_time > RECENT:
+            raise _clock_failure(code, "load frame", self._ahead, MOST_BEHIND)
 
     async def check_exposures(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         """Check hold and drift over the exposures of a step whose frames are all taken.

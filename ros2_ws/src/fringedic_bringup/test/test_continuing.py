@@ -60,6 +60,15 @@ def test_settings_that_change_results_are_those_of_the_first_steps(
         require_same_settings(changed, logs)
 
 
+@pytest.mark.parametrize("content", ["", "{", "- 5", "/**: {ros__parameters: 5}", "window: 10"])
+def test_a_damaged_file_of_the_settings_is_named(content: str, tmp_path: Path) -> None:
+    graph, logs = graph_of(tmp_path), tmp_path / "run" / "logs"
+    logs.mkdir()
+    (logs / "dic.yaml").write_text(content)
+    with pytest.raises(ConfigurationError, match=r"dic\.yaml is damaged"):
+        require_same_settings(graph, logs)
+
+
 def test_another_calibration_is_refused_and_the_first_one_stays(tmp_path: Path) -> None:
     graph_of(tmp_path)
     file = tmp_path / "run" / "calibration.yaml"

@@ -147,8 +147,10 @@ def _latest(planes: Mapping[tuple[str, int], Any]) -> tuple[set[tuple[str, int]]
 
 def _repeats_first(planes: Sequence[Any]) -> bool:
     """Return whether the last plane repeats the first one, as that of a complete calibration."""
+    if len(planes) < 2:
+        return False
     first, last = planes[0], planes[-1]
-    return len(planes) > 1 and last.held_out and (first.angle, first.height) == (last.angle, last.height)
+    return last.held_out and (first.angle, first.height) == (last.angle, last.height)
 
 
 def _messages(reader: BagReader, name: str) -> Iterator[Any]:

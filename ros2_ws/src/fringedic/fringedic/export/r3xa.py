@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from fringedic.results.attributes import experiment_name, first_time, origin_of, seconds
+from fringedic.results.attributes import experiment_name, first_time, image_size, origin_of, seconds
 
 VERSION = "2024.7.1"
 
@@ -76,9 +76,10 @@ def _camera(dataset: xr.Dataset, known: dict[str, Any], hardware: dict[str, Any]
         "image_size": [],
     }
     calibration = known.get("calibration")
-    view, prefix = (known, "image") if calibration is None else (calibration, "camera")
-    width, height, scale = (view.get(key) for key in (f"{prefix}_width", f"{prefix}_height", "pixel_size"))
-    if width is not None and height is not None:
+    view, size = calibration or known, image_size(dataset)
+    scale = view.get("pixel_size")
+    if size is not None:
+        width, height = size
         source["image_size"] = [_quantity(width, "px", "width"), _quantity(height, "px", "height")]
         if scale is not None:
             source["field_of_view"] = [

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from tifffile import TiffFile
 
 from fringedic.errors import ImageError
 from fringedic.frames.grey import luminance
@@ -75,6 +74,8 @@ def read_grey(path: Path) -> np.ndarray:
 
 def _refuse_changed_tiff(path: Path, content: bytes) -> None:
     """Refuse a TIFF file whose pixels OpenCV changes: it turns them by their tag and scales packed bits to 16."""
+    from tifffile import TiffFile  # not at the top: cameras and most images do without it
+
     try:
         with TiffFile(BytesIO(content)) as file:
             page = file.pages.first

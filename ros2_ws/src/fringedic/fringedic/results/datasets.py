@@ -191,12 +191,13 @@ def process_into(
     reader = BagReader(path)
     reference = settings.reference
     names = _processed_topics(reader)
-    timeline = Timeline(reader, names, settings.experiment, steps=settings.steps)
+    asked = set() if reference is None else {reference}
+    read = None if settings.steps is None else settings.steps | asked
+    timeline = Timeline(reader, names, settings.experiment, steps=read)
     if settings.calibration is not None:
         check_calibration(settings.calibration, recorded_setup(reader))
     pipeline = OfflinePipeline(settings.overrides, timeline.experiment, reference, settings.calibration)
-    references = timeline.references if reference is None else {reference}
-    asked = references if reference is not None else set()
+    references = asked or timeline.references
     segment = None if settings.segment is None else _Segment.of(timeline.steps, *settings.segment)
     steps = settings.steps if segment is None else segment.lead_in | segment.steps
     wanted = None if steps is None else steps | references

@@ -58,7 +58,7 @@ class Timeline:
     experiment
         Name of the experiment; None for the only one.
     steps
-        The steps that are read, None for all.
+        The steps that are read, None for all; reference steps are read, too.
 
     Attributes
     ----------
@@ -93,10 +93,11 @@ class Timeline:
         self.source = reader.path.name
         self.damage = reader.lost
         exposed = [record for record in exposed if record.experiment == self.experiment]
-        refuse_repeated_steps((each for each in exposed if steps is None or each.step in steps), reader.path)
         self._exposed = _exposure_times(exposed)
         announced = {each.step for each in messages("experiment/reference") if each.experiment == self.experiment}
         self.references = announced | {min(self._exposed)}
+        read = None if steps is None else steps | self.references
+        refuse_repeated_steps((each for each in exposed if read is None or each.step in read), reader.path)
         self._load = _LoadSamples.of(messages("load_frame/state"))
         specimen = recorded_metadata(messages("node_parameters")).specimen
         self._force_sign = specimen.force_sign

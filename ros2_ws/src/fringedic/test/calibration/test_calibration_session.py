@@ -135,8 +135,10 @@ def test_a_rig_that_stands_still_has_no_drift(session: CalibrationSession) -> No
     assert CalibrationWarning.DRIFT not in [each.code for each in result.warnings]
 
 
-@pytest.mark.parametrize("kept", range(1, 6))
-def test_recorded_session_that_was_cut_off_is_refused(tmp_path: Path, kept: int) -> None:
+@pytest.mark.parametrize(
+    ("kept", "first"), [(1, PlaneKind.SPECIMEN), *((kept, PlaneKind.PLANE) for kept in range(1, 6))]
+)
+def test_recorded_session_that_was_cut_off_is_refused(tmp_path: Path, kept: int, first: PlaneKind) -> None:
     """The planes are a grid on either side and four angles, the last of which is held out; the first is repeated."""
     kind = "fringedic_msgs/msg/ReferencePlane"
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -145,7 +147,8 @@ def test_recorded_session_that_was_cut_off_is_refused(tmp_path: Path, kept: int)
     definition, _ = store.generate_msgdef(kind, ros_version=2)
     header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](0, 0), "")
     planes = [(PlaneKind.GRID, angle, False) for angle in (0.0, -0.2, 0.2)]
-    planes += [(PlaneKind.PLANE, angle, angle == 0.2) for angle in (0.0, -0.3, 0.3, 0.2)]
+    planes.append((first, 0.0, False))
+    planes += [(PlaneKind.PLANE, angle, angle == 0.2) for angle in (-0.3, 0.3, 0.2)]
     planes.append((PlaneKind.PLANE, 0.0, True))
     with BagWriter(tmp_path / "bag") as writer:
         writer.add_recorded_topic(Topic("/rig/experiment/plane", kind, definition, "ros2msg", "", ""))

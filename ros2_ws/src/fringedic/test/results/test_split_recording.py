@@ -58,4 +58,6 @@ def test_two_measurements_under_one_number_are_refused(tmp_path, seconds):
         return
     with pytest.raises(DatasetError, match="step 0 of experiment 'tiny' was measured more than once under this number"):
         process_bag(tmp_path / "bag", output=tmp_path / "new.nc")
+    with pytest.raises(DatasetError, match="step 0 of experiment 'tiny' was measured more than once"):
+        process_bag(tmp_path / "bag", output=tmp_path / "new.nc", steps={1})  # whose reference is step 0
     assert not (tmp_path / "new.nc").exists()

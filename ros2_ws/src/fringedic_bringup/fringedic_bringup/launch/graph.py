@@ -11,7 +11,9 @@ import yaml
 
 from fringedic.configuration.rig_file import RigFile, load_fitting_calibration
 from fringedic.configuration.sections import ExtensometerSection
+from fringedic.errors import ConfigurationError
 from fringedic.frames.region import Region
+from fringedic.inputs.yaml_text import load_yaml
 from fringedic.metadata import Metadata
 from fringedic.recording.reader import BagReader
 
@@ -43,6 +45,24 @@ class NodeEntry:
         file = folder / f"{self.name}.yaml"
         file.write_text(yaml.safe_dump({"/**": {"ros__parameters": {**self.parameters, **others}}}))
         return file
+
+    def changed_parameters(self, folder: Path) -> set[str]:
+        """Return the names of the parameters that differ from the file that `write_parameters` wrote; none without it.
+
+        Raises
+        ------
+        ConfigurationError
+            The file is damaged.
+        """
+        file = folder / f"{self.name}.yaml"
+        if not file.exists():
+            return set()
+        try:
+            before = load_yaml(file.read_text())["/**"]["ros__parameters"]
+            now = load_yaml(yaml.safe_dump(dict(self.parameters)))  # with lists and texts, as in the file
+            return {name for name in now.keys() | before.keys() if now.get(name) != before.get(name)}
+        except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, AttributeError):
+            raise ConfigurationError(f"{file} is damaged, so the settings of the first steps are unknown") from None
 
 
 @dataclass(frozen=True)

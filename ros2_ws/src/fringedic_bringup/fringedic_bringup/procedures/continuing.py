@@ -11,8 +11,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import yaml
-
 from fringedic.configuration.programme import Programme, ProgrammeStep
 from fringedic.errors import ConfigurationError
 from fringedic.recording.manifest import write_whole
@@ -139,17 +137,14 @@ def require_same_settings(graph: Graph, logs: Path) -> None:
     Raises
     ------
     ConfigurationError
-        The message names the parameters that differ.
+        The message names the parameters that differ, or a parameter file that is damaged.
     """
-    changed = []
-    for node in graph.nodes:
-        if node.name not in COMPARED:
-            continue
-        with suppress(OSError, yaml.YAMLError, KeyError, TypeError):
-            before = yaml.safe_load((logs / f"{node.name}.yaml").read_text())["/**"]["ros__parameters"]
-            now = yaml.safe_load(yaml.safe_dump(dict(node.parameters)))
-            names = (now.keys() | before.keys()) - OF_ONE_COMMAND
-            changed += [f"{node.name}.{name}" for name in sorted(names) if now.get(name) != before.get(name)]
+    changed = [
+        f"{node.name}.{name}"
+        for node in graph.nodes
+        if node.name in COMPARED
+        for name in sorted(node.changed_parameters(logs) - OF_ONE_COMMAND)
+    ]
     if changed:
         raise ConfigurationError(
             f"{logs.parent}: the settings are not those of its first steps ({', '.join(changed)}); undo the change, or "
