@@ -234,11 +234,11 @@ def _check_camera_clock(step: RunningStep, code: int) -> None:
 
 
 def _clock_failure(code: int, owner: str, ahead: float, allowed: float) -> StepFailure:
-    side = "ahead of" if ahead > 0 else "behind"
+    side, cause = ("ahead of", "the clock jumped back") if ahead > 0 else ("behind", "the clock jumped forward")
     return StepFailure(
         code,
         f"the clock of the {owner} is {abs(ahead):.1f} s {side} the clock of the experiment node, {allowed:g} s are "
-        "allowed, or a clock was set; synchronise the clocks of their computers (chrony) and measure the step again",
+        f"allowed, or {cause}; synchronise the clocks of their computers (chrony) and measure the step again",
     )
 
 

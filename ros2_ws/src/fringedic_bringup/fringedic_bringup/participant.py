@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
 
 import rclpy
 from rclpy.context import Context
@@ -39,8 +43,9 @@ class Participant:
         self._executor.add_node(self.node)
 
     def spin_once(self, timeout_s: float) -> None:
-        """Run one callback that is ready, or wait for one at most this long."""
-        self._executor.spin_once(timeout_sec=timeout_s)
+        """Run one callback that is ready, or wait for one at most this long; Ctrl-C interrupts it afterwards."""
+        with _signals_afterwards():
+            self._executor.spin_once(timeout_sec=timeout_s)
 
     def close(self, before: Callable[[], None] = lambda: None) -> None:
         """End the node.
@@ -54,3 +59,29 @@ class Participant:
         before()
         self.node.destroy_node()
         rclpy.try_shutdown(context=self._context)
+
+
+@contextmanager
+def _signals_afterwards() -> Iterator[None]:
+    """Handle the signals that interrupt a command after the `with` block.
+
+    An exception of a signal handler while rclpy converts a message would come out as a RuntimeError about the message.
+    """
+    if threading.current_thread() is not threading.main_thread():  # which alone handles signals
+        yield
+        return
+    came: list[tuple[int, Any]] = []
+    handlers = {
+        number: handler
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        if callable(handler := signal.getsignal(number))
+    }
+    for number in handlers:
+        signal.signal(number, lambda *signalled: came.append(signalled))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for signalled in came:
+            handlers[signal.Signals(signalled[0])](*signalled)
