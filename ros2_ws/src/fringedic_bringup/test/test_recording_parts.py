@@ -8,9 +8,12 @@ from pathlib import Path
 import pytest
 
 from fringedic.recording.reader import BagReader
-from fringedic.recording.repair import recover
+from fringedic.recording.repair import info, recover
 from fringedic.recording.topics import RawMessage
+from fringedic.recording.verification import verify
 from fringedic.recording.writer import Split
+from fringedic.report.recordings import content_sentences, next_command
+from fringedic.results import open_experiment, process_bag
 from fringedic_bringup.procedures import recording_parts
 from fringedic_bringup.procedures.recording_parts import join_parts, next_part
 
@@ -77,6 +80,20 @@ def test_a_later_run_joins_only_what_is_not_in_the_recording(bag: Path) -> None:
     assert messages(kept / "bag-4") == 2 * messages(RECORDED)
     assert messages(kept / "bag-5") == messages(RECORDED)
     assert sorted(path.name for path in bag.parent.iterdir()) == ["bag", "bag-old", "parts"]
+
+
+def test_parts_that_were_not_joined_are_stated_and_recovered(bag: Path) -> None:
+    """The recording of a run whose command was killed: its later steps were missing without a word."""
+    [_, lost] = content_sentences(content := info(bag))
+    assert lost.endswith("bag-2 beside it, later parts of the same run, are not read")
+    assert next_command(content) == f"next: `fringedic recover {bag}` writes one recording of all parts"
+    assert "bag-2 beside it" in verify(bag).damage
+    with open_experiment(process_bag(bag)) as dataset:
+        assert "bag-2 beside it" in dataset.damage
+    recovered = recover(bag)
+    assert messages(Path(recovered.path)) == 2 * messages(RECORDED)
+    assert "not closed" in recovered.damage
+    assert not info(recovered.path).parts
 
 
 def test_the_next_part_is_the_last_one_although_one_was_deleted(tmp_path: Path) -> None:

@@ -58,6 +58,17 @@ def recording_of(path: Path) -> Path:
     return path
 
 
+def numbered_parts(bag: Path) -> dict[int, Path]:
+    """Return the parts bag-2, bag-3 ... beside a recording, in the order of their numbers."""
+    parts = {part.name.removeprefix(f"{bag.name}-"): part for part in bag.parent.glob(f"{bag.name}-*")}
+    return dict(sorted((int(number), part) for number, part in parts.items() if number.isdecimal()))
+
+
+def parts_of_run(path: Path) -> list[Path]:
+    """Return the later parts of the recording of a run, which its command joins in the end if it is not killed."""
+    return [part for part in numbered_parts(path).values() if any(part.glob("*.mcap"))] if path.name == BAG else []
+
+
 def beside(path: Path, ending: str) -> Path:
     """Return the absolute path beside a recording or dataset, with an ending appended to its name.
 

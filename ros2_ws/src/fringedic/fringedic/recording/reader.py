@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from fringedic.errors import ErrorCode, RecordingError
-from fringedic.recording.bag_files import BagFiles, find_files, open_file, recording_of
+from fringedic.recording.bag_files import BagFiles, find_files, open_file, parts_of_run, recording_of
 from fringedic.recording.mcap_file import McapFile, count_without_checksum, read_messages
 from fringedic.recording.topics import RawMessage, Topic
 
@@ -50,8 +50,11 @@ class BagReader:
         Description of a clock that was set back during the recording, by the times of its chunks; empty if it was not.
     damage
         Description of damaged and missing files and of a clock that was set back; empty if there are none.
+    parts
+        Folders of later parts of the recording of a run whose command was killed before it joined them.
     lost
-        The damage with the missing messages of each topic; empty for a complete recording.
+        The damage with the missing messages of each topic and the parts that were not joined; empty for a complete
+        recording.
     unlisted
         Names of files that are read although ``metadata.yaml`` does not list them.
 
@@ -90,7 +93,9 @@ class BagReader:
         self.missing = dict(sorted(missing.items()))
         self.set_back = describe_set_back(_spans(file for file in self._files if file.path.name not in self.unlisted))
         self.damage = "; ".join(filter(None, (*_damage(self._files, found), self.set_back)))
-        self.lost = "; ".join(filter(None, (self.damage, _missing_words(self.missing))))
+        self.parts = parts_of_run(self.path)
+        words = self.damage, _missing_words(self.missing), describe_parts(part.name for part in self.parts)
+        self.lost = "; ".join(filter(None, words))
 
     @property
     def start_time(self) -> int:
@@ -341,6 +346,12 @@ def describe_set_back(spans: Iterable[tuple[int, int]]) -> str:
     time = datetime.fromtimestamp(1e-9 * when, UTC)
     later = "order and times of later messages are wrong"
     return f"the clock was set back by {1e-9 * back:.1f} s at {time:%Y-%m-%d %H:%M:%S} UTC; {later}"
+
+
+def describe_parts(names: Iterable[str]) -> str:
+    """Return a description of the parts of a recording that were not joined with it; empty if there are none."""
+    listed = ", ".join(names)
+    return listed and f"{listed} beside it, later parts of the same run, are not read"
 
 
 def _missing_words(missing: dict[str, int]) -> str:

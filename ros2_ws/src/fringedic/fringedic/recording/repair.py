@@ -32,6 +32,8 @@ class Content:
         Description of damaged and missing files; empty if there are none.
     unlisted
         Names of files that are read although ``metadata.yaml`` does not list them.
+    parts
+        Names of later parts of a run beside the recording, which are not read.
     """
 
     path: Path | str
@@ -39,6 +41,7 @@ class Content:
     missing: dict[str, int]
     damage: str
     unlisted: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()
 
     @property
     def messages(self) -> int:
@@ -48,11 +51,13 @@ class Content:
     @property
     def whole(self) -> bool:
         """Whether nothing is damaged or missing."""
-        return not (self.damage or self.missing)
+        return not (self.damage or self.missing or self.parts)
 
 
 def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None) -> Content:
     """Write a complete recording of all readable messages of a damaged one, which is not changed.
+
+    Later parts of a run whose command was killed before it joined them follow.
 
     Parameters
     ----------
@@ -78,6 +83,8 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
     """
     reader = BagReader(path, check=True)
     target = Path(output) if output is not None else beside(Path(path), "_recovered")
+    if reader.parts:
+        return join([reader.path, *reader.parts], target)
     with BagWriter(target) as writer:
         _append(writer, reader)
     return Content(target, dict(reader.counts), reader.missing, reader.damage, reader.unlisted)
@@ -107,7 +114,8 @@ def join(parts: Iterable[Path], target: Path, *, split: Split = ONE_FILE) -> Con
     """
     counts: Counter[str] = Counter()
     missing: Counter[str] = Counter()
-    damage = []
+    damage: list[str] = []
+    unlisted: list[str] = []
     with BagWriter(target, split=split) as writer:
         for part in parts:
             try:
@@ -118,9 +126,10 @@ def join(parts: Iterable[Path], target: Path, *, split: Split = ONE_FILE) -> Con
             _append(writer, reader)
             counts += Counter(reader.counts)
             missing += Counter(reader.missing)
+            unlisted += reader.unlisted
             if reader.damage:
                 damage.append(f"{part.name}: {reader.damage}")
-    return Content(target, dict(counts), dict(missing), "; ".join(damage))
+    return Content(target, dict(counts), dict(missing), "; ".join(damage), tuple(unlisted))
 
 
 def _append(writer: BagWriter, reader: BagReader) -> None:
@@ -173,4 +182,5 @@ def _info(reader: BagReader, address: str | None) -> BagInfo:
         missing=reader.missing,
         damage=reader.damage,
         unlisted=reader.unlisted,
+        parts=tuple(part.name for part in reader.parts),
     )

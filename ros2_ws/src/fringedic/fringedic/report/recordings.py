@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from fringedic.recording.bag_files import METADATA
 from fringedic.recording.frames import IMAGE
 from fringedic.recording.manifest import MANIFEST, ManifestCheck
+from fringedic.recording.reader import describe_parts
 from fringedic.recording.repair import Content
 from fringedic.recording.verification import Verification
 
@@ -31,7 +32,8 @@ def content_sentences(content: Content) -> list[str]:
     if content.whole:
         return [*lines, "lost: nothing"]
     counted = f"{_plural(frames[1], 'frame')}, {_plural(messages[1] - frames[1], 'other message')}"
-    return [*lines, f"lost: {'; '.join(filter(None, (counted if content.missing else '', content.damage)))}"]
+    lost = counted if content.missing else "", content.damage, describe_parts(content.parts)
+    return [*lines, f"lost: {'; '.join(filter(None, lost))}"]
 
 
 def next_command(content: Content) -> str:
@@ -45,7 +47,8 @@ def next_command(content: Content) -> str:
     """
     path = content.path
     if not content.whole:
-        return f"next: `fringedic recover {path}` writes a recording of what is whole"
+        written = "one recording of all parts" if content.parts else "a recording of what is whole"
+        return f"next: `fringedic recover {path}` writes {written}"
     if any(f"/{name}".endswith("/dic/status") and count for name, count in content.counts.items()):
         return f"next: `fringedic report {path}` shows the results; `fringedic process {path}` computes them again"
     if _frames(content.counts):

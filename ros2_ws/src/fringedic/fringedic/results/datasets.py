@@ -21,7 +21,7 @@ from fringedic.recording.reader import BagReader
 from fringedic.recording.remote import is_remote, local_copy
 from fringedic.results.derived import Collected
 from fringedic.results.quantities import PHASE_TOPICS
-from fringedic.results.rows import Row, in_order_of_steps, row_of
+from fringedic.results.rows import Row, in_order_of_steps, row_of, with_lost_steps
 from fringedic.results.stores import Store, dataset_path
 from fringedic.results.timeline import Timeline
 from fringedic.results.writer import DatasetWriter
@@ -214,7 +214,8 @@ def process_into(
         yield from passing(wanted)
         yield from (row_of(each, pipeline.settings.spacing) for each in pipeline.finish())
 
-    measured = in_order_of_steps(rows())
+    exposed = timeline.steps if wanted is None else [step for step in timeline.steps if step in wanted]
+    measured = with_lost_steps(in_order_of_steps(rows()), exposed)
     if segment is not None:
         measured = (row for row in measured if row.step in segment.steps)
     _write(target, timeline, measured, lambda: pipeline.settings, progress)
@@ -269,7 +270,7 @@ def follow_into(
         for row in in_order_of_steps(rows()):
             writer.add(replace(row, stamp=row.stamp or 0), pipeline.settings)
             kept.append(replace(row, maps={}))
-        timeline = _final_timeline(recording, attributes, settings)
+        timeline = _final_timeline(recording, attributes, settings, [row.step for row in kept])
         for index, row in enumerate(kept):
             timeline.complete(row)
             writer.enter_values(index, row)
@@ -284,14 +285,15 @@ def _followed_experiment(recording: GrowingRecording) -> str:
 
 
 def _final_timeline(
-    recording: GrowingRecording, attributes: Mapping[str, str], settings: ProcessingSettings
+    recording: GrowingRecording, attributes: Mapping[str, str], settings: ProcessingSettings, steps: list[int]
 ) -> Timeline:
     """Return the timeline of a recording that is complete, if it is what was assumed while it was made."""
     reader = BagReader(recording.path)
     timeline = Timeline(reader, _processed_topics(reader), None)
     if settings.calibration is not None:
         check_calibration(settings.calibration, recorded_setup(reader))
-    if timeline.damage or {"experiment": timeline.experiment, "source": timeline.source} != attributes:
+    differs = timeline.steps != steps or {"experiment": timeline.experiment, "source": timeline.source} != attributes
+    if timeline.damage or differs:
         raise FollowError(f"{recording.path}: is not what was read while it was made")
     return timeline
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -77,3 +78,19 @@ def in_order_of_steps(rows: Iterator[Row]) -> Iterator[Row]:
         yield row
     if early is not None:
         yield early
+
+
+def with_lost_steps(rows: Iterable[Row], exposed: Iterable[int]) -> Iterator[Row]:
+    """Return rows in the order of their steps with a row of each exposed step of which no image was recorded."""
+    lost = deque(sorted(exposed))
+    for row in rows:
+        while lost and lost[0] <= row.step:
+            step = lost.popleft()
+            if step < row.step:
+                yield _lost(step)
+        yield row
+    yield from map(_lost, lost)
+
+
+def _lost(step: int) -> Row:
+    return Row(step, error="the recording contains no image of this step")

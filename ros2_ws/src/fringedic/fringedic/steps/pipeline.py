@@ -145,16 +145,18 @@ class OfflinePipeline:
         unwanted = wanted is not None and record.step not in wanted
         if record.pattern.kind == PatternKind.OTHER or unwanted or record.step in self._answered:
             return []
+        # steps are exposed one after the other: what is missing of one before is lost
+        lost = [self._abandoned(*key) for key in self._collector.open_steps if key[1] != record.step]
         try:
             stack = self._collector.add(record, frame.image)
         except FringedicError as error:
             self._collector.abandon(record.experiment, record.step)
             self._answered.add(record.step)
-            return [MeasuredStep(record.step, record.stamp, error=str(error))]
+            return [*lost, MeasuredStep(record.step, record.stamp, error=str(error))]
         if stack is None:
-            return []
+            return lost
         self._answered.add(record.step)
-        return [self._measure(stack)]
+        return [*lost, self._measure(stack)]
 
     def _measure(self, stack: Stack) -> MeasuredStep:
         measured = MeasuredStep(stack.step, stack.stamp)

@@ -23,10 +23,12 @@ from fringedic.configuration.rig_file import RigFile
 from fringedic.configuration.virtual_calibration import calibration_of
 from fringedic.errors import ConfigurationError, DatasetError, RecordingError
 from fringedic.frames.collector import Stack
-from fringedic.frames.records import FrameRecord
+from fringedic.frames.records import FrameRecord, stamp_of
 from fringedic.metadata import Metadata
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.patterns.render import render_pattern
+from fringedic.recording.frames import records
+from fringedic.recording.reader import BagReader
 from fringedic.recording.topics import Topic
 from fringedic.recording.writer import BagWriter
 from fringedic.report.confirmation import confirmation_sentence
@@ -39,6 +41,7 @@ from fringedic.steps.phase import phase_step
 from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.virtual_rig import VirtualRig
 
+RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 MESSAGES = Path(__file__).parents[3] / "fringedic_msgs" / "msg"
 RAW = {
     "camera/image_raw": "sensor_msgs/msg/Image",
@@ -456,6 +459,31 @@ def test_a_step_without_its_frames_has_no_maps_and_says_why(processed):
     assert np.isnan(failed.phase).all()
     assert np.isnan(failed.displacement_x).all()
     assert str(processed.sel(step=6).error.values) == ""
+
+
+@pytest.mark.parametrize(
+    ("lost", "error"), [({-1}, "never arrived"), (set(range(-40, 40)), "the recording contains no image of this step")]
+)
+def test_a_step_that_lost_images_keeps_its_place(lost, error, tmp_path):
+    """It was the last row, or had none."""
+    reader = BagReader(RECORDED)
+    exposed = [record.stamp for record in records(reader) if record.step == 1]
+    stamps = {exposed[index] for index in lost if -len(exposed) <= index < len(exposed)}
+    names = reader.find("camera/image_raw")
+    with BagWriter(tmp_path / "bag") as writer:
+        for topic in reader.topics.values():
+            writer.add_recorded_topic(topic)
+        for each in reader.stored():
+            is_image = each.topic in names.values()
+            if not (is_image and stamp_of(reader.decode(each.topic, each.data)) in stamps):
+                writer.write(*each)
+    told = []
+    with open_experiment(process_bag(tmp_path / "bag", progress=lambda *each: told.append(each))) as dataset:
+        assert dataset.step.values.tolist() == [0, 1, 2]
+        assert [error in str(each) for each in dataset.error.values] == [False, True, False]
+        assert np.isnan(dataset.w.sel(step=1)).all()
+        assert dataset.force.notnull().all()
+    assert [step for step, _ in told] == [0, 1, 2]
 
 
 def test_a_white_step_has_a_displacement_and_no_shape(processed):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+from fringedic.recording.bag_files import numbered_parts
 from fringedic.recording.repair import join
 from fringedic.recording.writer import Split
 from fringedic.report.recordings import content_sentences
@@ -50,9 +51,3 @@ def join_parts(bag: Path, progress: Progress, split: Split) -> None:
         part.rename(kept / f"{bag.name}-{later}")
     if not joined.whole:
         progress.note(f"parts of the recording are not complete: {'; '.join(content_sentences(joined))}")
-
-
-def numbered_parts(bag: Path) -> dict[int, Path]:
-    """Return the parts bag-2, bag-3 ... beside a recording, in the order of their numbers."""
-    parts = {part.name.removeprefix(f"{bag.name}-"): part for part in bag.parent.glob(f"{bag.name}-*")}
-    return dict(sorted((int(number), part) for number, part in parts.items() if number.isdecimal()))
