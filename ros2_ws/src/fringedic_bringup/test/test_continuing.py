@@ -7,15 +7,18 @@ from pathlib import Path
 import pytest
 import yaml
 
+from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import load_rig_file
 from fringedic.errors import ConfigurationError
 from fringedic_bringup.launch.graph import Graph, rig_graph
 from fringedic_bringup.procedures.continuing import (
     folder_of_one_command,
+    recorded_steps,
     require_same_calibration,
     require_same_settings,
 )
 
+RECORDED = Path(__file__).parents[2] / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
 TINY = Path(__file__).parents[1] / "config" / "tiny.yaml"
 
 
@@ -67,6 +70,15 @@ def test_a_damaged_file_of_the_settings_is_named(content: str, tmp_path: Path) -
     (logs / "dic.yaml").write_text(content)
     with pytest.raises(ConfigurationError, match=r"dic\.yaml is damaged"):
         require_same_settings(graph, logs)
+
+
+def test_the_namespace_is_that_of_the_first_steps() -> None:
+    """The recording would contain two rigs, so that no step could be processed."""
+    programme = Programme.model_validate({"experiment": "plate", "steps": [{"position_mm": 0.0}] * 5})
+    assert recorded_steps(RECORDED, programme, "rig").measured == [0, 1, 2]
+    for other in ("rig2", "", "laboratory/rig"):
+        with pytest.raises(ConfigurationError, match=f"named /rig/experiment/step, .* namespace .* is '{other}'"):
+            recorded_steps(RECORDED, programme, other)
 
 
 def test_another_calibration_is_refused_and_the_first_one_stays(tmp_path: Path) -> None:

@@ -67,21 +67,27 @@ def folder_of_one_command(folder: Path) -> Iterator[None]:
                 folder.rmdir()
 
 
-def recorded_steps(bag: Path, programme: Programme) -> RecordedSteps:
+def recorded_steps(bag: Path, programme: Programme, namespace: str) -> RecordedSteps:
     """Return the steps of a recording that a programme goes on with.
 
     Raises
     ------
     ConfigurationError
         The programme has conditions, whose readings are not known any more, the steps that were done are not its
-        first ones, or no step is left.
+        first ones, no step is left, or the rig had another namespace, so that the recording would contain two rigs.
     """
     if programme.conditions():
         raise ConfigurationError(
             f"{programme.experiment} has conditions (until), which need the readings of all steps: start a new run"
         )
     reader = BagReader(bag)
-    statuses = [message for _, message, _ in reader.messages(reader.find("experiment/step").values())]
+    topic = reader.find("experiment/step")["experiment/step"]
+    if topic.removesuffix("experiment/step").strip("/") != namespace:
+        raise ConfigurationError(
+            f"{bag.parent}: topics of its first steps are named {topic}, and the namespace of the rig is "
+            f"'{namespace}'; undo the change, or start a new run"
+        )
+    statuses = [message for _, message, _ in reader.messages([topic])]
     measured = sorted({status.step for status in statuses if status.stage == StepStatus.END})
     steps = programme.load_steps()
     done = steps_done(bag.with_name("logs") / STEPS_DONE, len(measured), steps)

@@ -136,7 +136,7 @@ def run_experiment(
         bag, calibration, before = folder / "bag", folder / "calibration.yaml", None
         if resume:
             join_parts(bag, progress, rig.recording.split)  # of a command that was killed before it joined them
-            before = recorded_steps(bag, programme)
+            before = recorded_steps(bag, programme, rig.namespace)
         first_calibration = calibration.read_text() if resume and calibration.exists() else ""
         graph = rig_graph(rig, rig_path, folder, experiment=programme.experiment)
         if before is not None:
