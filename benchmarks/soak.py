@@ -146,12 +146,14 @@ def main() -> None:
     """Measure and print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--minutes", type=float, default=60.0, help="length of the test [min]")
-    minutes = parser.parse_args().minutes
+    minutes: float = parser.parse_args().minutes
     console = Console(markup=False, width=140)
     console.print(f"before: {machine()}", highlight=False)
     with tempfile.TemporaryDirectory(prefix="fringedic-soak-") as name:
         folder = Path(name) / "run"
         noted = soak(folder, 60 * minutes)
+        if len(noted.durations) < 2 * WARM_UP:
+            parser.error(f"{len(noted.durations)} steps are too few for these figures; give more --minutes")
         console.print(table_of(noted, folder / "bag", minutes))
     for failure in noted.failures:
         console.print(failure, highlight=False)

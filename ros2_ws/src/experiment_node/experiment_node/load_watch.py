@@ -77,8 +77,8 @@ class LoadWatch:
             step.experiment.has_load_frame = True
         return step.experiment.has_load_frame
 
-    async def await_hold(self, step: RunningStep, parameters: ExperimentParameters) -> None:
-        """Check before the first frame that an expected load frame holds, by a sample that is acquired from now on.
+    async def await_hold(self, step: RunningStep, parameters: ExperimentParameters, begin: int) -> None:
+        """Check before the first frame that an expected load frame holds, by a sample acquired since `begin` [ns].
 
         Raises
         ------
@@ -88,7 +88,7 @@ class LoadWatch:
         if not self._is_expected(step, parameters) or not parameters.hold_required:
             return
         timeout = SAMPLE_TIMEOUT if self._latest is not None else parameters.start_timeout_s
-        await self._await_sample(step, time.time_ns(), timeout)
+        await self._await_sample(step, begin, timeout)
         if not step.load and self._latest is not None:
             _collect(step, self._latest)  # of a clock that is ahead: it came before the step
         self.check_latest(step, parameters)

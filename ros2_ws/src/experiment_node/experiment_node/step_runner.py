@@ -112,7 +112,6 @@ class StepRunner:
             await self._become_ready(step, parameters)
         finally:
             self._begin_step(step)
-        await self._load.await_hold(step, parameters)
         await self._take_frames(step, parameters)
         if not step.failed_node:
             await self._load.check_exposures(step, parameters)  # before the results, which take longer
@@ -162,12 +161,15 @@ class StepRunner:
         step.report(Feedback.BEGIN)
 
     async def _take_frames(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+        begin = time.time_ns()
         await step.goal.pause(parameters.settle_time_s)
         step.report(Feedback.CAPTURE)
         shown, on_screen = Time(), None
         for index, pattern in enumerate(step.patterns):
             if parameters.projector and pattern != on_screen:  # further exposures of a pattern find it on the screen
                 shown, on_screen = await self.frames.show(step, pattern, parameters), pattern
+            if index == 0:
+                await self._load.await_hold(step, parameters, begin)  # a sample has come while the pattern was shown
             await self.frames.capture(step, index, pattern, shown, parameters)
             self._publish_stage(step, StepStatus.CAPTURE)
             step.report(Feedback.CAPTURE)

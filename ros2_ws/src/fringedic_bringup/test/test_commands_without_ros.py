@@ -32,7 +32,8 @@ ROS_FREE_OPTION = re.compile(r"no with `(--[a-z]+)`")
 
 # Runs the commands given as JSON one after the other, and writes their exit codes and outputs as JSON.
 RUNNER = """
-import json, os, signal, socket, sys, threading, time, traceback
+import faulthandler, json, os, signal, socket, sys, threading, time, traceback
+faulthandler.dump_traceback_later(270, exit=True)
 from typer.testing import CliRunner
 from fringedic_bringup.command.main import app
 

@@ -59,10 +59,12 @@ def view_page(bag: Path, place: Address) -> None:
     from fringedic.page.server import PageServer
 
     with suppress(KeyboardInterrupt):
-        server = PageServer(RecordedRig(bag), place)
+        recorded = RecordedRig(bag)
+        ended = ended_by_signals()
+        server = PageServer(recorded, place)
         try:
             announce(place, "see the recording")
-            while True:  # a signal that comes just before a wait is noticed at the end of the wait
+            while not ended.is_set():  # a signal that comes just before a wait is noticed at the end of the wait
                 time.sleep(LOOK_S)
         finally:
             server.close()
@@ -101,10 +103,16 @@ def operate(
     path = rig if rig.exists() else own_copy(rig_path_of(rig))
     load_rig_file(path)
     place = page_address(address, port, certificate, key)
+    stop = ended_by_signals().is_set
+    serve(Place(path), place, attach=attach, ready=lambda: announce(place, "drive the machine"), stop=stop)
+
+
+def ended_by_signals() -> threading.Event:
+    """Return an event that Ctrl-C and SIGTERM set from now on; an exception amid a finalizer would be lost."""
     ended = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: ended.set())
-    serve(Place(path), place, attach=attach, ready=lambda: announce(place, "drive the machine"), stop=ended.is_set)
+    return ended
 
 
 def own_copy(installed: Path) -> Path:
