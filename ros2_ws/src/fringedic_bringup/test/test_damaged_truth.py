@@ -10,6 +10,7 @@ import pytest
 import xarray as xr
 from rich.console import Console
 
+from fringedic.results import process_bag
 from fringedic_bringup.display.progress import report_table
 from fringedic_bringup.procedures.outcome import RunReport, StepReport
 from fringedic_bringup.procedures.run import write_results
@@ -20,9 +21,10 @@ STEPS = 3
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> RunReport:
-    """Write the results of a recording beside which the ground truth is truncated."""
+    """Write the results of a recording; beside it lie a truncated ground truth and a dataset of its first steps."""
     folder = tmp_path_factory.mktemp("run")
     shutil.copytree(RECORDED, folder / "bag")
+    process_bag(folder / "bag", steps=[0, 1])
     xr.Dataset({"u": (("step", "row"), np.zeros((STEPS, 5000)))}).to_netcdf(folder / "truth.nc", engine="h5netcdf")
     data = (folder / "truth.nc").read_bytes()
     (folder / "truth.nc").write_bytes(data[: len(data) * 6 // 10])
@@ -46,3 +48,8 @@ def test_reason_is_in_the_table_and_in_the_report(written: RunReport) -> None:
     assert Console(width=200).render_lines(table)
     page = (written.folder / "report.html").read_text()
     assert "No comparison with the ground truth" in page
+
+
+def test_the_report_is_that_of_the_results(written: RunReport) -> None:
+    """It was that of a dataset that another command had made of the recording during the run."""
+    assert f"step {STEPS - 1}" in (written.folder / "report.html").read_text()

@@ -52,7 +52,7 @@ def open_campaign(place: str | os.PathLike[str]) -> tuple[xr.DataTree, pd.DataFr
     plan = store.read(PLAN)
     if plan is None:
         raise CampaignError(f"{store.address}: is no campaign: it has no {PLAN}; 'fringedic campaign run' makes one")
-    keys = {unit["name"]: unit["key"] for unit in plan["units"]}
+    keys = {unit["name"]: unit["key"] for unit in plan["units"] if unit["fingerprint"]}  # others are being made
     receipts = {
         name: receipt
         for name, receipt in store.documents(RECEIPTS).items()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from fringedic.campaign.plan import Plan, Unit, make_plan
@@ -12,6 +13,8 @@ from fringedic.campaign.software import software_identity
 from fringedic.campaign.store import BEGUN, FAILURES, PARTS, PLAN, RECEIPTS, RECORDINGS, CampaignStore
 from fringedic.campaign.unit import Failure, Receipt, other_results
 from fringedic.errors import CampaignError
+from fringedic.recording.bag_files import recorded_bytes
+from fringedic.recording.remote import is_remote
 
 
 @dataclass(frozen=True)
@@ -149,7 +152,10 @@ def forget_failures(store: CampaignStore) -> None:
 
 
 def _fits(plan: Plan, campaign: Campaign) -> bool:
-    """Return whether a plan names the recordings and settings of a campaign, and the software of this computer."""
+    """Return whether a plan names the recordings and settings of a campaign, and the software of this computer.
+
+    A recording that was continued since then is another one; those in an object store are not looked at again.
+    """
     named = {each.name: each.path for each in find_recordings(campaign)}
     planned = {unit.name: unit.path for unit in plan.units}
     units = plan.units
@@ -157,6 +163,7 @@ def _fits(plan: Plan, campaign: Campaign) -> bool:
         named.keys() == planned.keys() | plan.refused.keys()
         and planned.items() <= named.items()
         and bool(units)
+        and all(is_remote(unit.path) or recorded_bytes(Path(unit.path)) == unit.size for unit in units)
         and units[0].processing == campaign.processing
         and units[0].software == software_identity()
         and not any(unit.growing for unit in units)

@@ -17,7 +17,7 @@ from __future__ import annotations
 import hashlib
 import json
 import warnings
-from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from collections.abc import AsyncIterator, Container, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -94,6 +94,15 @@ class CampaignStore:
         with self._named("written"), suppress(FileNotFoundError):
             self._files.rm(self._path(name), recursive=True)
 
+    def remove_others(self, folder: str, kept: Container[str]) -> None:
+        """Remove the objects below a folder that an earlier attempt left, except those whose names are given."""
+        with self._named("written"), suppress(FileNotFoundError):
+            self._files.invalidate_cache()
+            root = f"{self._path(folder)}/"
+            others = [path for path in self._files.find(root) if path.removeprefix(root) not in kept]
+            if others:
+                self._files.rm(others)
+
     def documents(self, folder: str) -> dict[str, dict[str, Any]]:
         """Return all complete JSON objects of a folder by their names, in the order of the names.
 
@@ -150,7 +159,8 @@ class GroupStore:
     """The group of one recording while it is written, as `fringedic.results.stores.Store`.
 
     Maps are written at once, one whole chunk each. Values per step and all metadata are kept until the end. A second
-    worker with the same unit, or a later one after a crash, writes the same bytes under the same names.
+    worker with the same unit, or a later one after a crash, writes the same bytes under the same names. What an attempt
+    with other settings left is removed in the end.
 
     Parameters
     ----------
@@ -249,6 +259,7 @@ class GroupStore:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # consolidated metadata are not in the specification yet
             zarr.consolidate_metadata(self._target)
+        self._store.remove_others(self._folder, self._target.checksums)
         self._store.put({f"{self._folder}/{name}": data for name, data in self._target.metadata.items()})
 
     def discard(self) -> None:

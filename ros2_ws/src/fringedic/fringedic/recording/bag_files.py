@@ -52,10 +52,16 @@ def recording_of(path: Path) -> Path:
     ...     recording_of(Path(run)).name
     'bag'
     """
+    path = path if path.name else path.absolute()  # "." has no name
     inside = path / BAG
     if path.is_dir() and inside.is_dir() and not (path / METADATA).exists() and not any(path.glob("*.mcap")):
         return inside
     return path
+
+
+def recorded_bytes(path: Path) -> int:
+    """Return the size of the MCAP files of a recording [byte]; 0 if there is none."""
+    return sum(file.stat().st_size for file in ([path] if path.is_file() else path.glob("*.mcap")))
 
 
 def numbered_parts(bag: Path) -> dict[int, Path]:

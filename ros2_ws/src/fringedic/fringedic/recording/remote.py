@@ -112,7 +112,7 @@ class RemoteRecording:
     Parameters
     ----------
     address
-        Of its folder, such as ``s3://laboratory/plate-7/bag``.
+        Of its folder, such as ``s3://laboratory/plate-7/bag``, or of its run.
 
     Raises
     ------
@@ -127,9 +127,19 @@ class RemoteRecording:
             self._files, self._root = file_system(address)
             self._files.invalidate_cache()
             names = sorted(name for name in self._files.find(self._root) if name.endswith(".mcap"))
+            folders = {name.rpartition("/")[0] for name in names} - {self._root.rstrip("/").rpartition("/")[0]}
+            self._root = next((root for root in self._possible_roots() if root in folders), self._root)
+            names = [name for name in names if self._root in (name, name.rpartition("/")[0])]
             self.files = [self._with_index(name) for name in names]
+        if not self.files and folders:
+            raise RecordingError(f"{address}: holds several recordings; give the folder of one, such as {min(folders)}")
         if not self.files:
             raise RecordingError(f"{address}: holds no .mcap file; give the folder of a recording")
+
+    def _possible_roots(self) -> tuple[str, str]:
+        """Return the paths at which the files of a recording lie: the address itself, or the ``bag`` of a run."""
+        root = self._root.rstrip("/")
+        return root, f"{root}/{BAG}"
 
     @contextmanager
     def copied(self, topics: Iterable[str], *, first: bool = False) -> Iterator[Path]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -85,7 +87,7 @@ def recover(path: str | os.PathLike[str], output: str | os.PathLike[str] | None 
     target = Path(output) if output is not None else beside(Path(path), "_recovered")
     if reader.parts:
         return join([reader.path, *reader.parts], target)
-    with BagWriter(target) as writer:
+    with _whole_or_nothing(target, ONE_FILE) as writer:
         _append(writer, reader)
     return Content(target, dict(reader.counts), reader.missing, reader.damage, reader.unlisted)
 
@@ -116,7 +118,7 @@ def join(parts: Iterable[Path], target: Path, *, split: Split = ONE_FILE) -> Con
     missing: Counter[str] = Counter()
     damage: list[str] = []
     unlisted: list[str] = []
-    with BagWriter(target, split=split) as writer:
+    with _whole_or_nothing(target, split) as writer:
         for part in parts:
             try:
                 reader = BagReader(part, check=True)
@@ -130,6 +132,18 @@ def join(parts: Iterable[Path], target: Path, *, split: Split = ONE_FILE) -> Con
             if reader.damage:
                 damage.append(f"{part.name}: {reader.damage}")
     return Content(target, dict(counts), dict(missing), "; ".join(damage), tuple(unlisted))
+
+
+@contextmanager
+def _whole_or_nothing(target: Path, split: Split) -> Iterator[BagWriter]:
+    """Write a recording; nothing is left of one that is interrupted, which would be taken for a complete one."""
+    writer = BagWriter(target, split=split)
+    try:
+        with writer:
+            yield writer
+    except BaseException:
+        shutil.rmtree(target, ignore_errors=True)
+        raise
 
 
 def _append(writer: BagWriter, reader: BagReader) -> None:

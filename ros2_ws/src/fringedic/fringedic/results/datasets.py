@@ -20,7 +20,7 @@ from fringedic.recording.growing import FollowError, GrowingRecording
 from fringedic.recording.reader import BagReader
 from fringedic.recording.remote import is_remote, local_copy
 from fringedic.results.derived import Collected
-from fringedic.results.quantities import PHASE_TOPICS
+from fringedic.results.quantities import PHASE_TOPICS, SOURCE_BYTES
 from fringedic.results.rows import Row, in_order_of_steps, row_of, with_lost_steps
 from fringedic.results.stores import Store, dataset_path
 from fringedic.results.timeline import Timeline
@@ -206,15 +206,15 @@ def process_into(
 
     def passing(numbers: AbstractSet[int] | None) -> Iterator[Row]:
         for event in events(reader, topics, timeline.experiment):
-            yield from (row_of(each, pipeline.settings.spacing) for each in pipeline.take(event, numbers))
+            yield from (row_of(each, pipeline.settings) for each in pipeline.take(event, numbers))
 
     def rows() -> Iterator[Row]:
         if reference is not None:
             yield from passing(references)
         yield from passing(wanted)
-        yield from (row_of(each, pipeline.settings.spacing) for each in pipeline.finish())
+        yield from (row_of(each, pipeline.settings) for each in pipeline.finish())
 
-    exposed = timeline.steps if wanted is None else [step for step in timeline.steps if step in wanted]
+    exposed = [step for step in timeline.exposed if wanted is None or step in wanted]
     measured = with_lost_steps(in_order_of_steps(rows()), exposed)
     if segment is not None:
         measured = (row for row in measured if row.step in segment.steps)
@@ -262,15 +262,16 @@ def follow_into(
             for each in pipeline.take(event):
                 if progress is not None:
                     progress(each.step, each.error)
-                yield row_of(each, pipeline.settings.spacing)
-        yield from (row_of(each, pipeline.settings.spacing) for each in pipeline.finish())
+                yield row_of(each, pipeline.settings)
+        yield from (row_of(each, pipeline.settings) for each in pipeline.finish())
 
     kept: list[Row] = []
     with DatasetWriter(target, attributes) as writer:
         for row in in_order_of_steps(rows()):
-            writer.add(replace(row, stamp=row.stamp or 0), pipeline.settings)
+            writer.add(replace(row, stamp=row.stamp or 0), row.settings or pipeline.settings)
             kept.append(replace(row, maps={}))
         timeline = _final_timeline(recording, attributes, settings, [row.step for row in kept])
+        writer.attributes[SOURCE_BYTES] = str(timeline.source_bytes)
         for index, row in enumerate(kept):
             timeline.complete(row)
             writer.enter_values(index, row)
@@ -293,7 +294,7 @@ def _final_timeline(
     if settings.calibration is not None:
         check_calibration(settings.calibration, recorded_setup(reader))
     differs = timeline.steps != steps or {"experiment": timeline.experiment, "source": timeline.source} != attributes
-    if timeline.damage or differs:
+    if timeline.damage or differs or timeline.rejected:
         raise FollowError(f"{recording.path}: is not what was read while it was made")
     return timeline
 
@@ -336,11 +337,12 @@ def dataset_from_derived(
         *("dic/displacement", "dic/sigma", "coupling/shape", "coupling/displacement", "coupling/status"),
     )
     names |= derived
-    names |= reader.find_optional("experiment/reference", "calibration", "node_parameters", "load_frame/state")
-    timeline = Timeline(reader, names, experiment)
+    names |= reader.find_optional("experiment/reference", "calibration", "node_parameters")
+    others = reader.find_optional("load_frame/state", "experiment/step")
+    timeline = Timeline(reader, names | others, experiment)
     target = dataset_path(path, output, overwrite)
     collected = Collected(set(derived) | {"phase/status", "dic/status"})
-    topics = {name: full for name, full in names.items() if name not in ("load_frame/state", "camera/exposure")}
+    topics = {name: full for name, full in names.items() if name != "camera/exposure"}
 
     def rows() -> Iterator[Row]:
         for event in events(reader, topics, timeline.experiment):
@@ -360,11 +362,12 @@ def _write(
     progress: Callable[[int, str], None] | None,
 ) -> None:
     attributes = {"experiment": timeline.experiment, "source": timeline.source}
+    attributes[SOURCE_BYTES] = str(timeline.source_bytes)
     if timeline.damage:
         attributes["damage"] = timeline.damage
     with DatasetWriter(target, attributes) as writer:
         for row in rows:
             timeline.complete(row)
-            writer.add(row, settings())
+            writer.add(row, row.settings or settings())
             if progress is not None:
                 progress(row.step, row.error)

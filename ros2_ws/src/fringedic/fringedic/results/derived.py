@@ -94,7 +94,7 @@ class Collected:
 
     def _row(self, parts: Mapping[str, Any], stamp: int) -> Row:
         statuses = [parts[f"{node}/status"] for node in ("phase", "dic", "coupling") if f"{node}/status" in parts]
-        row = Row(statuses[0].step, stamp)
+        row = Row(statuses[0].step, stamp, settings=self.settings())
         for status in statuses:
             if status.error_code:
                 row.error = row.error or status.error_message

@@ -14,7 +14,7 @@ from fringedic.errors import DatasetError, ErrorCode, RecordingError, optional_i
 from fringedic.inputs.arguments import check_arguments
 from fringedic.inputs.arguments import path as file_path
 from fringedic.metadata import translate_metadata
-from fringedic.recording.bag_files import BAG, recording_of
+from fringedic.recording.bag_files import BAG, recorded_bytes, recording_of
 from fringedic.recording.remote import file_system, is_remote, named_errors
 from fringedic.results.attributes import JSON_ATTRIBUTES
 from fringedic.results.millimetres import with_millimetres
@@ -22,6 +22,7 @@ from fringedic.results.quantities import (
     MAP_DIMENSIONS,
     METADATA_ATTRIBUTE,
     RECORDING,
+    SOURCE_BYTES,
     STEP_NUMBERS,
     TIME_ZERO,
     layout_of_images,
@@ -110,17 +111,31 @@ def _dataset_in(folder: Path) -> Path | None:
 
 
 def find_dataset(recording: Path) -> Path | None:
-    """Return the dataset beside a recording, None if there is none."""
+    """Return the dataset beside a recording, None if there is none.
+
+    Raises
+    ------
+    DatasetError
+        The recording has become longer since its dataset was made, or a dataset is damaged.
+    """
     beside = dataset_path(recording, overwrite=True)
-    for candidate in (beside, beside.with_suffix(".zarr")):
-        if candidate.exists():
-            return candidate
-    for name in _OF_A_RUN:
-        candidate = recording.with_name(name)
-        if candidate.exists():
-            with _open(candidate) as dataset:
-                if dataset.attrs.get("source") == recording.name:
-                    return candidate
+    named = (beside, beside.with_suffix(".zarr"))
+    size = str(recorded_bytes(recording))
+    outdated = None
+    for candidate in (*named, *map(recording.with_name, _OF_A_RUN)):
+        if not candidate.exists():
+            continue
+        with _open(candidate) as dataset:
+            if candidate not in named and dataset.attrs.get("source") != recording.name:
+                continue
+            if size == "0" or dataset.attrs.get(SOURCE_BYTES, size) == size:
+                return candidate
+        outdated = outdated or candidate
+    if outdated is not None:
+        raise DatasetError(
+            f"{outdated}: was made when {recording} had another size; 'fringedic process {recording} --overwrite' "
+            "makes it again"
+        )
     return None
 
 

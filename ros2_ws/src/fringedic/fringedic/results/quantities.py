@@ -10,6 +10,7 @@ import xarray as xr
 
 MAP_DIMENSIONS = ("step", "row", "column")
 METADATA_ATTRIBUTE = "facts"  # name of the metadata in datasets
+SOURCE_BYTES = "source_bytes"  # attribute: size of the recording when the dataset was made, as digits
 TIME_ZERO = "time_zero"  # attribute of selected steps: time of the first step of the whole dataset
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 
@@ -11,11 +10,15 @@ import xarray as xr
 
 from fringedic.results.confirmation import confirmed_fraction
 from fringedic.steps.pipeline import MeasuredStep
+from fringedic.steps.recorded_parameters import StepSettings
 
 
 @dataclass
 class Row:
-    """One step on its way into the dataset; the stamp is None when its last frame never came, or there are no times."""
+    """One step on its way into the dataset; the stamp is None when its last frame never came, or there are no times.
+
+    The settings are None if nothing was measured: the row is written later than those that follow it are measured.
+    """
 
     step: int
     stamp: int | None = None
@@ -29,11 +32,17 @@ class Row:
     maps: dict[str, np.ndarray] = field(default_factory=dict)
     image: str = ""
     confirmed_fraction: float = float("nan")
+    settings: StepSettings | None = None
+
+    def reject(self, error: str) -> None:
+        """Take away the results of a step that failed when it was exposed."""
+        nothing = Row(self.step, self.stamp, self.error or error, settings=self.settings, image=self.image)
+        vars(self).update(vars(nothing))
 
 
-def row_of(measured: MeasuredStep, spacing: int) -> Row:
-    """Return the row of a step that was measured offline, at points of a distance of `spacing` [px]."""
-    row = Row(measured.step, measured.stamp, error=measured.error)
+def row_of(measured: MeasuredStep, settings: StepSettings) -> Row:
+    """Return the row of a step that was measured offline with these settings."""
+    row = Row(measured.step, measured.stamp, error=measured.error, settings=settings)
     phase, displacement, coupling = measured.phase, measured.displacement, measured.coupling
     if phase is not None:
         row.valid_fraction = phase.valid_fraction
@@ -54,7 +63,7 @@ def row_of(measured: MeasuredStep, spacing: int) -> Row:
         row.maps |= {f"shape_{name}": array.values for name, array in coupling.shape.items()}
         row.maps |= {str(name): array.values for name, array in coupling.displacement.items()}
     row.maps |= measured.closures
-    row.confirmed_fraction = confirmed_fraction(measured.closures, spacing)
+    row.confirmed_fraction = confirmed_fraction(measured.closures, settings.spacing)
     return row
 
 
@@ -81,13 +90,18 @@ def in_order_of_steps(rows: Iterator[Row]) -> Iterator[Row]:
 
 
 def with_lost_steps(rows: Iterable[Row], exposed: Iterable[int]) -> Iterator[Row]:
-    """Return rows in the order of their steps with a row of each exposed step of which no image was recorded."""
-    lost = deque(sorted(exposed))
+    """Return rows with a row of each exposed step of which no image was recorded.
+
+    It has its place among them if the steps were exposed in their order, and not after a clock that was set back.
+    """
+    numbers = list(exposed)
+    lost = dict.fromkeys(numbers)
+    in_order = numbers == sorted(numbers)
     for row in rows:
-        while lost and lost[0] <= row.step:
-            step = lost.popleft()
-            if step < row.step:
-                yield _lost(step)
+        lost.pop(row.step, None)
+        while in_order and lost and (step := next(iter(lost))) < row.step:
+            del lost[step]
+            yield _lost(step)
         yield row
     yield from map(_lost, lost)
 

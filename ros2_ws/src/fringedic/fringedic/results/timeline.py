@@ -14,12 +14,15 @@ from fringedic.errors import DatasetError
 from fringedic.frames.records import FrameRecord, stamp_of
 from fringedic.metadata import FIRST_STEP, SpecimenMetadata
 from fringedic.patterns.pattern import PatternKind
+from fringedic.recording.bag_files import recorded_bytes
 from fringedic.recording.frames import records, repeated_steps
 from fringedic.recording.load_samples import samples_over
 from fringedic.recording.reader import BagReader
 from fringedic.results.rows import Row
 from fringedic.steps.recorded_parameters import recorded_metadata
 
+_ERROR = 4  # stage of fringedic_msgs/StepStatus
+_OF_PROCESSING = {108, 109, 110, 111, 115}  # errors of fringedic_msgs/MeasureStep that another processing may not have
 _NO_LOAD = (float("nan"), float("nan"))
 
 
@@ -64,10 +67,12 @@ class Timeline:
     ----------
     experiment
         Name of the experiment.
-    source, damage
-        Name of the recording, and the description of its damage.
+    source, source_bytes, damage
+        Name of the recording, size of its files [byte], and the description of its damage.
     references
         Numbers of the reference steps.
+    rejected
+        Step -> why it failed, of steps whose frames cannot be trusted: no hold was proven, or they are not complete.
 
     Raises
     ------
@@ -90,10 +95,15 @@ class Timeline:
 
         exposed = [record for record in records(reader) if record.pattern.kind != PatternKind.OTHER]
         self.experiment = _chosen_experiment(reader, exposed, experiment)
-        self.source = reader.path.name
+        self.source, self.source_bytes = reader.path.name, recorded_bytes(reader.path)
         self.damage = reader.lost
         exposed = [record for record in exposed if record.experiment == self.experiment]
         self._exposed = _exposure_times(exposed)
+        self.rejected = {
+            each.step: each.error_message
+            for each in messages("experiment/step")
+            if each.stage == _ERROR and each.experiment == self.experiment and each.error_code not in _OF_PROCESSING
+        }
         announced = {each.step for each in messages("experiment/reference") if each.experiment == self.experiment}
         self.references = announced | {min(self._exposed)}
         read = None if steps is None else steps | self.references
@@ -105,8 +115,14 @@ class Timeline:
 
     def _tare(self, specimen: SpecimenMetadata) -> float:
         if specimen.force_tare_newton == FIRST_STEP:
-            return self._load.mean_over(*self._exposed[min(self._exposed)])[0]
+            first = min(self._exposed.keys() - self.rejected.keys(), default=min(self._exposed))
+            return self._load.mean_over(*self._exposed[first])[0]
         return float(specimen.force_tare_newton)
+
+    @property
+    def exposed(self) -> list[int]:
+        """Numbers of all exposed steps in the order of their exposures."""
+        return list(self._exposed)
 
     @property
     def steps(self) -> list[int]:
@@ -124,7 +140,13 @@ class Timeline:
             )
 
     def complete(self, row: Row) -> None:
-        """Enter force and position, averaged over the exposures of a step, and the stamp of a step without frames."""
+        """Enter what the recording tells of a step.
+
+        These are force and position, averaged over its exposures, the stamp of a step without frames, and the error of
+        one that was rejected, which has no maps.
+        """
+        if row.step in self.rejected:
+            row.reject(self.rejected[row.step])
         if row.step not in self._exposed:
             return
         force, row.position = self._load.mean_over(*self._exposed[row.step])

@@ -29,6 +29,11 @@ class DatasetWriter:
         Of the dataset, beside software, commit, settings and conventions.
     layout
         Its variables.
+
+    Attributes
+    ----------
+    attributes
+        Those of the dataset, which are written when it is complete.
     """
 
     def __init__(self, target: Path | Store, attributes: Mapping[str, Any], layout: Layout = RECORDING) -> None:
@@ -36,7 +41,7 @@ class DatasetWriter:
         self._layout = layout
         self._store: Store
         self._settings: list[dict[str, Any]] = []
-        self._attributes: dict[str, Any] = {
+        self.attributes: dict[str, Any] = {
             **attributes,
             "software": software(),
             "commit": git_commit(),
@@ -61,7 +66,7 @@ class DatasetWriter:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: object) -> None:
         if kind is None and self._grid is not None:
-            self._store.finish(self._attributes)
+            self._store.finish(self.attributes)
             return
         self._store.discard()
         if kind is None:
@@ -137,13 +142,13 @@ class DatasetWriter:
         now = {node: parameters.model_dump() for node, parameters in settings.parameters.items()}
         if not self._settings or self._settings[-1]["parameters"] != now:
             self._settings.append({"from_step": step, "parameters": now})
-            self._attributes["parameters"] = _to_json(self._settings)
+            self.attributes["parameters"] = _to_json(self._settings)
         if settings.calibration is not None:
-            self._attributes["calibration"] = _to_json(dataclasses.asdict(settings.calibration))
+            self.attributes["calibration"] = _to_json(dataclasses.asdict(settings.calibration))
         if settings.rig:
-            self._attributes["rig"] = _to_json(settings.rig)
+            self.attributes["rig"] = _to_json(settings.rig)
         if settings.metadata:
-            self._attributes["facts"] = _to_json(settings.metadata.model_dump())
+            self.attributes["facts"] = _to_json(settings.metadata.model_dump())
 
 
 def _to_json(value: Any) -> str:

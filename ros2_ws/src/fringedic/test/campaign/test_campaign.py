@@ -31,13 +31,18 @@ from fringedic.campaign import (
     unit,
     update_plan,
 )
+from fringedic.campaign.opening import open_group
 from fringedic.campaign.plan import plan_of, predicted_memory
 from fringedic.campaign.recordings import Found, summarise
 from fringedic.campaign.settings import Labels
+from fringedic.campaign.store import GroupStore
 from fringedic.errors import CampaignError, ConfigurationError
 from fringedic.recording import BagReader, BagWriter
 from fringedic.report.campaign import CampaignProgress, plan_sentences, status_sentences
 from fringedic.results.datasets import process_into
+from fringedic.results.rows import Row
+from fringedic.results.writer import DatasetWriter
+from fringedic.steps.recorded_parameters import RecordedParameters
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 NAMES = ["plate-1", "plate-2"]
@@ -207,7 +212,8 @@ def test_bad_recordings_are_named_and_the_others_finish(tmp_path: Path) -> None:
     assert "calibration" in plan.refused["uncalibrated"]
     with (tmp_path / "recordings" / "changing" / "bag" / "bag_0.mcap").open("ab") as file:
         file.write(b"more")
-    outcomes = run(campaign)
+    waiting = status_of(CampaignStore(campaign.store), plan).waiting
+    outcomes = {outcome.name: outcome for outcome in Serial().outcomes(waiting)}
     assert isinstance(outcomes["good"], Receipt)
     assert isinstance(outcomes["changing"], Failure)
     assert "changing" in outcomes["changing"].reason
@@ -306,6 +312,42 @@ def test_a_calibration_replaces_the_recorded_one(tmp_path: Path) -> None:
     tree, _ = fringedic.open_campaign(tmp_path)
     with fringedic.open_experiment(file) as desk:
         assert tree["plate"].to_dataset().identical(desk.load())
+
+
+def test_a_recording_that_was_continued_is_another_one(done: Campaign, tmp_path: Path) -> None:
+    """The campaign was said to be complete without its later steps."""
+    campaign = written(copied(tmp_path, *NAMES), settings={"dic.window": 24})
+    shutil.copytree(Path(done.store), Path(campaign.store))
+    assert run(campaign) == {}
+    bag = tmp_path / "recordings" / "plate-2" / "bag"
+    shutil.rmtree(bag)
+    with BagWriter(bag, compression="none") as writer:
+        for topic in BagReader(RECORDED).topics.values():
+            writer.add_recorded_topic(topic)
+        for message in BagReader(RECORDED).stored():
+            writer.write(*message)
+    with pytest.raises(CampaignError, match=r"plate-2.*--recompute"):
+        current_plan(campaign)
+
+
+def test_nothing_of_an_earlier_attempt_is_in_the_results(tmp_path: Path) -> None:
+    """Maps of an interrupted attempt with other settings appeared in failed steps, and under other settings."""
+    store = CampaignStore(str(tmp_path))
+    settings = RecordedParameters({"dic.spacing": 1}).settings(None)
+
+    def write(values: list[dict[str, float]]) -> None:
+        with DatasetWriter(GroupStore(store, "plate"), {"experiment": "plate", "source": "bag"}) as writer:
+            for step, each in enumerate(values):
+                maps = {name: np.full((4, 4), value, np.float32) for name, value in each.items()}
+                writer.add(Row(step, step, error="" if maps else "failed", maps=maps), settings)
+            assert len(values) < 4, "interrupted"
+
+    with pytest.raises(AssertionError, match="interrupted"):
+        write([{"displacement_x": step, "e_11": step} for step in range(4)])
+    write([{"displacement_x": 10}, {}, {"displacement_x": 12}])
+    found = open_group(store, "plate")
+    np.testing.assert_array_equal(found.displacement_x.values[:, 0, 0], [10, np.nan, 12])
+    assert np.isnan(found.e_11).all()
 
 
 def test_other_software_is_refused(done: Campaign, tmp_path: Path) -> None:

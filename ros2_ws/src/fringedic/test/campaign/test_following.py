@@ -20,6 +20,7 @@ from fringedic.campaign import (
     Unit,
     current_plan,
     load_campaign,
+    open_campaign,
     process_unit,
     read_plan,
     status_of,
@@ -115,6 +116,7 @@ def test_each_step_is_measured_when_it_has_ended_and_the_results_are_those_of_th
     assert len(list(writer.path.glob("*.mcap"))) > 2
     assert (receipt.name, receipt.figures["steps"], state(campaign)) == ("plate", 3, {})
     assert status_of(store, plan).done == {"plate": receipt}  # by the plan of a command that was killed meanwhile
+    assert list(open_campaign(campaign.store)[1].index) == ["plate"]
     complete = current_plan(campaign)
     assert [each.key for each in complete.units] == [receipt.key]
     store.remove("receipts")

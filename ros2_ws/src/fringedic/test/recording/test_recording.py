@@ -2,11 +2,13 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import textwrap
 import time
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +30,8 @@ from fringedic.recording.repair import info, join, recover
 from fringedic.recording.topics import Qos, Topic
 from fringedic.recording.verification import verify
 from fringedic.recording.writer import BagWriter, Split
+
+RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 
 PICTURE = "bench_msgs/msg/Picture"
 FORCE = "bench_msgs/msg/Force"
@@ -261,6 +265,28 @@ def test_recovered_recording_has_the_whole_name_of_the_folder(typestore, tmp_pat
     assert recover(".").path == tmp_path / "plate.6_recovered"
     assert recover("../plate.7").path == tmp_path / "plate.7_recovered"
     assert recover(tmp_path / "plate.7" / "plate.7_0.mcap").path == tmp_path / "plate.7" / "plate.7_0_recovered"
+
+
+def test_an_interrupted_recovery_leaves_nothing(tmp_path, monkeypatch):
+    """The half that was written passed for a complete recording."""
+    stored = BagReader.stored
+
+    def interrupted(reader):
+        yield from islice(stored(reader), 500)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(BagReader, "stored", interrupted)
+    for parts in (1, 2):
+        bag = tmp_path / str(parts) / "bag"
+        for number in range(parts):
+            shutil.copytree(RECORDED, bag if number == 0 else bag.with_name(f"bag-{number + 1}"))
+        with pytest.raises(KeyboardInterrupt):
+            recover(bag)
+        assert not bag.with_name("bag_recovered").exists()
+    (tmp_path / "mine").mkdir()
+    with pytest.raises(RecordingError, match="mine exists already"):
+        recover(bag, tmp_path / "mine")
+    assert (tmp_path / "mine").exists()
 
 
 def test_names_beside_a_path(tmp_path):

@@ -51,6 +51,16 @@ def test_the_content_of_a_remote_recording_is_that_of_its_index(
     assert sum(fetched) <= 1_000_000
 
 
+def test_other_recordings_below_an_address_are_left_alone(remote: fsspec.AbstractFileSystem) -> None:
+    """Files of one name replaced each other in the copy, so that a dataset could contain two specimens."""
+    expected = info(f"{ADDRESS}/bag")
+    for beside in ("parts/bag-1", "bag_recovered"):
+        remote.put(str(RECORDED), f"/laboratory/plate-1/{beside}", recursive=True)
+    assert info(ADDRESS) == replace(expected, path=ADDRESS)
+    with pytest.raises(RecordingError, match="memory://laboratory: holds several recordings; give the folder of one"):
+        info("memory://laboratory")
+
+
 @pytest.mark.usefixtures("remote")
 def test_what_is_not_there_is_named() -> None:
     with pytest.raises(RecordingError, match=f"{ADDRESS}: has no dataset; 'fringedic process {ADDRESS}' measures it"):

@@ -35,6 +35,7 @@ from fringedic.report.confirmation import confirmation_sentence
 from fringedic.results import MAPS, compare_with_truth, dataset_from_derived, open_experiment, process_bag, truth_errors
 from fringedic.results.derived import Collected
 from fringedic.results.quantities import SCALARS, STEP_NUMBERS
+from fringedic.results.rows import Row, with_lost_steps
 from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.phase import phase_step
@@ -484,6 +485,76 @@ def test_a_step_that_lost_images_keeps_its_place(lost, error, tmp_path):
         assert np.isnan(dataset.w.sel(step=1)).all()
         assert dataset.force.notnull().all()
     assert [step for step, _ in told] == [0, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("exposed", "measured", "rows"),
+    [
+        ([0, 1, 2, 3], [0, 3], [0, -1, -2, 3]),
+        ([0, 1, 2], [], [0, -1, -2]),
+        ([0, 1, 3, 2], [0, 1, 3, 2], [0, 1, 3, 2]),  # the clock was set back: step 2 is not lost
+        ([0, 3, 2, 1], [0, 3, 1], [0, 3, 1, -2]),
+    ],
+)
+def test_every_exposed_step_has_one_row(exposed, measured, rows):
+    found = with_lost_steps(map(Row, measured), exposed)
+    assert [-row.step if row.error else row.step for row in found] == rows
+
+
+def test_a_step_that_was_not_proven_to_hold_has_no_maps(tmp_path):
+    """All its frames are recorded, and it was a row like any other; its force was even the tare."""
+    bench = Bench(tmp_path / "plate")
+    bench.begin()
+    metadata = Metadata.from_text("specimen: {force_tare_newton: first_step}")
+    bench.parameters("experiment", ExperimentParameters(facts=metadata.to_text()))
+    codes = {0: 112, 2: 114, 3: 109}  # not held, drift, dic
+    for number in range(5):
+        bench.step(number, POSITIONS[min(number, 3)])
+        code = codes.get(number)
+        stage = {"stage": 3} if code is None else {"stage": 4, "error_code": code, "error_message": f"code {code}"}
+        bench.write("experiment/step", bench.now, experiment="plate", step=number, **stage)
+    bench.writer.close()
+    for file in (process_bag(tmp_path / "plate"), dataset_from_derived(tmp_path / "plate", output=tmp_path / "d.nc")):
+        with open_experiment(file) as dataset:
+            assert dataset.error.values.tolist() == ["code 112", "", "code 114", "", ""]
+            assert dataset.w.notnull().any(["row", "column"]).values.tolist() == [False, True, False, True, True]
+            assert np.isnan(dataset.rms_displacement.sel(step=[0, 2])).all()
+            assert float(dataset.force.sel(step=1)) == 0
+
+
+def test_parameters_are_those_of_each_step(tmp_path):
+    """The first row waits for the second, and was described with the parameters of that."""
+    bench = Bench(tmp_path / "plate")
+    bench.begin()
+    for number, window in enumerate((24, 24, 32)):
+        if window != 24:
+            bench.parameters("dic", DicParameters(window=window, spacing=SPACING))
+        bench.step(number, POSITIONS[number], derived=False)
+    bench.writer.close()
+    with open_experiment(process_bag(tmp_path / "plate", steps=[0, 2])) as dataset:
+        entries = json.loads(dataset.parameters)
+    assert [(each["from_step"], each["parameters"]["dic"]["window"]) for each in entries] == [(0, 24), (2, 32)]
+
+
+def test_a_dataset_of_a_shorter_recording_is_not_opened_for_it(tmp_path):
+    """As one that a report made during the run: later steps were missing without a word."""
+    bag = tmp_path / "bag"
+    shutil.copytree(RECORDED, bag)
+    process_bag(bag, steps=[0, 1])
+    with open_experiment(bag) as dataset:
+        assert dataset.sizes["step"] == 2
+    shutil.rmtree(bag)
+    reader = BagReader(RECORDED)
+    with BagWriter(bag, compression="none") as writer:
+        for topic in reader.topics.values():
+            writer.add_recorded_topic(topic)
+        for message in reader.stored():
+            writer.write(*message)
+    with pytest.raises(DatasetError, match=r"bag\.nc: was made when .*bag had another size; 'fringedic process"):
+        open_experiment(bag)
+    process_bag(bag, output=tmp_path / "results.nc")
+    with open_experiment(bag) as dataset:
+        assert dataset.sizes["step"] == 3
 
 
 def test_a_white_step_has_a_displacement_and_no_shape(processed):
