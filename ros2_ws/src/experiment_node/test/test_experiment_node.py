@@ -588,7 +588,9 @@ def test_a_load_frame_with_a_clock_ahead_proves_nothing(rig: Rig) -> None:
             assert drifted.error_code == Result.LOAD_DRIFT
             assert "the clock of the load frame is" in drifted.error_message
         rig.load_clock_ahead_ns = -1_500_000_000
-        assert "the clock of the load frame is 1.5 s behind" in rig.step().error_message
+        behind = re.search(r"the clock of the load frame is (\S+) s behind", rig.step().error_message)
+        assert behind is not None
+        assert float(behind[1]) == pytest.approx(1.5, abs=0.5)  # a busy computer delays a sample
         rig.load_clock_ahead_ns = 0
         assert rig.step().error_code == Result.NONE
     finally:

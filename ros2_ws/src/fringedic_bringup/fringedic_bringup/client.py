@@ -47,6 +47,7 @@ START_TIMEOUT_S = 60.0
 HEARTBEATS_S = 0.5
 # Without feedback. The nodes end every step and move by themselves; this ends the wait for a node that stands still.
 STEP_TIMEOUT_S = 3600.0
+CANCEL_AGAIN_S = 0.5  # between two requests to end a move
 LOST_S = 10.0  # without its server, after which an action fails; a node that is started again is back earlier
 
 
@@ -240,13 +241,14 @@ class RigClient:
             return self._act(self._move, goal, what, lambda _: None)
         self.wait_for(lambda: self._load is not None, START_TIMEOUT_S, lambda: "load_frame/state: no sample")
         sent = self._send(self._move, goal, what, lambda _: None)
-        stopped = False
+        stopped, again = False, 0.0
 
         def over() -> bool:
-            nonlocal stopped
+            nonlocal stopped, again
             ended = sent.request_result()
-            if not stopped and not ended and until(self.reading):
-                stopped = True
+            stopped = stopped or bool(not ended and until(self.reading))
+            if stopped and not ended and time.monotonic() > again:  # a request may be lost
+                again = time.monotonic() + CANCEL_AGAIN_S
                 sent.handle.cancel_goal_async()
             return ended
 

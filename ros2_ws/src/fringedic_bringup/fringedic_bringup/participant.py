@@ -6,7 +6,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import rclpy
@@ -71,17 +71,18 @@ def _signals_afterwards() -> Iterator[None]:
         yield
         return
     came: list[tuple[int, Any]] = []
-    handlers = {
-        number: handler
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-        if callable(handler := signal.getsignal(number))
-    }
-    for number in handlers:
-        signal.signal(number, lambda *signalled: came.append(signalled))
-    try:
+    with ExitStack() as afterwards:  # which calls all, also when a handler raises
+
+        def handle_all() -> None:
+            with ExitStack() as handling:
+                for number, frame in came:
+                    handling.callback(handlers[number], number, frame)
+
+        handlers: dict[int, Callable[[int, Any], Any]] = {}
+        afterwards.callback(handle_all)
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if callable(handler := signal.getsignal(number)):
+                handlers[number] = handler
+                afterwards.callback(signal.signal, number, handler)
+                signal.signal(number, lambda *signalled: came.append(signalled))
         yield
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        for signalled in came:
-            handlers[signal.Signals(signalled[0])](*signalled)

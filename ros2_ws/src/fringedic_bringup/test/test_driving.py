@@ -51,6 +51,7 @@ class Rig:
 
     def __init__(self, logs: Path, plan: list[str], presses: tuple[BaseException, ...] = ()) -> None:
         entries = (
+            NodeEntry("load_frame", "load_frame_node", "load_frame"),
             NodeEntry("dic", "dic_node", "dic"),
             NodeEntry("experiment", "experiment_node", "experiment", {"experiment": EXPERIMENT}),
         )
@@ -58,6 +59,7 @@ class Rig:
         self.logs, self.plan, self.presses = logs, plan, list(presses)
         self.used: list[int] = []
         self.held = self.cancelled = 0
+        self.no_hold = ""
         self.last_step, self.reference, self.recorder, self.strain_of_step = -1, 0, None, 0.0
         self._next, self._dead = MEASURED, dict[str, str]()
 
@@ -107,6 +109,8 @@ class Rig:
     def hold(self, *_: object) -> None:
         if self.presses:
             raise self.presses.pop()
+        if self.no_hold:
+            raise StepFailedError(self.no_hold)
         self.held += 1
 
     def cancel(self, *_: object) -> None:
@@ -123,12 +127,12 @@ class Rig:
     def wait_until_recorded(self) -> None: ...
 
 
-def drive(rig: Rig, monkeypatch: pytest.MonkeyPatch, *, steps: int = 1) -> Driven:
+def drive(rig: Rig, monkeypatch: pytest.MonkeyPatch, *, steps: int = 1, progress: Progress | None = None) -> Driven:
     """Drive a programme of some steps more than an earlier run has done."""
     monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
     programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": [{}] * (MEASURED + steps)})
     before = RecordedSteps(list(range(MEASURED)), MEASURED - 1, MEASURED)
-    return driving.drive(rig, programme, Progress(), before=before)  # type: ignore[arg-type]
+    return driving.drive(rig, programme, progress or Progress(), before=before)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
@@ -173,3 +177,22 @@ def test_steps_of_a_run_that_did_not_count_them(measured: int, done: int, tmp_pa
     steps = [moves_only, measures, moves_only, measures, moves_only]
     programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": steps})
     assert steps_done(tmp_path / STEPS_DONE, measured, programme.load_steps()) == done
+
+
+def test_a_node_that_dies_again_and_again_ends_the_programme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was started again without end."""
+    rig = Rig(tmp_path, ["dic"] * 9)
+    driven = drive(rig, monkeypatch)
+    assert driven.ended_early == "dic"
+    assert len(rig.used) == driving.MOST_DEATHS + 1
+    assert rig.held > driving.MOST_DEATHS
+
+
+def test_a_hold_that_was_not_accepted_is_not_said_to_be_requested(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig, progress = Rig(tmp_path, ["Ctrl-C"]), Progress()
+    rig.no_hold = "there is no service load_frame/hold: stop the machine by hand"
+    assert drive(rig, monkeypatch, progress=progress).interrupted
+    [note] = [note for note in progress.notes if note.startswith("interrupted")]
+    assert "no hold was accepted: there is no service load_frame/hold: stop the machine by hand" in note

@@ -57,7 +57,7 @@ class MoveServer:
             return self._end(goal, Result.MACHINE_FAULT, "the load frame is not active; configure and activate it")
         if self._goal is not None:
             return self._end(goal, Result.BUSY, _busy_message(self._goal.request, request))
-        distance = abs(request.position - crosshead.sample.position)
+        begin = crosshead.sample.position
         try:
             crosshead.move_to(request.position, request.speed, _limits_of(request))
             requested = time.time_ns()
@@ -67,16 +67,15 @@ class MoveServer:
             return self._end(goal, Result.MACHINE_FAULT, str(error))
         self._goal, crosshead.hold_requested = goal, False
         try:
-            # twice the time at constant speed, and an allowance for the speed ramps
-            return await self._follow(goal, requested, 2 * distance / request.speed + _STOP_TIMEOUT_S)
+            return await self._follow(goal, requested, begin)
         except FringedicError as error:
             return self._end(goal, Result.MACHINE_FAULT, str(error))
         finally:
             self._goal = None
             crosshead.end_move()
 
-    async def _follow(self, goal: ServerGoalHandle, requested_ns: int, timeout_s: float) -> MoveCrosshead.Result:
-        """Publish feedback until the move has ended, and return its result."""
+    async def _follow(self, goal: ServerGoalHandle, requested_ns: int, begin: float) -> MoveCrosshead.Result:
+        """Publish feedback until the move from a position has ended, and return its result."""
         crosshead, started, moved = self._crosshead, time.monotonic(), False
 
         def is_over() -> bool:
@@ -92,6 +91,11 @@ class MoveServer:
             )
 
         while not is_over():
+            if math.isnan(begin):
+                begin = crosshead.sample.position  # it could not be read before
+            distance = 0.0 if math.isnan(begin) else abs(goal.request.position - begin)
+            # twice the time at constant speed, and an allowance for the speed ramps
+            timeout_s = 2 * distance / goal.request.speed + _STOP_TIMEOUT_S
             passed = time.monotonic() - started
             if passed > timeout_s or (not moved and passed > _START_TIMEOUT_S):
                 await self._stop()
@@ -118,18 +122,21 @@ class MoveServer:
             await self._wait_until_still()
             return self._end(goal, Result.NONE, "", crosshead.reached)
         if not self._node.active or crosshead.sample.mode in _LOST_MODES:
-            message = "the machine reports a fault, or no longer reports its state; a hold was requested"
-            try:
-                crosshead.hold()  # an unreadable answer does not stop a move
-            except MachineError as error:
-                message = (
-                    "the machine reports a fault, or no longer reports its state; a hold was not accepted and is "
-                    f"requested again with every sample: {error}"
-                )
-            return self._end(goal, Result.MACHINE_FAULT, message)
+            # an unreadable answer does not stop a move
+            message = "the machine reports a fault, or no longer reports its state"
+            return self._end(goal, Result.MACHINE_FAULT, self._holding(message))
         if not self._has_arrived(goal):
-            return self._end(goal, Result.MACHINE_FAULT, self._short_of_target(goal))
+            # the mode may be wrong that a machine reports, or that is determined from its positions
+            return self._end(goal, Result.MACHINE_FAULT, self._holding(self._short_of_target(goal)))
         return self._end(goal, Result.NONE, "")
+
+    def _holding(self, message: str) -> str:
+        """Request a hold; return the message with whether the machine accepted it."""
+        try:
+            self._crosshead.hold()
+        except MachineError as error:
+            return f"{message}; a hold was not accepted and is requested again with every sample: {error}"
+        return f"{message}; a hold was requested"
 
     def _has_arrived(self, goal: ServerGoalHandle) -> bool:
         tolerance_mm = self._node.parameters.value.position_tolerance_mm

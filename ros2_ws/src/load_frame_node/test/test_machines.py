@@ -476,6 +476,8 @@ def test_a_move_that_is_stopped_at_the_machine_has_not_arrived(operator: Operato
             result = operator.end(goal)
     assert result.error_code == MoveCrosshead.Result.MACHINE_FAULT
     assert "mm from its target: it was stopped at the machine" in result.error_message
+    # the standstill may be a wrong report
+    assert result.error_message.endswith("; a hold was requested")
 
 
 def test_node_publishes_the_drift_of_the_clock_of_the_machine(operator: Operator, tmp_path: Path) -> None:

@@ -110,7 +110,8 @@ def drive(
         if any(until.needs_strain for until in programme.conditions()):
             rig.wait_for_strain()
         count = sum(step.mode != "none" for step in programme.load_steps())
-        driver = _Driver(running, rig, progress, control, count - 1)
+        own = any(step.set_reference for step in programme.load_steps())
+        driver = _Driver(running, rig, progress, control, count - 1, own=own)
         if before is not None:
             rig.last_step = before.last
         walk = programme.walk(lambda end: progress.note(block_end_sentence(end)))
@@ -126,15 +127,14 @@ def drive(
                         save_steps_done(running.logs / STEPS_DONE, done)
             driver.finish()
         except (FringedicError, OSError) as error:
-            driver.end()
+            not_held = driver.end()
             ended_early = str(error)
-            progress.note(f"the programme ends early: {ended_early}")
+            progress.note(f"the programme ends early: {ended_early}{not_held and f'; {not_held}'}")
         except KeyboardInterrupt:
-            driver.end()
+            held = driver.end() or "a hold was requested"
             ended_early, interrupted = "interrupted", True
-            progress.note("interrupted: a hold was requested, and the results of what was measured are written")
+            progress.note(f"interrupted: {held}; the results of what was measured are written")
     first = next((report.step for report in driver.reports if not report.error), None)
-    own = any(step.set_reference for step in programme.load_steps())
     return Driven(driver.reports, first if driver.interrupted and not own else None, ended_early, interrupted)
 
 
@@ -150,11 +150,18 @@ class _Driver:
     """
 
     def __init__(
-        self, running: RunningGraph, rig: RigClient, progress: Progress, control: RunControl, last: int
+        self,
+        running: RunningGraph,
+        rig: RigClient,
+        progress: Progress,
+        control: RunControl,
+        last: int,
+        *,
+        own: bool,
     ) -> None:
         self.reports: list[StepReport] = []
         self._running, self._rig, self._progress, self._control = running, rig, progress, control
-        self._number, self._last = 0, last
+        self._number, self._last, self._own = 0, last, own  # own: the programme sets references
         self.interrupted = False
         self._restarted = False  # a node was started again since the last successful step
         self._deaths: Counter[str] = Counter()  # without a measured step in between
@@ -179,7 +186,7 @@ class _Driver:
     def _move_and_measure(self, step: ProgrammeStep) -> Reading | None:
         moved = ""
         try:
-            if step.position is not None and "load_frame" in self._running.graph.names:
+            if step.position is not None and self._has_load_frame():
                 moved = self._move(step)
             if step.hold_s:
                 self._tell("hold")
@@ -274,19 +281,25 @@ class _Driver:
                 self._progress.note(f"{silence}; step {self._number} is repeated")
                 self.interrupt()
 
-    def end(self) -> None:
-        """Request a hold, and the end of the move or step under way, however often a person interrupts this."""
+    def end(self) -> str:
+        """Interrupt the machine, however often a person interrupts this; return what `interrupt` returns."""
         while True:
             with suppress(KeyboardInterrupt, OperatorError):
-                self.interrupt()
-                return
+                return self.interrupt()
 
-    def interrupt(self) -> None:
-        """Request a hold, and the end of the move or step under way."""
-        for request in (self._rig.hold, self._rig.cancel):
-            # the node that should answer may have ended
-            with suppress(StepFailedError, WaitTimeoutError, NodeDiedError):
-                request(INTERRUPTION_S)
+    def interrupt(self) -> str:
+        """Request a hold, and the end of the move or step under way; return why no hold was accepted, if it was not."""
+        not_held = ""
+        try:
+            self._rig.hold(INTERRUPTION_S)
+        except (StepFailedError, WaitTimeoutError, NodeDiedError) as error:
+            not_held = f"no hold was accepted: {error}" if self._has_load_frame() else "no load frame to hold"
+        with suppress(StepFailedError, WaitTimeoutError, NodeDiedError):  # the node that should answer may have ended
+            self._rig.cancel(INTERRUPTION_S)
+        return not_held
+
+    def _has_load_frame(self) -> bool:
+        return "load_frame" in self._running.graph.names
 
     def _restart(self, death: NodeDiedError) -> None:
         begin, names = time.monotonic(), set[str]()
@@ -300,13 +313,15 @@ class _Driver:
                 without_reference = names.intersection(WITH_REFERENCE)
                 if without_reference and self._rig.reference >= 0:
                     self._rig.set_reference()
+                    afterwards = "" if self._own else "; afterwards all steps are measured again against the first"
                     self._progress.note(
-                        f"{_in_words(without_reference)} lost the reference: until the end of the programme "
-                        "displacements count from the next step; afterwards all steps are measured again against the "
-                        "first"
+                        f"{_in_words(without_reference)} lost the reference: until the end of the programme, or the "
+                        f"next reference in it, displacements count from the next step{afterwards}"
                     )
                 return
             except NodeDiedError as another:
+                if another is death:
+                    raise  # a node has died too often
                 death = another
             except WaitTimeoutError as silence:
                 death = self._end_silent(silence)

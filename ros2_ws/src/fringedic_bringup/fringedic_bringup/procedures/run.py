@@ -26,8 +26,9 @@ from fringedic.report.confirmation import confirmation_sentence
 from fringedic.report.experiment import TRUTH
 from fringedic.report.forecast import forecast_sentence
 from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
+from fringedic_bringup.launch.environment import node_environment
 from fringedic_bringup.launch.graph import rig_graph
-from fringedic_bringup.launch.processes import RunningGraph
+from fringedic_bringup.launch.processes import RunningGraph, require_no_nodes
 from fringedic_bringup.procedures.continuing import (
     continued,
     folder_of_one_command,
@@ -134,13 +135,14 @@ def run_experiment(
     expected.check_disk(folder)
     with folder_of_one_command(folder):
         bag, calibration, before = folder / "bag", folder / "calibration.yaml", None
-        if resume:
-            join_parts(bag, progress, rig.recording.split)  # of a command that was killed before it joined them
-            before = recorded_steps(bag, programme, rig.namespace)
         first_calibration = calibration.read_text() if resume and calibration.exists() else ""
         graph = rig_graph(rig, rig_path, folder, experiment=programme.experiment)
-        if before is not None:
+        if resume:
             require_same_calibration(calibration, first_calibration)
+            # a recorder may still be writing what it has received
+            require_no_nodes(int(node_environment(domain).get("ROS_DOMAIN_ID") or 0), graph)
+            join_parts(bag, progress, rig.recording.split)  # of a command that was killed before it joined them
+            before = recorded_steps(bag, programme, rig.namespace)
             require_same_settings(graph, folder / "logs")
             progress.note(f"{programme.experiment}: {len(before.measured)} steps are measured already")
             graph = continued(graph, bag, before)
@@ -201,7 +203,7 @@ def write_results(
                 if report.step in dataset.step:
                     report.rms_displacement = float(dataset.rms_displacement.sel(step=report.step))
         verdict = confirmation_sentence(dataset)
-    write_report(bag if measure_again is None else target, folder / "report.html", overwrite=True)
+    write_report(target, folder / "report.html", overwrite=True)
     for report in steps:
         report.errors = errors.get(report.step, {})
     return RunReport(experiment, folder, steps, pictures, no_errors=no_errors, verdict=verdict)
