@@ -39,6 +39,7 @@ RECORDINGS, RECEIPTS, FAILURES = "recordings", "receipts", "failures"
 BEGUN = "begun"  # recordings that a worker has begun, with the number of the attempt
 PARTS = "parts"  # receipts of parts of recordings
 _METADATA = "zarr.json"
+_PARTIAL = ".partial"  # ending of a file that zarr is writing
 _STEPS_PER_CHUNK = 1024  # of values per step
 
 
@@ -99,7 +100,9 @@ class CampaignStore:
         with self._named("written"), suppress(FileNotFoundError):
             self._files.invalidate_cache()
             root = f"{self._path(folder)}/"
-            others = [path for path in self._files.find(root) if path.removeprefix(root) not in kept]
+            names = [path.removeprefix(root) for path in self._files.find(root) if path.startswith(root)]
+            # another worker renames its partial files at once
+            others = [f"{root}{name}" for name in names if name not in kept and not name.endswith(_PARTIAL)]
             if others:
                 self._files.rm(others)
 
