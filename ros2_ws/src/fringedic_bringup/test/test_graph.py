@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import pytest
+
 from fringedic.configuration.rig_file import load_rig_file
-from fringedic_bringup.launch.graph import exposing_graph, live_graph, rig_graph
+from fringedic_bringup.launch.graph import calibration_graph, exposing_graph, live_graph, rig_graph
 
 REAL_RIG = """
 namespace: bench
@@ -34,6 +36,30 @@ def test_real_devices_get_the_parameters_of_the_rig_file(tmp_path: Path) -> None
     assert nodes["load_frame"] == expected
     again = {node.name: node.changes_at_restart for node in graph.nodes if node.changes_at_restart}
     assert again == {"load_frame": {"machine_required": False}}, "a machine that does not answer does not end it again"
+
+
+@pytest.mark.parametrize(
+    ("digits", "own", "level"),
+    [("Mono12", "", 4095.0), ("Mono10", "", 1023.0), ("Mono8", "", 0.0), ("Mono16", "", 0.0), ("Mono12", "900", 900.0)],
+)
+def test_phase_knows_the_grey_level_of_saturated_pixels(digits: str, own: str, level: float, tmp_path: Path) -> None:
+    """Images of 12 bits have the type of 16, so that no saturated pixel was found."""
+    path = tmp_path / "bench.yaml"
+    text = REAL_RIG.replace("source: aravis,", f"source: aravis, pixel_format: {digits},")
+    path.write_text(text + (f"nodes: {{phase: {{saturation_grey_level: {own}}}}}\n" if own else ""))
+    rig = load_rig_file(path)
+    for graph in (rig_graph(rig, path, tmp_path / "out"), calibration_graph(rig, path, tmp_path / "out")):
+        [phase] = [node.parameters for node in graph.nodes if node.name == "phase"]
+        assert phase["saturation_grey_level"] == level
+
+
+def test_a_calibration_needs_absolute_phases(tmp_path: Path) -> None:
+    """All planes could be wrong by the same number of fringes, which a fit takes for the place of the projector."""
+    path = tmp_path / "bench.yaml"
+    path.write_text(REAL_RIG + "nodes: {phase: {relative_phase: accept}}\n")
+    graph = calibration_graph(load_rig_file(path), path, tmp_path / "out")
+    [phase] = [node.parameters for node in graph.nodes if node.name == "phase"]
+    assert phase["relative_phase"] == "refuse"
 
 
 def test_recorder_gets_the_limits_of_its_files(tmp_path: Path) -> None:

@@ -81,11 +81,14 @@ def noise_of_recording(path: str | os.PathLike[str]) -> NoiseMeasurement:
         measured = [
             int(step) for step, error in zip(dataset["step"].values, dataset["error"].values, strict=True) if not error
         ]
+        reference_of = dataset["reference_step"].sel(step=measured).values
+        measured = [step for step, each in zip(measured, reference_of, strict=True) if each == reference_of[-1]]
         if len(measured) < FEWEST_STEPS:
             raise RigSetupError(
-                f"{path}: {len(measured)} steps were measured, a noise floor needs at least {FEWEST_STEPS}"
+                f"{path}: {len(measured)} steps were measured against one reference, a noise floor needs at least "
+                f"{FEWEST_STEPS}"
             )
-        reference = int(dataset["reference_step"].sel(step=measured[-1]))
+        reference = int(reference_of[-1])
         static = [step for step in measured if step != reference]
         recorded = _recorded_at_rest(Path(path), str(dataset.attrs["experiment"]), set(measured), reference)
         camera = estimate_camera_noise(recorded.thinned)

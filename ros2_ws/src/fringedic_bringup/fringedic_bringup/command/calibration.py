@@ -81,7 +81,12 @@ def _calibrate_with_nodes(
 def check(
     rig: Rig,
     distance_mm: Annotated[
-        float, typer.Option(help="Distance in mm by which a gauge block or a stage lifts the plane towards the camera.")
+        float,
+        typer.Option(
+            min=0.1,
+            max=1000,
+            help="Distance in mm by which a gauge block or a stage lifts the plane towards the camera.",
+        ),
     ] = 5.0,
     vdi: Annotated[
         bool,

@@ -19,6 +19,7 @@ from fringedic.recording.reader import BagReader
 
 PROCESSING_NODES = {"phase": "phase_node", "dic": "dic_node", "coupling": "coupling_node"}
 STEP_TOPIC = "experiment/step"
+_FULL_SCALES = (0.0, 255.0, 65535.0)  # unknown, or that of the pixel type
 FRAMES_MISSED = 3  # in a row, after which the extensometer reports that it has no image
 # A virtual camera renders its images; the first frame at a new position takes seconds, on a busy computer more.
 RENDERING_TIMEOUT_S = 120.0
@@ -110,7 +111,7 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         region = _region(rig, rig_path)
         nodes += _processing_nodes(
             {
-                "phase": rig.nodes.phase.model_dump() | region,
+                "phase": _phase(rig) | region,
                 "dic": rig.nodes.dic.model_dump() | region,
                 "coupling": rig.nodes.coupling.model_dump(),
             }
@@ -151,9 +152,9 @@ def calibration_graph(rig: RigFile, rig_path: Path, folder: Path) -> Graph:
         "calibration_folder": str(folder.absolute()),
         "facts": Metadata(specimen=rig.specimen, hardware=rig.hardware).to_text(),
     }
-    phase = rig.nodes.phase.model_dump()
-    if rig.sequence.fringe_order == "one_image":  # the positions of planes are absolute
-        settings["fringe_order"], phase["relative_phase"] = "pitches", "refuse"
+    phase = _phase(rig) | {"relative_phase": "refuse"}  # the positions of planes are absolute
+    if rig.sequence.fringe_order == "one_image":
+        settings["fringe_order"] = "pitches"
     nodes = [
         NodeEntry("recorder", "experiment_node", "recorder", _recorder(rig, folder)),
         NodeEntry("phase", PROCESSING_NODES["phase"], "phase", phase),
@@ -326,6 +327,14 @@ def _camera(rig: RigFile, rig_path: Path) -> dict[str, Any]:
 def _region(rig: RigFile, rig_path: Path) -> dict[str, str]:
     """Return the region of interest as a parameter, so that a replay needs no other file."""
     return {} if rig.region_file is None else {"region": Region.load(rig_path.parent / rig.region_file).to_text()}
+
+
+def _phase(rig: RigFile) -> dict[str, Any]:
+    """Return the parameters of the phase node, with the level of saturation when it does not follow from the images."""
+    parameters = rig.nodes.phase.model_dump()
+    if not parameters["saturation_grey_level"] and (level := _full_scale(rig)) not in _FULL_SCALES:
+        parameters["saturation_grey_level"] = level
+    return parameters
 
 
 def _full_scale(rig: RigFile) -> float:

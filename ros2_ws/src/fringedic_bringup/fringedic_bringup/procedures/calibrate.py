@@ -69,6 +69,7 @@ def calibrate(
             folder=folder,
             feedback=_Shown("grid", progress),
         )
+        go = False
         if camera.error_code:
             words = [_failure(camera)]
         else:
@@ -81,11 +82,12 @@ def calibrate(
                 folder=folder,
                 feedback=_Shown("plane", progress),
             )
+            go = bool(result.go and not result.error_code)
             words = [camera.verdict, _failure(result) if result.error_code else result.verdict]
         client.wait_until_recorded()
-    if (folder / CALIBRATION_REPORT).exists():  # the node that wrote it does not know the rig file
+    if go:  # the node that wrote it does not know the rig file
         write_calibration_report(RigCalibration.load(folder), folder / CALIBRATION_REPORT, traceability_of(rig))
-    return CalibrationReport(folder, bool(not camera.error_code and result.go), tuple(words))
+    return CalibrationReport(folder, go, tuple(words))
 
 
 def traceability_of(rig: RigFile) -> Traceability:

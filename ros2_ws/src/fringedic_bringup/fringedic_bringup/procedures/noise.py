@@ -67,6 +67,8 @@ def measure_noise(
     join_parts(folder / "bag", progress, rig.recording.split)
     if driven.interrupted:
         raise KeyboardInterrupt
+    if driven.ended_early:
+        raise RigSetupError(f"the steps at rest are not complete: {driven.ended_early}; measure the noise again")
     progress.stage("measuring the noise")
     measured = noise_of_recording(folder / "bag")
     measured.save(folder)
