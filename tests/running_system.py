@@ -66,7 +66,7 @@ class Progress:
 
 
 class Killer(Progress):
-    """Kills nodes, each after the third frame of a step.
+    """Kills nodes, each after the third frame of a step, or a later one when a busy computer loses that feedback.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Killer(Progress):
     def step(self, number: int, last: int, text: str, frame: int = 0, frames: int = 0) -> None:
         super().step(number, last, text, frame, frames)
         place = self._begun.setdefault(number, len(self._begun) + 1)
-        if place in self._victims and frame == 3:
+        if place in self._victims and frame >= 3:
             os.kill(node_pid(self._folder, self._victims.pop(place)), signal.SIGKILL)
 
 
