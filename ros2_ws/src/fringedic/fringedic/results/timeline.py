@@ -140,10 +140,9 @@ class Timeline:
             )
 
     def complete(self, row: Row) -> None:
-        """Enter what the recording tells of a step.
+        """Enter force and position, averaged over the exposures of a step, and the stamp of a step without frames.
 
-        These are force and position, averaged over its exposures, the stamp of a step without frames, and the error of
-        one that was rejected, which has no maps.
+        A step that was rejected has its error and no maps.
         """
         if row.step in self.rejected:
             row.reject(self.rejected[row.step])

@@ -9,7 +9,7 @@ import re
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -26,6 +26,11 @@ _SEGMENT = re.compile(r"(?:sem\.)?(?P<name>fastrtps_(?:port\d+|[0-9a-f]{16}))(?:
 # The ports of domains above 101 overlap those that Linux assigns to outgoing connections.
 PRIVATE_DOMAINS = range(62, 102)
 _taken = itertools.count(os.getpid())
+
+
+def domain_of(environment: Mapping[str, str]) -> int:
+    """Return the ROS domain of processes with an environment."""
+    return int(environment.get("ROS_DOMAIN_ID") or 0)
 
 
 def node_environment(domain: int | None = None) -> dict[str, str]:

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fringedic.configuration.rig_file import NAMESPACE, load_rig_file
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.launch.environment import node_environment
+from fringedic_bringup.launch.environment import domain_of, node_environment
 from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
 from fringedic_bringup.launch.processes import GRACE_S, RECORDER_GRACE_S, require_no_nodes
 from fringedic_bringup.launch.rig_files import rig_path_of
@@ -129,7 +129,7 @@ def launched_rig(arguments: LaunchArguments) -> LaunchedRig:
         raise ConfigurationError(f"{folder} contains a recording already; choose another folder:=")
     graph = _on_this_computer(rig_graph(rig, path, folder, experiment=arguments.experiment), arguments.nodes)
     environment = node_environment()
-    require_no_nodes(int(environment.get("ROS_DOMAIN_ID") or 0), graph)
+    require_no_nodes(domain_of(environment), graph)
     logs = folder / "logs"
     logs.mkdir(exist_ok=True)
     clock = {"use_sim_time": True} if arguments.use_sim_time else {}

@@ -17,7 +17,7 @@ from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 
 from fringedic.errors import NodeDiedError, ProcessError
 from fringedic.warm_up import require_kernels
-from fringedic_bringup.launch.environment import node_environment, remove_stale_segments
+from fringedic_bringup.launch.environment import domain_of, node_environment, remove_stale_segments
 from fringedic_bringup.launch.graph import PROCESSING_NODES, Graph, NodeEntry
 from fringedic_bringup.launch.lease import RigLease
 from fringedic_ros.presence import is_announced
@@ -66,7 +66,7 @@ class RunningGraph:
         self.logs = Path(logs)
         self.environment = node_environment(domain) | dict(environment or {})
         self._owner = owner
-        self._domain = int(self.environment.get("ROS_DOMAIN_ID") or 0)
+        self._domain = domain_of(self.environment)
         self._lease = RigLease(self._domain, graph.namespace, self.logs.parent)
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._may_end: set[str] = set()

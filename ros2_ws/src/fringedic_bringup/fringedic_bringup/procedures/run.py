@@ -26,7 +26,7 @@ from fringedic.report.confirmation import confirmation_sentence
 from fringedic.report.experiment import TRUTH
 from fringedic.report.forecast import forecast_sentence
 from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
-from fringedic_bringup.launch.environment import node_environment
+from fringedic_bringup.launch.environment import domain_of, node_environment
 from fringedic_bringup.launch.graph import rig_graph
 from fringedic_bringup.launch.processes import RunningGraph, require_no_nodes
 from fringedic_bringup.procedures.continuing import (
@@ -140,7 +140,7 @@ def run_experiment(
         if resume:
             require_same_calibration(calibration, first_calibration)
             # a recorder may still be writing what it has received
-            require_no_nodes(int(node_environment(domain).get("ROS_DOMAIN_ID") or 0), graph)
+            require_no_nodes(domain_of(node_environment(domain)), graph)
             join_parts(bag, progress, rig.recording.split)  # of a command that was killed before it joined them
             before = recorded_steps(bag, programme, rig.namespace)
             require_same_settings(graph, folder / "logs")
