@@ -99,7 +99,7 @@ class CalibrationMetadata(_Entries):
     created: str = Field("", description="Time of the calibration.")
     residual_um: float | None = Field(None, description="RMS of the planes about the model [µm].")
     predicted_um: float | None = Field(None, description="RMS that the noise of the phase explains [µm].")
-    held_out_um: float | None = Field(None, description="RMS of the planes that are not part of the fit [µm].")
+    held_out_um: float | None = Field(None, description="Largest RMS of a plane that is not part of the fit [µm].")
     verdict: str = Field("", description="Assessment of the calibration.")
     response_fringe: float | None = Field(
         None, description="Ripple of the planes at the third and higher harmonics that the response leaves [fringe]."

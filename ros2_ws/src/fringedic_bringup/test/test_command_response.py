@@ -45,3 +45,14 @@ def test_a_rig_without_projector_is_refused(tmp_path: Path) -> None:
     ended = fringedic("response", "rig.yaml", folder=tmp_path)
     assert ended.returncode == 1
     assert "needs a projector" in ended.stdout + ended.stderr
+
+
+def test_saturation_of_twelve_bits_is_seen(tmp_path: Path) -> None:
+    """Grey levels of 12 bits come in 16: their largest value is 4095."""
+    twelve = RIG.replace("size: small", "size: tiny, sensor: {bits: 12, exposure_ms: 1}").replace(
+        "source: virtual}\nprojector", "source: virtual, exposure_ms: 500}\nprojector"
+    )
+    (tmp_path / "rig.yaml").write_text(twelve)
+    ended = fringedic("response", "rig.yaml", folder=tmp_path)
+    assert ended.returncode == 1, ended.stdout
+    assert "saturates: shorten the exposure" in ended.stdout + ended.stderr

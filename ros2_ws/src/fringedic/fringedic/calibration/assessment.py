@@ -106,7 +106,6 @@ def assess(fitter: ModelFitter, selection: Selection, origin: Origin) -> RigCali
         *(_plane_result(fitter, selection, model, index) for index in range(len(planes.blocks))), strict=True
     )
     fitted = [results[index] for index in selection.used]
-    held_out = [results[index].systematic for index in planes.held_out]
     calibration = RigCalibration(
         model=model,
         pitch=camera.pitch,
@@ -120,7 +119,7 @@ def assess(fitter: ModelFitter, selection: Selection, origin: Origin) -> RigCali
         residual=_root_mean([plane.residual for plane in fitted]),
         predicted=_root_mean([plane.predicted for plane in fitted]),
         systematic=_root_mean([plane.systematic for plane in fitted]),
-        held_out=_root_mean(held_out) if held_out else math.nan,
+        held_out=max((results[index].systematic for index in planes.held_out), default=math.nan),
         height_sigma=_height_sigma(fitter, selection, model),
         principal_effect=fitter.principal_effect(selection.variant, selection.used, solution),
         residual_map=_residual_map(maps, planes),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
@@ -10,6 +9,7 @@ from enum import StrEnum
 import numpy as np
 import xarray as xr
 
+from fringedic.calibration.placement import Placement
 from fringedic.calibration.planes import response_ripple
 from fringedic.calibration.variants import ModelVariant
 from fringedic.camera.findings import Finding
@@ -201,8 +201,13 @@ class FitResult:
 
     @property
     def tested(self) -> bool:
-        """Whether planes were kept out of the fit to test it."""
-        return not math.isnan(self.held_out)
+        """Whether a plane kept out of the fit tests it: the first one repeated shows drift alone."""
+        placement = Placement.stated(
+            len(self.planes), [plane.angle for plane in self.planes], [plane.height for plane in self.planes]
+        )
+        kept_out = [index for index, plane in enumerate(self.planes) if not plane.fitted and not plane.problem]
+        fitted = [index for index, plane in enumerate(self.planes) if plane.fitted]
+        return any(all(placement.apart(index, other) for other in fitted) for index in kept_out)
 
     @property
     def response(self) -> float:

@@ -41,9 +41,12 @@ class RigCalibration(FitResult):
         Fitted parameters, and the correlation of their errors, shape (n, n).
     chi_square
         Sum of squares of the blocks' residuals per degree of freedom, in units of the predicted variance.
-    residual, predicted, systematic, held_out
-        Root mean squares over the fitted planes as heights [m]: of pixels, of their predicted noise, of block means,
-        and of the block means of planes kept out of the fit (NaN without one).
+    residual, predicted, systematic
+        Root mean squares over the fitted planes as heights [m]: of pixels, of their predicted noise and of block means.
+    held_out
+        Root mean square of the block means of that plane kept out of the fit which deviates most [m]; NaN without one.
+    tested
+        Whether a plane kept out of the fit was at another position than every fitted one.
     height_sigma
         Largest standard deviation of z due to the calibration, over the calibrated volume [m].
     principal_effect

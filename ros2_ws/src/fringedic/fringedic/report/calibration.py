@@ -160,7 +160,7 @@ _COLOURS = {Verdict.GO: "green", Verdict.GO_WITH_CARE: "yellow", Verdict.NO_GO: 
 
 def _figures(calibration: RigCalibration) -> list[tuple[str, str, str]]:
     """Return (title, value, meaning) of the key figures."""
-    held_out = _micro(calibration.held_out) if calibration.tested else "none"
+    held_out = "none" if math.isnan(calibration.held_out) else _micro(calibration.held_out)
     figures = [
         (
             "Residual of the model",
@@ -176,7 +176,8 @@ def _figures(calibration: RigCalibration) -> list[tuple[str, str, str]]:
         (
             "Planes kept out of the fit",
             held_out,
-            "The same residual on planes that the fit did not use. It should be about as small as that of the others.",
+            "The largest residual of a plane that the fit did not use. It should be about that of the others."
+            + ("" if calibration.tested else " A repeated plane shows drift; it does not test the model."),
         ),
         (
             "Uncertainty of z due to the calibration",
@@ -215,10 +216,9 @@ def _thresholds(calibration: RigCalibration) -> list[tuple[str, str, str, str]]:
         ("uncertainty of z due to the calibration", _micro(calibration.height_sigma), care, care),
         ("images that contradict the others", str(len(calibration.bad_images)), "none", "none"),
     ]
-    if calibration.tested:
-        rows.insert(
-            1, ("residual of planes kept out", _micro(calibration.held_out), f"up to {_micro(GOOD * noise)}", care)
-        )
+    if not math.isnan(calibration.held_out):
+        limit = f"up to {_micro(GOOD * noise)}"
+        rows.insert(1, ("largest residual of planes kept out", _micro(calibration.held_out), limit, care))
     return rows
 
 

@@ -194,9 +194,9 @@ def _no_rig(calibration: RigCalibration) -> str:
 
 def _held_out_deviates(calibration: RigCalibration) -> str:
     return (
-        f"The planes kept out of the fit deviate by {_micro(calibration.held_out)}, those in it by "
-        f"{_micro(calibration.systematic)} ({_noise(calibration.predicted)}): their angles are wrong, or there are too "
-        "few planes in the fit."
+        f"The planes kept out of the fit deviate by up to {_micro(calibration.held_out)}, those in it by "
+        f"{_micro(calibration.systematic)} ({_noise(calibration.predicted)}): their angles are wrong, the rig "
+        "moved, or there are too few planes in the fit."
     )
 
 
@@ -348,7 +348,7 @@ _FINDINGS: dict[str, Callable[[Finding], str]] = {
     CalibrationWarning.FEW_PLANES: lambda finding: (
         f"{int(finding.values['count'])} planes were fitted: with 5 or more a faulty one can be found"
     ),
-    CalibrationWarning.NOT_TESTED: lambda _: "no plane was kept out of the fit to test it",
+    CalibrationWarning.NOT_TESTED: lambda _: "no plane at a position of its own was kept out of the fit to test it",
     CalibrationWarning.UNCERTAIN_HEIGHT: lambda finding: (
         f"the calibration leaves z uncertain by up to {_micro(finding.values['sigma'], 3)}, more than the noise of a "
         "pixel: use more planes or larger angles"
@@ -392,7 +392,7 @@ def _left(candidate: Candidate) -> str:
 
 
 def _tested(calibration: RigCalibration) -> str:
-    return f", planes kept out by {_micro(calibration.held_out)}" if calibration.tested else ""
+    return f", planes kept out by up to {_micro(calibration.held_out)}" if calibration.tested else ""
 
 
 def _noise(noise: float) -> str:

@@ -12,6 +12,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from fringedic.calibration import check_rig
 from fringedic.calibration.findings import CalibrationWarning
+from fringedic.calibration.fit_results import Reason, Verdict
 from fringedic.calibration.history import record_check
 from fringedic.calibration.placement import PlaneKind
 from fringedic.calibration.recorded import calibrate_recording
@@ -132,7 +133,20 @@ def test_a_rig_that_stands_still_has_no_drift(session: CalibrationSession) -> No
     session.add_plane(plane(0.0, seed=9, held_out=True))
     result = session.calibrate(NOW)
     assert session.drift < 5e-6
-    assert CalibrationWarning.DRIFT not in [each.code for each in result.warnings]
+    warnings = [each.code for each in result.warnings]
+    assert CalibrationWarning.DRIFT not in warnings
+    assert CalibrationWarning.NOT_TESTED in warnings, "the first plane repeated is no test of the model"
+
+
+def test_a_repeated_plane_does_not_excuse_the_plane_that_tests(session: CalibrationSession) -> None:
+    """The plane kept out deviates by 3.5 times the noise of a pixel (22 µm), the repeated one by none of it."""
+    for seed, angle in enumerate((0.0, -18.0, -9.0, 9.0, 18.0)):
+        session.add_plane(plane(angle, seed=seed))
+    session.add_plane(plane(13.0, lift=77e-6, seed=8, held_out=True))
+    session.add_plane(plane(0.0, seed=9, held_out=True))
+    result = session.calibrate(NOW)
+    assert result.tested
+    assert (result.verdict, result.reason) == (Verdict.NO_GO, Reason.HELD_OUT_DEVIATES)
 
 
 @pytest.mark.parametrize(

@@ -174,7 +174,7 @@ def live_graph(rig: RigFile, rig_path: Path, region: Sequence[int] = ()) -> Grap
     region
         First column, first row, width and height of the evaluated part of the image [px]; empty: the whole image.
     """
-    view: dict[str, Any] = {"full_scale_grey_level": _full_scale(rig)}
+    view: dict[str, Any] = {"full_scale_grey_level": full_scale(rig)}
     if region:
         view["region_px"] = list(region)
     live_view = NodeEntry("live_view", "camera_node", "live_view", view)
@@ -332,12 +332,12 @@ def _region(rig: RigFile, rig_path: Path) -> dict[str, str]:
 def _phase(rig: RigFile) -> dict[str, Any]:
     """Return the parameters of the phase node, with the level of saturation when it does not follow from the images."""
     parameters = rig.nodes.phase.model_dump()
-    if not parameters["saturation_grey_level"] and (level := _full_scale(rig)) not in _FULL_SCALES:
+    if not parameters["saturation_grey_level"] and (level := full_scale(rig)) not in _FULL_SCALES:
         parameters["saturation_grey_level"] = level
     return parameters
 
 
-def _full_scale(rig: RigFile) -> float:
+def full_scale(rig: RigFile) -> float:
     """Return the grey level of a saturated pixel; 0 when it follows from the images."""
     if rig.camera.source == "virtual":
         return 2.0 ** rig.virtual_configuration().sensor.bits - 1

@@ -18,7 +18,7 @@ from fringedic.phase.checks.harmonic_error import SERIES_SHIFTS, HarmonicError, 
 from fringedic.report.response import response_sentences
 from fringedic.rig_setup.response import measure_response, response_patterns
 from fringedic.rig_setup.response_correction import Correction, assess_correction
-from fringedic_bringup.launch.graph import Graph, NodeEntry, exposing_graph
+from fringedic_bringup.launch.graph import Graph, NodeEntry, exposing_graph, full_scale
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.exposing import SETUP, ExposingClient
 from fringedic_bringup.procedures.outcome import Progress
@@ -84,12 +84,14 @@ def measure_rig_response(
     fringes = _fringes(rig)
     rig_frames = _RigFrames(rig, rig_path, folder / "logs", progress, domain)
     frames = rig_frames.take([*greys, *fringes], "without correction")
-    curve = measure_response(frames[: len(greys)], greys)
-    before = measure_harmonic_error(frames[len(greys) :])
+    saturation = full_scale(rig) or None
+    curve = measure_response(frames[: len(greys)], greys, saturation=saturation)
+    before = measure_harmonic_error(frames[len(greys) :], saturation=saturation)
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / FILE
     curve.save(file)
-    after = measure_harmonic_error(rig_frames.take(fringes, "with correction", curve_file=file))
+    corrected = rig_frames.take(fringes, "with correction", curve_file=file)
+    after = measure_harmonic_error(corrected, saturation=saturation)
     response_figure(curve, before, after).savefig(folder / PICTURE)
     setting = ""
     if assess_correction(before, after) is Correction.USEFUL:
