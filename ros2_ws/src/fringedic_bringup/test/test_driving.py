@@ -131,7 +131,7 @@ def drive(rig: Rig, monkeypatch: pytest.MonkeyPatch, *, steps: int = 1, progress
     """Drive a programme of some steps more than an earlier run has done."""
     monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
     programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": [{}] * (MEASURED + steps)})
-    before = RecordedSteps(list(range(MEASURED)), MEASURED - 1, MEASURED)
+    before = RecordedSteps(list(range(MEASURED)), MEASURED - 1, MEASURED, [0])
     return driving.drive(rig, programme, progress or Progress(), before=before)  # type: ignore[arg-type]
 
 
@@ -165,10 +165,10 @@ def test_a_failed_step_is_done_and_an_interrupted_one_is_not(tmp_path: Path, mon
     driven = drive(rig, monkeypatch, steps=4)
     assert [bool(report.error) for report in driven.steps] == [False, True]
     assert driven.interrupted
-    assert steps_done(tmp_path / STEPS_DONE, 0, [ProgrammeStep()] * (MEASURED + 4)) == MEASURED + 2
+    assert steps_done(tmp_path / STEPS_DONE, [], [ProgrammeStep()] * (MEASURED + 4)) == (MEASURED + 2, [0])
     others = [*[ProgrammeStep()] * (MEASURED + 1), *[ProgrammeStep(position_mm=1.0)] * 3]
     with pytest.raises(ConfigurationError, match=f"the first {MEASURED + 2} steps of the programme are not those"):
-        steps_done(tmp_path / STEPS_DONE, 0, others)
+        steps_done(tmp_path / STEPS_DONE, [], others)
 
 
 @pytest.mark.parametrize(("measured", "done"), [(0, 0), (1, 2), (2, 4), (3, 4)])
@@ -176,7 +176,20 @@ def test_steps_of_a_run_that_did_not_count_them(measured: int, done: int, tmp_pa
     moves_only, measures = {"position_mm": 1.0, "mode": "none"}, {"position_mm": 1.0}
     steps = [moves_only, measures, moves_only, measures, moves_only]
     programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": steps})
-    assert steps_done(tmp_path / STEPS_DONE, measured, programme.load_steps()) == done
+    numbers = list(range(5, 5 + measured))
+    assert steps_done(tmp_path / STEPS_DONE, numbers, programme.load_steps()) == (done, numbers[:1])
+
+
+def test_references_of_a_programme_survive_its_interruption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Results of a run that is continued count from them; they counted from the first step."""
+    rig = Rig(tmp_path, ["", "error", "", "Ctrl-C"])
+    monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
+    steps = [*[{}] * MEASURED, {}, {"set_reference": True}, {"set_reference": True}, {}]
+    programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": steps})
+    before = RecordedSteps(list(range(MEASURED)), MEASURED - 1, MEASURED, [0, 2])
+    driven = driving.drive(rig, programme, Progress(), before=before)  # type: ignore[arg-type]
+    assert driven.measure_again == [0, 2, MEASURED + 2], "a step that failed is no reference"
+    assert steps_done(tmp_path / STEPS_DONE, [], programme.load_steps()) == (MEASURED + 3, driven.measure_again)
 
 
 def test_a_node_that_dies_again_and_again_ends_the_programme(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -145,8 +145,8 @@ class AravisDriver:
             connection.camera.software_trigger()
         while True:
             frame = self._next(connection)
-            # a frame that was under way began before the request
-            if self._settings.trigger is not Trigger.INTERNAL or frame.stamp_ns - asked >= 0.5e9 * frame.exposure_time:
+            # a clock or a generator goes on between requests: a frame that was under way began before this one
+            if self._settings.trigger is Trigger.SOFTWARE or frame.stamp_ns - asked >= 0.5e9 * frame.exposure_time:
                 return frame
 
     def close(self) -> None:

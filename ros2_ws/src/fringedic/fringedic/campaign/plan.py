@@ -105,10 +105,10 @@ class Unit:
     @property
     def settings(self) -> ProcessingSettings:
         """What the recording is processed with."""
-        calibration = self.processing["calibration"]
+        calibration, reference = self.processing["calibration"], self.processing["reference"]
         return ProcessingSettings(
             overrides=self.processing["overrides"],
-            reference=self.processing["reference"],
+            references=() if reference is None else (reference,),
             calibration=RigModel.from_text(calibration) if calibration else None,
             segment=None if self.part is None else (self.part, self.processing["segments"]),
         )

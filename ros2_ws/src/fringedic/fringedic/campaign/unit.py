@@ -136,7 +136,7 @@ def _follow(unit: Unit) -> Receipt:
     With a reference of the campaign, or in segments, it is processed when it is complete.
     """
     store, recording = CampaignStore(unit.store), GrowingRecording(Path(unit.path), patience_s=PATIENCE_S)
-    if not recording.is_complete() and unit.settings.reference is None and unit.processing["segments"] == 1:
+    if not recording.is_complete() and not unit.settings.references and unit.processing["segments"] == 1:
         _require_software(unit)
         recording.wait_for_writer()
         begun = _begin(store, unit)

@@ -51,7 +51,7 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     output: str | os.PathLike[str] | None = None,
     overrides: Mapping[str, Any] | None = None,
     steps: Iterable[int] | None = None,
-    reference: int | None = None,
+    reference: int | Sequence[int] | None = None,
     calibration: RigModel | None = None,
     experiment: str | None = None,
     overwrite: bool = False,
@@ -78,7 +78,8 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
         Numbers of the steps to measure; all by default. The reference steps are always measured. The displacement of
         a step starts from that of its predecessors, so that results without them agree within the noise, not exactly.
     reference
-        Number of the step that all others are measured against, also earlier ones; by default as recorded.
+        Number of the step that all others are measured against, also earlier ones. Several numbers: each step is
+        measured against the latest of them before it, earlier ones against the first. By default as recorded.
     calibration
         Model of the rig, instead of the recorded one.
     experiment
@@ -114,7 +115,8 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     PosixPath('recordings/plate-7/bag.nc')
     """
     only = None if steps is None else frozenset(steps)
-    settings = ProcessingSettings(overrides or {}, reference, calibration, experiment, only)
+    several = () if reference is None else (reference,) if isinstance(reference, int) else tuple(sorted(reference))
+    settings = ProcessingSettings(overrides or {}, several, calibration, experiment, only)
     target = dataset_path(_name_nearby(str(path)) if is_remote(path) else recording_of(Path(path)), output, overwrite)
     with local_copy(path, PROCESSED_TOPICS) as nearby:
         process_into(target, nearby, settings, progress)
@@ -145,7 +147,7 @@ class ProcessingSettings:
     """
 
     overrides: Mapping[str, Any] = field(default_factory=dict)
-    reference: int | None = None
+    references: tuple[int, ...] = ()
     calibration: RigModel | None = None
     experiment: str | None = None
     steps: frozenset[int] | None = None
@@ -189,14 +191,13 @@ def process_into(
         See `process_bag`.
     """
     reader = BagReader(path)
-    reference = settings.reference
     names = _processed_topics(reader)
-    asked = set() if reference is None else {reference}
+    asked = set(settings.references)
     read = None if settings.steps is None else settings.steps | asked
     timeline = Timeline(reader, names, settings.experiment, steps=read)
     if settings.calibration is not None:
         check_calibration(settings.calibration, recorded_setup(reader))
-    pipeline = OfflinePipeline(settings.overrides, timeline.experiment, reference, settings.calibration)
+    pipeline = OfflinePipeline(settings.overrides, timeline.experiment, settings.references, settings.calibration)
     references = asked or timeline.references
     segment = None if settings.segment is None else _Segment.of(timeline.steps, *settings.segment)
     steps = settings.steps if segment is None else segment.lead_in | segment.steps
@@ -209,8 +210,8 @@ def process_into(
             yield from (row_of(each, pipeline.settings) for each in pipeline.take(event, numbers))
 
     def rows() -> Iterator[Row]:
-        if reference is not None:
-            yield from passing(references)
+        if settings.references:
+            yield from passing({settings.references[0]})
         yield from passing(wanted)
         yield from (row_of(each, pipeline.settings) for each in pipeline.finish())
 
@@ -253,7 +254,7 @@ def follow_into(
         See `process_bag`.
     """
     experiment = _followed_experiment(recording)
-    pipeline = OfflinePipeline(settings.overrides, experiment, None, settings.calibration)
+    pipeline = OfflinePipeline(settings.overrides, experiment, calibration=settings.calibration)
     attributes = {"experiment": experiment, "source": recording.path.name}
     topics = [name for name in PROCESSED_TOPICS if name != "load_frame/state"]
 

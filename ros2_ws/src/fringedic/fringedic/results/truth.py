@@ -15,6 +15,7 @@ from fringedic.inputs.arguments import check_arguments, path
 from fringedic.inputs.arguments import dataset as dataset_of
 
 MICRO = 1e-6
+_AT_REST = 1e-9  # [m] largest displacement of the step from which a truth counts
 _LONGEST_CAUSE = 200  # characters; HDF5 appends the state of its reader
 
 
@@ -60,7 +61,7 @@ def truth_errors(dataset: xr.Dataset, truth: xr.Dataset, step: int) -> xr.Datase
     Dataset
         ``error_u``, ``error_v``, ``error_w`` of the material points of the reference image and ``error_z``, of the
         height of this step's surface at each of its own pixels [m]; ``visible``, True where the material point is in
-        both images.
+        both images, False everywhere when the truth counts displacements from another reference.
 
     Raises
     ------
@@ -80,6 +81,8 @@ def _truth_errors(dataset: xr.Dataset, truth: xr.Dataset, step: int) -> xr.Datas
         raise DatasetError(f"the truth lacks pixels of the dataset: {error}") from error
     measured = dataset.sel(step=step)
     visible = exact["valid"].astype(bool).values & np.isfinite(exact["u"].values)
+    if "reference_step" in measured and not _counts_from(truth, int(measured["reference_step"])):
+        visible[:] = False
     errors = {name: np.where(visible, measured[name].values - exact[name].values, np.nan) for name in "uvw"}
     errors["z"] = measured["shape_z"].values - exact["z_deformed"].values
     coordinates = {"row": dataset.row, "column": dataset.column}
@@ -90,12 +93,21 @@ def _truth_errors(dataset: xr.Dataset, truth: xr.Dataset, step: int) -> xr.Datas
     return xr.Dataset(maps | {"visible": (("row", "column"), visible, {"units": "1"})}, coordinates)
 
 
+def _counts_from(truth: xr.Dataset, step: int) -> bool:
+    """Return whether the displacements of a truth are those against a step, so that this one has none."""
+    if not 0 <= step < truth.sizes["step"]:
+        return True  # the step was not measured against another one
+    there = truth[list("uvw")].isel(step=step)
+    return all(float(abs(there[name]).max()) < _AT_REST for name in "uvw")
+
+
 @check_arguments(DatasetError, dataset=dataset_of(), truth_path=path)
 def compare_with_truth(dataset: xr.Dataset, truth_path: str | os.PathLike[str]) -> xr.Dataset:
     """Compare each step with the ground truth of the virtual rig.
 
     The comparison covers the displacement (u, v, w) of the material point at each reference pixel, and the height of
-    the deformed surface at each of its pixels, where both the measurement and the truth have a value.
+    the deformed surface at each of its pixels, where both the measurement and the truth have a value. The truth counts
+    displacements from one step: those against another reference have no error.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
 from typing import Any
@@ -61,8 +61,9 @@ class OfflinePipeline:
         Parameters that replace the recorded ones, ``{"dic.window": 24}``.
     experiment
         The experiment whose frames follow.
-    reference
-        A step that is the reference of all others, whatever the recording names; its frames come first.
+    references
+        Steps that are references, whatever the recording names: the first one of all steps until the next one. The
+        frames of the first one come first. Empty: as recorded.
     calibration
         Of the rig, instead of the recorded one.
 
@@ -75,9 +76,13 @@ class OfflinePipeline:
     """
 
     def __init__(
-        self, overrides: Mapping[str, Any], experiment: str, reference: int | None, calibration: RigModel | None = None
+        self,
+        overrides: Mapping[str, Any],
+        experiment: str,
+        references: Sequence[int] = (),
+        calibration: RigModel | None = None,
     ) -> None:
-        self._fixed_reference = reference
+        self._fixed_references = frozenset(references)
         self._fixed_calibration = calibration is not None
         self._calibration: RigModel | None = None
         self._parameters = RecordedParameters(overrides)
@@ -86,8 +91,8 @@ class OfflinePipeline:
         self._shape = ShapeTracker(self._parameters.coupling)
         self._checks = ClosureChecks()
         self._answered: set[int] = set()
-        if reference is not None:
-            self._set_reference(experiment, reference)
+        if references:
+            self._set_reference(experiment, references[0])
         if calibration is not None:
             self._set_calibration(calibration)
 
@@ -115,7 +120,7 @@ class OfflinePipeline:
             self._parameters.take(message)
         elif event.topic == "calibration" and not self._fixed_calibration:
             self._set_calibration(RigModel.from_message(message))
-        elif event.topic == "experiment/reference" and self._fixed_reference is None:
+        elif event.topic == "experiment/reference" and not self._fixed_references:
             self._set_reference(message.experiment, message.step)
         elif event.topic == "experiment/step":
             key = (message.experiment, message.step)
@@ -147,6 +152,8 @@ class OfflinePipeline:
             return []
         # steps are exposed one after the other: what is missing of one before is lost
         lost = [self._abandoned(*key) for key in self._collector.open_steps if key[1] != record.step]
+        if record.step in self._fixed_references:
+            self._set_reference(record.experiment, record.step)
         try:
             stack = self._collector.add(record, frame.image)
         except FringedicError as error:

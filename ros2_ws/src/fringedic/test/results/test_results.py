@@ -685,6 +685,22 @@ def test_another_reference_step_turns_the_displacement_round(bench, processed, t
         process_bag(bench.bag, output=tmp_path / "x.nc", reference=9)
 
 
+def test_several_references_follow_each_other_whatever_was_recorded(bench, tmp_path):
+    path = process_bag(bench.bag, output=tmp_path / "other.nc", reference=(0, 1, 3))
+    alone = process_bag(bench.bag, output=tmp_path / "alone.nc", reference=3)
+    with open_experiment(path) as other, open_experiment(alone) as against_3:
+        named = other.reference_step.values
+        assert set(named[:1].tolist()) == {0}
+        assert set(named[1:3].tolist()) <= {1, -1}
+        assert set(named[3:].tolist()) <= {3, -1}
+        assert identical(other.v.sel(step=3).values, against_3.v.sel(step=3).values)
+        later = [step for step in (4, 5, 6) if np.isfinite(other.v.sel(step=step)).any()]
+        assert later
+        for step in later:
+            difference = other.v.sel(step=step) - against_3.v.sel(step=step)
+            assert abs(float(difference.median())) < 1e-6, "the search begins elsewhere, the reference is the same"
+
+
 def test_metadata_are_found_again_and_the_force_gets_its_tare_and_sign(tmp_path):
     bench = Bench(tmp_path / "plate")
     bench.begin()

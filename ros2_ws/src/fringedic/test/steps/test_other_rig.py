@@ -53,4 +53,4 @@ def test_surface_outside_the_measured_volume():
 
 def test_pipeline_refuses_lengths_that_contradict_each_other():
     with pytest.raises(CalibrationError, match="pixel_size of 200 mm"):
-        OfflinePipeline({}, "e", None, replace(RIG, pixel_size=0.2))
+        OfflinePipeline({}, "e", (), replace(RIG, pixel_size=0.2))

@@ -19,7 +19,7 @@ from fringedic_bringup.launch.graph import Graph, NodeEntry
 from fringedic_bringup.procedures.recording_parts import next_part
 from fringedic_msgs.msg import StepStatus
 
-STEPS_DONE = "steps_done"  # file among the logs: number and checksum of the steps of the programme that were done
+STEPS_DONE = "steps_done"  # file among the logs: steps of the programme that were done, and the references
 COMPARED = ("experiment", "camera", "projector", "phase", "dic", "coupling")  # nodes whose parameters change results
 OF_ONE_COMMAND = {"truth_folder", "calibration_file", "calibration_folder", "facts", "first_step", "reference_step"}
 
@@ -35,11 +35,14 @@ class RecordedSteps(NamedTuple):
         Number of the last step; -1 without steps.
     done
         How many steps of the programme were done, also those that move only or failed.
+    references
+        Numbers of the steps that are references; empty when no step was measured.
     """
 
     measured: list[int]
     last: int
     done: int
+    references: list[int]
 
 
 @contextmanager
@@ -90,22 +93,24 @@ def recorded_steps(bag: Path, programme: Programme, namespace: str) -> RecordedS
     statuses = [message for _, message, _ in reader.messages([topic])]
     measured = sorted({status.step for status in statuses if status.stage == StepStatus.END})
     steps = programme.load_steps()
-    done = steps_done(bag.with_name("logs") / STEPS_DONE, len(measured), steps)
+    done, references = steps_done(bag.with_name("logs") / STEPS_DONE, measured, steps)
     if done >= len(steps):
         count = sum(step.mode != "none" for step in steps)
         raise ConfigurationError(
             f"{bag.parent}: no step of the programme is left, {len(measured)} of {count} are measured"
         )
-    return RecordedSteps(measured, max((status.step for status in statuses), default=-1), done)
+    return RecordedSteps(measured, max((status.step for status in statuses), default=-1), done, references)
 
 
-def save_steps_done(file: Path, steps: Sequence[ProgrammeStep]) -> None:
-    """Save the steps of a programme that were done, for `steps_done`."""
-    write_whole(file, f"{len(steps)} {_checksum(steps)}")
+def save_steps_done(file: Path, steps: Sequence[ProgrammeStep], references: Sequence[int]) -> None:
+    """Save the steps of a programme that were done and the numbers of its references, for `steps_done`."""
+    write_whole(file, " ".join([str(len(steps)), _checksum(steps), *map(str, references)]))
 
 
-def steps_done(file: Path, measured: int, steps: Sequence[ProgrammeStep]) -> int:
-    """Return how many steps of a programme were done; of a run of an earlier version, as if none had failed.
+def steps_done(file: Path, measured: Sequence[int], steps: Sequence[ProgrammeStep]) -> tuple[int, list[int]]:
+    """Return how many steps of a programme were done, and its references.
+
+    Of a run of an earlier version, as if no step had failed, with the first measured step as the reference.
 
     Raises
     ------
@@ -113,17 +118,17 @@ def steps_done(file: Path, measured: int, steps: Sequence[ProgrammeStep]) -> int
         Other steps were done than the first ones of the programme.
     """
     try:
-        number, checksum = file.read_text().split()
-        done = int(number)
+        number, checksum, *numbers = file.read_text().split()
+        done, references = int(number), [int(each) for each in numbers]
     except (OSError, ValueError):
         ends = [number for number, step in enumerate(steps, 1) if step.mode != "none"]
-        return ([0, *ends])[min(measured, len(ends))]
+        return ([0, *ends])[min(len(measured), len(ends))], list(measured[:1])
     if _checksum(steps[:done]) != checksum:
         raise ConfigurationError(
             f"{file.parent.parent}: the first {done} steps of the programme are not those that were done; "
             "undo the change of the programme, or start a new run"
         )
-    return done
+    return done, references or list(measured[:1])
 
 
 def _checksum(steps: Iterable[ProgrammeStep]) -> str:

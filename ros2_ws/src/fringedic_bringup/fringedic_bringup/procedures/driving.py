@@ -49,8 +49,8 @@ class Driven(NamedTuple):
     steps
         Reports of the steps that were to be measured.
     measure_again
-        Reference step for a new measurement of all steps from the recording, because a node ended, so that results are
-        missing or count from another step; None when none ended.
+        Reference steps for a new measurement of all steps from the recording, because a node ended, so that results are
+        missing or count from another step; empty when none ended.
     ended_early
         Why the programme ended before its last step; empty when it did not.
     interrupted
@@ -58,7 +58,7 @@ class Driven(NamedTuple):
     """
 
     steps: list[StepReport]
-    measure_again: int | None
+    measure_again: list[int]
     ended_early: str = ""
     interrupted: bool = False
 
@@ -110,10 +110,10 @@ def drive(
         if any(until.needs_strain for until in programme.conditions()):
             rig.wait_for_strain()
         count = sum(step.mode != "none" for step in programme.load_steps())
-        own = any(step.set_reference for step in programme.load_steps())
-        driver = _Driver(running, rig, progress, control, count - 1, own=own)
+        driver = _Driver(running, rig, progress, control, count - 1)
         if before is not None:
             rig.last_step = before.last
+            driver.references += before.references
         walk = programme.walk(lambda end: progress.note(block_end_sentence(end)))
         reading: Reading | None = None
         ended_early, interrupted = "", False
@@ -124,7 +124,7 @@ def drive(
                     done.append(walk.send(reading))
                     if before is None or len(done) > before.done:
                         reading = driver.do(done[-1])
-                        save_steps_done(running.logs / STEPS_DONE, done)
+                        save_steps_done(running.logs / STEPS_DONE, done, driver.references)
             driver.finish()
         except (FringedicError, OSError) as error:
             not_held = driver.end()
@@ -134,8 +134,8 @@ def drive(
             held = driver.end() or "a hold was requested"
             ended_early, interrupted = "interrupted", True
             progress.note(f"interrupted: {held}; the results of what was measured are written")
-    first = next((report.step for report in driver.reports if not report.error), None)
-    return Driven(driver.reports, first if driver.interrupted and not own else None, ended_early, interrupted)
+    again = driver.references if driver.interrupted or (before is not None and before.references) else []
+    return Driven(driver.reports, again, ended_early, interrupted)
 
 
 class _Driver:
@@ -145,6 +145,8 @@ class _Driver:
     ----------
     reports
         Reports of the steps that are measured.
+    references
+        Steps that are references: the first one that was measured, and those that the programme names.
     interrupted
         A node has ended: results of its step are missing, or it lost the reference that it kept in memory.
     """
@@ -156,12 +158,11 @@ class _Driver:
         progress: Progress,
         control: RunControl,
         last: int,
-        *,
-        own: bool,
     ) -> None:
         self.reports: list[StepReport] = []
+        self.references: list[int] = []
         self._running, self._rig, self._progress, self._control = running, rig, progress, control
-        self._number, self._last, self._own = 0, last, own  # own: the programme sets references
+        self._number, self._last = 0, last
         self.interrupted = False
         self._restarted = False  # a node was started again since the last successful step
         self._deaths: Counter[str] = Counter()  # without a measured step in between
@@ -208,12 +209,18 @@ class _Driver:
                 number = max([self._rig.last_step, *(report.step for report in self.reports)], default=0)
                 self._report(StepReport(max(number, 0), error=str(error)))
             return None
+        if moved:
+            self._progress.note(moved)
+        return self._take(step, result)
+
+    def _take(self, step: ProgrammeStep, result: MeasureStep.Result) -> Reading:
+        """Report a measured step."""
         self._restarted, self._silences = False, 0
         self._deaths.clear()
         if not step.set_reference and self.reports and result.step == self._rig.reference:
             self.interrupted = True  # the experiment node replaced it
-        if moved:
-            self._progress.note(moved)
+        if step.set_reference or not self.references:
+            self.references.append(result.step)
         self._report(_report(step, result))
         return Reading(result.force_mean, self._rig.strain_of_step, result.valid_fraction)
 
@@ -313,10 +320,10 @@ class _Driver:
                 without_reference = names.intersection(WITH_REFERENCE)
                 if without_reference and self._rig.reference >= 0:
                     self._rig.set_reference()
-                    afterwards = "" if self._own else "; afterwards all steps are measured again against the first"
                     self._progress.note(
                         f"{_in_words(without_reference)} lost the reference: until the end of the programme, or the "
-                        f"next reference in it, displacements count from the next step{afterwards}"
+                        "next reference in it, displacements count from the next step; afterwards all steps are "
+                        "measured again against the references of the programme"
                     )
                 return
             except NodeDiedError as another:

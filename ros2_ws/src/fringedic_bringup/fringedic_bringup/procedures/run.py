@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -155,8 +155,9 @@ def run_experiment(
             progress.stage(f"{programme.experiment}: closing the recording")
         join_parts(bag, progress, rig.recording.split)
         progress.stage(f"{programme.experiment}: writing dataset, pictures and report")
-        again = before.measured[0] if before is not None and before.measured else driven.measure_again
-        report = write_results(programme.experiment, folder, driven.steps, exact=_exact(rig), measure_again=again)
+        report = write_results(
+            programme.experiment, folder, driven.steps, exact=_exact(rig), measure_again=driven.measure_again
+        )
         report.ended_early, report.interrupted = driven.ended_early, driven.interrupted
         return report
 
@@ -167,14 +168,14 @@ def write_results(
     steps: list[StepReport],
     *,
     exact: Reconstruct | None = None,
-    measure_again: int | None = None,
+    measure_again: Sequence[int] = (),
 ) -> RunReport:
     """Write dataset, pictures and report of a recording; add lost frames and errors against the truth to the steps.
 
     Parameters
     ----------
     measure_again
-        Reference step for a new measurement of all steps from the recorded frames; None takes the nodes' results.
+        Reference steps for a new measurement of all steps from the recorded frames; empty: the nodes' results.
     exact
         Reconstructs surfaces with the exact calibration of a virtual rig that was measured with another calibration;
         the errors of these heights are added as ``z_exact``.
@@ -188,7 +189,7 @@ def write_results(
     for report in steps:
         report.dropped, report.missing = losses.get(report.step, (0, 0))
     try:
-        if measure_again is not None:
+        if measure_again:
             process_bag(bag, output=target, experiment=experiment, reference=measure_again, overwrite=True)
         elif recorded.find_optional("phase/status"):
             dataset_from_derived(bag, output=target, experiment=experiment, overwrite=True)
@@ -198,7 +199,7 @@ def write_results(
         return RunReport(experiment, folder, steps, [], unmeasured=str(error))
     with open_experiment(target) as dataset:
         pictures, errors, no_errors = _compare(dataset, folder, exact)
-        if measure_again is not None:  # the nodes measured against another reference
+        if measure_again:  # the nodes measured against another reference
             for report in steps:
                 if report.step in dataset.step:
                     report.rms_displacement = float(dataset.rms_displacement.sel(step=report.step))
