@@ -44,7 +44,7 @@ class Rig:
         Folder of the logs.
     plan
         How the steps end, one after the other: by the end of a node, by Ctrl-C, by a step of another controller, by an
-        error, or by a result ("").
+        error, by a move that fails, or by a result ("").
     presses
         What a person does, one after the other, while the machine is requested to hold.
     """
@@ -95,6 +95,7 @@ class Rig:
         if end == "another":
             raise RigBusyError(f"step {number} is being measured")
         if end == "error":
+            self.last_step = number
             raise StepFailedError(f"step {number}: the load frame was moving")
         if end:
             self._dead[end] = "was ended by SIGKILL"
@@ -102,6 +103,10 @@ class Rig:
         self.last_step = number
         figures = ("force_mean", "position_mean", "force_range", "rms_displacement", "processing_time")
         return SimpleNamespace(step=number, valid_fraction=1.0, **dict.fromkeys(figures, 0.0))
+
+    def move(self, *_: object) -> None:
+        if self.plan[0] == "move":
+            raise StepFailedError(self.plan.pop(0))
 
     def highest_step(self, experiment: str) -> int:
         return self.used[-1] if self.used and experiment == EXPERIMENT else -1
@@ -169,6 +174,20 @@ def test_a_failed_step_is_done_and_an_interrupted_one_is_not(tmp_path: Path, mon
     others = [*[ProgrammeStep()] * (MEASURED + 1), *[ProgrammeStep(position_mm=1.0)] * 3]
     with pytest.raises(ConfigurationError, match=f"the first {MEASURED + 2} steps of the programme are not those"):
         steps_done(tmp_path / STEPS_DONE, [], others)
+
+
+def test_a_move_that_fails_has_no_number_of_a_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It had that of the step before, so that a page showed the step as measured."""
+    rig = Rig(tmp_path, ["", "move", "", "error"])
+    monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
+    programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": [{"position_mm": 1.0}] * 4})
+    driven = driving.drive(rig, programme, Progress())  # type: ignore[arg-type]
+    assert [(report.step, report.error) for report in driven.steps] == [
+        (MEASURED, ""),
+        (-1, "move"),
+        (MEASURED + 1, ""),
+        (MEASURED + 2, f"step {MEASURED + 2}: the load frame was moving"),
+    ]
 
 
 @pytest.mark.parametrize(("measured", "done"), [(0, 0), (1, 2), (2, 4), (3, 4)])

@@ -118,7 +118,7 @@ def report_table(report: RunReport) -> Table:
     table.add_column(escape("to cloud\n[s]"), justify="right")
     for step in report.steps:
         if step.error:
-            table.add_row(str(step.step), "failed")
+            table.add_row("–" if step.step < 0 else str(step.step), "failed")
             continue
         cells = [str(step.step), _figure(step.position * 1e3, 3), _figure(step.force, 2)]
         displacement = step.rms_displacement

@@ -206,8 +206,8 @@ class _Driver:
                 self._progress.note(f"step {self._number} is repeated")
                 return self._move_and_measure(step)
             if step.mode != "none":
-                number = max([self._rig.last_step, *(report.step for report in self.reports)], default=0)
-                self._report(StepReport(max(number, 0), error=str(error)))
+                begun = self._rig.last_step >= self._number
+                self._report(StepReport(self._rig.last_step if begun else -1, error=str(error)))
             return None
         if moved:
             self._progress.note(moved)

@@ -32,7 +32,7 @@ class StepReport:
     Attributes
     ----------
     step
-        Number in the experiment.
+        Number in the experiment; -1 when its move failed, so that it did not begin.
     position, force, force_range
         Mean over the exposures [m], [N], and the range of the force [N].
     valid_fraction

@@ -62,11 +62,12 @@ function rows() {
   const programme = reports.length > known.length || (running && procedure.steps && procedure.steps !== known.length) ? [] : known;
   const count = Math.max(running ? procedure.steps : programme.length, reports.length);
   if (procedure?.procedure === "by_hand" || !count) return [head, ...steps.map((step) => row(step.step, null, step, step.error || step.stage, false))];
+  const unbegun = reports.filter((report) => report.step < 0).map((report) => row("–", null, report, report.error, false));
   return [head, ...Array.from({ length: count }, (_, k) => {
     const done = reports.find((report) => report.step === k), is_now = k === now && !done;
     const words = done ? done.error || "measured" : is_now ? stage(procedure) : "";
     return row(k, programme[k]?.position_mm, done, words, is_now);
-  })];
+  }), ...unbegun];
 }
 
 const stage = ({ activity, frame, frames }) => (frames ? `${activity}, frame ${frame} of ${frames}` : activity);
