@@ -161,10 +161,10 @@ def dataset(*names: str, over: Sequence[str] = ("row", "column")) -> Check:
             raise ValueError(words)
         if "step" in over and "step" not in value.coords:
             raise ValueError(words)
-        for name in names:
-            if name not in value or not set(image) <= set(value[name].dims) or value[name].dtype.kind not in "iuf":
-                raise ValueError(words)
-        ordered = all(value[name].dims[-2:] == ("row", "column") for name in names)
+        maps = [value.variables.get(name) for name in names]  # without coordinates, which takes a tenth of the time
+        if any(each is None or not set(image) <= set(each.dims) or each.dtype.kind not in "iuf" for each in maps):
+            raise ValueError(words)
+        ordered = all(each.dims[-2:] == ("row", "column") for each in maps)
         return value if ordered or not image else value.transpose(..., *image)
 
     return check

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -178,7 +178,7 @@ class ShapeTracker:
             step=phase.step,
             stamp=phase.stamp,
             reference_step=reference_key[1],
-            shape=_selected(current.shape, _SHAPE),
+            shape=xr.Dataset(_contiguous(current.shape, _SHAPE), coords=current.shape.coords),
             displacement=fields,
             valid_fraction=fraction,
             rms=length,
@@ -241,17 +241,19 @@ class ShapeTracker:
 
     def _evaluated(self, cloud: xr.Dataset, appearance: _Appearance | None) -> xr.Dataset:
         """Return the fields to be published: displacement, local components and strain where they are asked for."""
-        parts = [_selected(cloud, _VECTORS)]
+        arrays = _contiguous(cloud, _VECTORS)
         if self.parameters.local_frame_window_px:
             moved = cloud[list("xyzuvw")]  # without errors: standard deviations of the components are not published
-            parts.append(_selected(to_local_frame(moved, window=self.parameters.local_frame_window_px), _LOCAL))
+            arrays |= _contiguous(to_local_frame(moved, window=self.parameters.local_frame_window_px), _LOCAL)
         if self.parameters.strain_window_px:
             slope_noise = appearance.slope_noise if appearance is not None else 1.0
             strain = surface_strain(cloud, window=self.parameters.strain_window_px, slope_noise=slope_noise)
-            parts.append(_selected(strain, [name for name in STRAIN_FIELDS if name in strain]))
-        fields = parts[0].assign({name: array for part in parts[1:] for name, array in part.items()})
+            arrays |= _contiguous(strain, [name for name in STRAIN_FIELDS if name in strain])
         # a viewer colours the points with a position: there has to be a value
-        return fields.assign({name: fields[name].where(np.isfinite(fields.u)) for name in ("x", "y", "z")})
+        dims, u = arrays["u"]
+        for name in ("x", "y", "z"):
+            arrays[name] = (dims, np.where(np.isfinite(u), arrays[name][1], np.float32(np.nan)))
+        return xr.Dataset(arrays, coords=cloud.coords)
 
     def _drift(self, fields: xr.Dataset, reference_step: int) -> MarkerMotion | None:
         region = self.parameters.drift_marker_px
@@ -279,7 +281,7 @@ def _for_reconstruction(phase: PhaseResult) -> PhaseResult:
     return replace(phase, maps=phase.maps[[name for name in ("phase", "sigma", "texture") if name in phase.maps]])
 
 
-def _selected(dataset: xr.Dataset, names: Iterable[str]) -> xr.Dataset:
-    """Return some variables of a dataset as contiguous float32, with its coordinates."""
-    arrays = {name: (dataset[name].dims, np.ascontiguousarray(dataset[name].values, np.float32)) for name in names}
-    return xr.Dataset(arrays, coords=dataset.coords)
+def _contiguous(dataset: xr.Dataset, names: Iterable[str]) -> dict[str, tuple[tuple[Hashable, ...], np.ndarray]]:
+    """Return dimensions and contiguous float32 values of some variables of a dataset."""
+    variables = {name: dataset.variables[name] for name in names}
+    return {name: (each.dims, np.ascontiguousarray(each.values, np.float32)) for name, each in variables.items()}

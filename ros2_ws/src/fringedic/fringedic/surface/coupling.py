@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import xarray as xr
 
@@ -141,7 +143,7 @@ def couple(
         in_plane,
         rows - before.rows[0],
         columns - before.columns[0],
-        _tabulate_noise_gain(sample_gaussian(z_filter)),
+        _tabulate_noise_gain(z_filter),
         after.camera_distance,
         result,
     )
@@ -206,12 +208,14 @@ def _add_calibration(
     result[9:12] += added[3:]
 
 
-def _tabulate_noise_gain(kernel: np.ndarray) -> np.ndarray:
+@lru_cache(maxsize=8)
+def _tabulate_noise_gain(z_filter: float) -> np.ndarray:
     """Return the factor of the variance of interpolated noise by filtering, at fractions from 0 to 1 of a pixel.
 
     The errors of neighbours in a filtered map are correlated, so that their weighted sum is noisier than one of
     independent values with the same variances.
     """
+    kernel = sample_gaussian(z_filter)
     both_sides = np.pad(np.concatenate([kernel[:0:-1], kernel]), (0, 3))
     overlap = np.array([both_sides[: len(both_sides) - lag] @ both_sides[lag:] for lag in range(4)])
     correlation = overlap[np.abs(np.subtract.outer(range(4), range(4)))] / overlap[0]

@@ -47,11 +47,16 @@ def find_discontinuities(cloud: xr.Dataset) -> np.ndarray:
     near = [max(1, math.ceil(reach / _spacing(cloud[name].values))) for name in ("row", "column")]
     # the displacement changes little between the points of a third of this distance
     every = [max(1, each // 3) for each in near]
-    fields = cloud.isel(row=slice(None, None, every[0]), column=slice(None, None, every[1]))
+    fields = {
+        name: np.ascontiguousarray(cloud.variables[name].values[:: every[0], :: every[1]], np.float32)
+        for pair in _FIELDS
+        for name in pair
+    }
+    size = next(iter(fields.values())).shape
     near = [math.ceil(each / step) for each, step in zip(near, every, strict=True)]
-    across, along = (np.zeros(fields["x"].shape, np.uint8) for _ in near)
+    across, along = (np.zeros(size, np.uint8) for _ in near)
     for name, sigma in _FIELDS:
-        values, noise = (np.ascontiguousarray(fields[each], np.float32) for each in (name, sigma))
+        values, noise = fields[name], fields[sigma]
         for lines, sigmas, h, marked in ((values, noise, near[1], along), (values.T, noise.T, near[0], across.T)):
             # the relief of a rough surface and a strain that varies are no discontinuities
             _mark(lines, sigmas, np.float32(JUMP * _measure_roughness(lines, h)), h, marked)
@@ -59,8 +64,8 @@ def find_discontinuities(cloud: xr.Dataset) -> np.ndarray:
     for marked, side in ((along, (near[0] // 2 + 1, 1)), (across, (1, near[1] // 2 + 1))):
         cv2.morphologyEx(marked, cv2.MORPH_OPEN, np.ones(side, np.uint8), dst=marked)
     nearest = (
-        np.minimum((np.arange(cloud.sizes[name]) + step // 2) // step, fields.sizes[name] - 1)
-        for name, step in zip(("row", "column"), every, strict=True)
+        np.minimum((np.arange(count) + step // 2) // step, kept - 1)
+        for count, kept, step in zip(cloud["x"].shape, size, every, strict=True)
     )
     return np.asarray((along | across).astype(bool)[np.ix_(*nearest)])
 

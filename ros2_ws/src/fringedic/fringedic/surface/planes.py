@@ -80,7 +80,7 @@ def fit_planes(
     """
     rows, columns = pixel_positions(cloud, cloud["x"].shape)
     half, spacing = zip(*(_half_width(window, positions) for positions in (rows, columns)), strict=True)
-    arrays = [np.asarray(cloud[name]) for name in ("x", "y", *names)]
+    arrays = [cloud.variables[name].values for name in ("x", "y", *names)]
     kind = np.result_type(np.float32, *arrays)
     fields = np.stack([np.asarray(each, kind) for each in arrays])
     known = np.isfinite(fields[0])
@@ -90,7 +90,7 @@ def fit_planes(
         known &= ~discontinuous
     squared = np.empty((len(averaged), *fields.shape[1:]), kind)
     for target, name in zip(squared, averaged, strict=True):
-        np.square(np.asarray(cloud[name], kind), out=target)
+        np.square(np.asarray(cloud.variables[name].values, kind), out=target)
     middle = np.array([_average_sample(each[::8, ::8]) for each in fields])
     samples = Samples(fields, squared, middle, known)
     planes = PlaneArrays(
