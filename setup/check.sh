@@ -16,8 +16,9 @@ types=$(mktemp)
 trap 'rm -f "$types"' EXIT
 mypy >"$types" 2>&1 &
 # Files go to the workers in the order of the folders; in that of the number of tests, files of a few long ones would be left for the end.
+# A worker that has crashed is not replaced: its test would be repeated up to 16 times, and then waited for without end.
 # Tests press Ctrl-C and close terminals, which processes ignore that were started in the background or by nohup.
-pytest=(env --default-signal=INT,HUP python -m pytest --dist loadfile --no-loadscope-reorder)
+pytest=(env --default-signal=INT,HUP python -m pytest --dist loadfile --no-loadscope-reorder --max-worker-restart 0)
 coverage=(--cov --cov-report=term:skip-covered)
 if [ "${1:-}" = library ]; then
     coverage=() # it costs a third of the time

@@ -11,6 +11,11 @@ if [ -d "$_fringedic_site/rclpy" ]; then
     AMENT_PREFIX_PATH=$_fringedic_install:$_fringedic_venv
     CMAKE_PREFIX_PATH=$AMENT_PREFIX_PATH
     LD_LIBRARY_PATH=$_fringedic_install/lib:$_fringedic_venv/lib$(find "$_fringedic_site" -maxdepth 1 -name 'ros_*.libs' -printf ':%p')
+    case :${LD_PRELOAD:-}: in
+    *:$_fringedic_venv/lib/unlimited_wait.so:*) ;;
+    *) [ ! -f "$_fringedic_venv/lib/unlimited_wait.so" ] ||
+        export LD_PRELOAD=$_fringedic_venv/lib/unlimited_wait.so${LD_PRELOAD:+:$LD_PRELOAD} ;;
+    esac
     export _ROS_WHEELS_BOOTSTRAP_COMPLETE=1 # the paths are set: Python need not start a second time to set them
 else
     AMENT_PREFIX_PATH=$_fringedic_install${AMENT_PREFIX_PATH:+:$AMENT_PREFIX_PATH}

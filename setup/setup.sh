@@ -164,6 +164,12 @@ if ! current environment "$environment"; then
     done_for environment "$environment"
 fi
 
+waits=$(sha256sum <setup/unlimited_wait.c)
+if [ -z "${venv_options[*]}" ] && ! current waits "$waits"; then
+    run "waits of the middleware" gcc -shared -fPIC -O2 -o "$venv/lib/unlimited_wait.so" setup/unlimited_wait.c -ldl
+    done_for waits "$waits"
+fi
+
 # shellcheck source=/dev/null
 . "$root/setup/environment.sh"
 

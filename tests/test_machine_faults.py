@@ -131,8 +131,7 @@ def test_server_that_is_gone_in_the_middle_of_a_stack(rig: Rig, machine: ModbusS
         rig.fails(UNKNOWN, at_frame=3, then=machine.kill)
     finally:
         machine.start()
-    wait_until(rig.holds, "the machine")
-    rig.client.move(0.2 * MM, 5 * MM)
+    rig.client.move(0.2 * MM, 5 * MM)  # which waits until the node has connected it again
     rig.works()
 
 

@@ -18,12 +18,8 @@ from rclpy.signals import SignalHandlerOptions
 from fringedic.errors import FringedicError
 from fringedic_ros.parameters import report_unknown_parameters
 from fringedic_ros.presence import announce
-from fringedic_ros.rig_node import RigNode
 
-# Fast DDS may block a process whose node has closed what it owns (decision 0033); SIGALRM ends it after this time.
-LONGEST_END_S = 5
 ENDING = (signal.SIGINT, signal.SIGTERM)
-CLEAN_ENDS = (0, -signal.SIGALRM)  # exit codes of a process whose node is closed
 
 
 class _EndRequested(Exception):
@@ -46,8 +42,6 @@ def run(make_node: Callable[[], Node]) -> int:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         node = make_node()
         announce(node)
-        if isinstance(node, RigNode):
-            node.before_end = _end_soon
         report_unknown_parameters(node)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
@@ -63,15 +57,9 @@ def run(make_node: Callable[[], Node]) -> int:
         return 1
     finally:
         if node is not None:
-            with node.handle:  # keeps the participant until the node is closed
-                node.destroy_node()
-                _end_soon()
+            node.destroy_node()
         rclpy.try_shutdown()
     return 0
-
-
-def _end_soon() -> None:
-    signal.alarm(LONGEST_END_S)
 
 
 def _collect_signals() -> int:

@@ -36,14 +36,7 @@ class RigNode(Node):
     ----------
     name
         Node name.
-
-    Attributes
-    ----------
-    before_end
-        Called when everything that derived classes own is closed, before publishers and subscriptions are destroyed.
     """
-
-    before_end: Callable[[], object] | None = None
 
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
@@ -53,12 +46,6 @@ class RigNode(Node):
             self.get_namespace().strip("/"),
             ParameterDescriptor(description=what, read_only=True),
         )
-
-    def destroy_node(self) -> None:
-        """End the node; derived classes close what they own before."""
-        if self.before_end is not None:
-            self.before_end()
-        super().destroy_node()
 
     def create_publisher(  # type: ignore[override]
         self, kind: Any, topic: str, qos_profile: QoSProfile | int, **options: Any

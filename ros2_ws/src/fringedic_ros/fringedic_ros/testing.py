@@ -34,7 +34,6 @@ from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import Exposure, NodeParameters, NodeStatus, StepStatus
 from fringedic_msgs.srv import CountReaders
 from fringedic_ros.images import image_message
-from fringedic_ros.main import CLEAN_ENDS
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED_BY_MANY
 from fringedic_ros.records import exposure_message
 from fringedic_ros.stamps import to_msg, to_nanoseconds
@@ -92,7 +91,7 @@ class NodeProcess:
             sys.stdout.write(f"--- {self._log.name}\n{self.log}\n")  # pytest shows it with the failure
         else:
             assert alive, f"the process ended by itself with {code}:\n{self.log}"
-            assert code in CLEAN_ENDS, f"the process ended with {code}:\n{self.log}"
+            assert code == 0, f"the process ended with {code}:\n{self.log}"
 
 
 def fringe_step(rig: VirtualRig, position: float, experiment: str, step: int) -> list[Frame]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
+import os
 import signal
 import subprocess
 import sys
@@ -204,8 +206,30 @@ def test_diagnostics_once_a_second(spinning: Spinning) -> None:
     assert (reports[1].status[0].level, reports[1].status[0].message) == (DiagnosticStatus.ERROR, "no light")
 
 
+@pytest.mark.skipif("ROS_DISTRO" in os.environ, reason="an installed ROS 2 waits on the steady clock")
+def test_a_wait_until_the_overflown_end_of_the_clock_lasts() -> None:
+    """Fast DDS asks again and again when it is refused, and its process never ends (decision 0033)."""
+    library = ctypes.CDLL(None)
+    condition, mutex = (ctypes.create_string_buffer(64) for _ in range(2))  # zeros: as initialised in C
+    until = (ctypes.c_long * 2)(-9223372037, 0)
+    ended: list[int] = []
+
+    def wait() -> None:
+        library.pthread_mutex_lock(mutex)
+        ended.append(library.pthread_cond_timedwait(condition, mutex, until))
+        library.pthread_mutex_unlock(mutex)
+
+    waiting = threading.Thread(target=wait, daemon=True)
+    waiting.start()
+    waiting.join(0.2)
+    assert waiting.is_alive(), f"refused with error {ended}"
+    while waiting.is_alive():  # a signal before the wait is lost
+        library.pthread_cond_signal(condition)
+        waiting.join(0.01)
+    assert ended == [0]
+
+
 NODE_PROGRAM = """
-import ctypes
 import signal
 import sys
 import time
@@ -214,7 +238,6 @@ from rclpy.node import Node
 from std_msgs.msg import Empty
 from fringedic.errors import ProcessError
 from fringedic_ros.main import run
-from fringedic_ros.rig_node import RigNode
 
 class Minding(Node):
     def __init__(self):
@@ -243,21 +266,11 @@ class Slow(Node):
         super().destroy_node()
         print("closed", flush=True)
 
-class Kept(Node):
-    def __init__(self):
-        super().__init__("kept")
-        rclpy.try_shutdown = lambda: ctypes.PyDLL(None).sleep(60)
-
-class Blocked(RigNode):
-    def __init__(self):
-        super().__init__("blocked")
-        Node.destroy_node = lambda _: ctypes.PyDLL(None).sleep(60)
-
 def refuse():
     raise ProcessError("there is no camera")
 
 print("ready", flush=True)
-classes = {"blocked": Blocked, "failing": Failing, "kept": Kept, "minding": Minding, "slow": Slow}
+classes = {"failing": Failing, "minding": Minding, "slow": Slow}
 nodes = {"good": lambda: Node("good"), "refused": refuse, **classes}
 sys.exit(run(nodes[sys.argv[1]]))
 """
@@ -279,8 +292,6 @@ def node_program(which: str) -> Iterator[tuple[subprocess.Popen[str], IO[str]]]:
     [
         ("good", signal.SIGINT, 0, ""),
         ("good", signal.SIGTERM, 0, ""),
-        ("kept", signal.SIGINT, -signal.SIGALRM, ""),
-        ("blocked", signal.SIGINT, -signal.SIGALRM, ""),
         ("failing", None, 1, "ZeroDivisionError: a bug"),
         ("refused", None, 1, "ProcessError: there is no camera"),
     ],

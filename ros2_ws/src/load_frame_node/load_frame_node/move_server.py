@@ -18,6 +18,7 @@ from load_frame_node.parameters import LoadFrameParameters
 
 Result = MoveCrosshead.Result
 _FEEDBACK_PERIOD_S = 0.1
+_STATE_TIMEOUT_S = 10.0  # of a machine that was lost: longer than the longest pause before it is connected again
 _START_TIMEOUT_S = 5.0  # from the request to the first motion
 _STOP_TIMEOUT_S = 30.0
 _ENDS_OF_MOTION = (LoadMode.IDLE, LoadMode.HOLD, LoadMode.FAULT)
@@ -57,22 +58,47 @@ class MoveServer:
             return self._end(goal, Result.MACHINE_FAULT, "the load frame is not active; configure and activate it")
         if self._goal is not None:
             return self._end(goal, Result.BUSY, _busy_message(self._goal.request, request))
-        begin = crosshead.sample.position
-        try:
-            crosshead.move_to(request.position, request.speed, _limits_of(request))
-            requested = time.time_ns()
-        except CrossheadRangeError as error:
-            return self._end(goal, Result.INVALID_GOAL, str(error))
-        except MachineError as error:
-            return self._end(goal, Result.MACHINE_FAULT, str(error))
         self._goal, crosshead.hold_requested = goal, False
         try:
-            return await self._follow(goal, requested, begin)
+            await self._wait_for_a_state(goal)
+            if self._is_called_off(goal):
+                return self._end(goal, Result.CANCELLED, "cancelled before the move began")
+            begin = crosshead.sample.position
+            crosshead.move_to(request.position, request.speed, _limits_of(request))
+            return await self._follow(goal, time.time_ns(), begin)
+        except CrossheadRangeError as error:
+            return self._end(goal, Result.INVALID_GOAL, str(error))
         except FringedicError as error:
             return self._end(goal, Result.MACHINE_FAULT, str(error))
         finally:
             self._goal = None
             crosshead.end_move()
+
+    def _is_called_off(self, goal: ServerGoalHandle) -> bool:
+        return goal.is_cancel_requested or self._crosshead.hold_requested or not self._node.active
+
+    async def _wait_for_a_state(self, goal: ServerGoalHandle) -> None:
+        """Wait until the machine reports what it does, or the goal is called off.
+
+        Raises
+        ------
+        MachineError
+            It reports nothing.
+        """
+        crosshead = self._crosshead
+
+        def is_over() -> bool:
+            return crosshead.sample.mode is not LoadMode.UNKNOWN or self._is_called_off(goal)
+
+        try:
+            await crosshead.changed.wait(is_over, _STATE_TIMEOUT_S)
+        except WaitTimeoutError:
+            message = f"the machine has reported no state for {_STATE_TIMEOUT_S:g} s and is not moved"
+            try:
+                crosshead.read()
+            except MachineError as error:
+                message = f"{message}: {error}"
+            raise MachineError(message) from None
 
     async def _follow(self, goal: ServerGoalHandle, requested_ns: int, begin: float) -> MoveCrosshead.Result:
         """Publish feedback until the move from a position has ended, and return its result."""
@@ -80,7 +106,7 @@ class MoveServer:
 
         def is_over() -> bool:
             nonlocal moved
-            if goal.is_cancel_requested or not self._node.active or crosshead.hold_requested or crosshead.reached:
+            if self._is_called_off(goal) or crosshead.reached:
                 return True
             sample = crosshead.sample
             if sample.stamp_ns < requested_ns:  # acquired before the request

@@ -366,7 +366,11 @@ def test_node_drives_a_modbus_machine_that_is_lost_and_found(operator: Operator,
             assert math.isnan(unknown.position)
             refused = operator.move(0.1 * MM, 1.0 * MM)
             assert refused.error_code == MoveCrosshead.Result.MACHINE_FAULT
-            assert "testing machine at 127.0.0.1" in refused.error_message
+            assert "no state for 10 s and is not moved: testing machine at 127.0.0.1" in refused.error_message
+            called_off = operator.start(0.1 * MM, 1.0 * MM)
+            time.sleep(0.5)
+            called_off.cancel_goal_async()
+            assert operator.end(called_off).error_code == MoveCrosshead.Result.CANCELLED
             assert not operator.hold().success
             with server("modbus_machine.py", port):
                 operator.until(LoadState.HOLD)  # which was requested while there was no machine
