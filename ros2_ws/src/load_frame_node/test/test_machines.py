@@ -76,6 +76,10 @@ def description(kind: str, port: int) -> dict[str, Any]:
     return {**SCPI, "resource": f"TCPIP::127.0.0.1::{port}::SOCKET"}
 
 
+def counts_um(scale: float) -> dict[str, Any]:
+    return {"register": 2, "type": "int32", "unit": "um", "scale": scale}
+
+
 def opened(content: dict[str, Any], folder: Path) -> Machine:
     path = folder / "machine.yaml"
     path.write_text(yaml.safe_dump(content))
@@ -272,6 +276,10 @@ def test_scpi_over_another_visa_backend(tmp_path: Path) -> None:
         ({"hold": None}, "move is given without hold"),
         ({"limits": None}, "move is given without limits"),
         ({"hold": {"coil": 1, "register": 2}}, "hold: give either coil or register"),
+        (
+            {"status": None, "position": counts_um(10.0)},
+            "position is 0.01 mm, and a motion of 0.01 mm/s would look like",
+        ),
     ],
 )
 def test_machine_file_with_a_mistake(changes: dict[str, Any], words: str, tmp_path: Path) -> None:
@@ -281,6 +289,12 @@ def test_machine_file_with_a_mistake(changes: dict[str, Any], words: str, tmp_pa
         load_machine(path)
     with pytest.raises(ConfigurationError, match="cannot be read"):
         load_machine(tmp_path / "absent.yaml")
+
+
+def test_fine_counts_of_the_position_show_the_slowest_motion(tmp_path: Path) -> None:
+    path = tmp_path / "machine.yaml"
+    path.write_text(yaml.safe_dump({**MODBUS, "status": None, "position": counts_um(1.0)}))
+    assert load_machine(path).status is None
 
 
 def test_machine_file_with_a_key_twice(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from fringedic.recording.reader import BagReader
 from fringedic.results.rows import Row
 from fringedic.steps.recorded_parameters import recorded_metadata
 
-_ERROR = 4  # stage of fringedic_msgs/StepStatus
+_PROCESS, _ERROR = 2, 4  # stages of fringedic_msgs/StepStatus; at PROCESS the hold during the exposures is proven
 _OF_PROCESSING = {108, 109, 110, 111, 115}  # errors of fringedic_msgs/MeasureStep that another processing may not have
 _NO_LOAD = (float("nan"), float("nan"))
 
@@ -99,19 +99,28 @@ class Timeline:
         self.damage = reader.lost
         exposed = [record for record in exposed if record.experiment == self.experiment]
         self._exposed = _exposure_times(exposed)
-        self.rejected = {
+        self._load = _LoadSamples.of(messages("load_frame/state"))
+        stages = [each for each in messages("experiment/step") if each.experiment == self.experiment]
+        self.rejected = self._interrupted(stages) | {
             each.step: each.error_message
-            for each in messages("experiment/step")
-            if each.stage == _ERROR and each.experiment == self.experiment and each.error_code not in _OF_PROCESSING
+            for each in stages
+            if each.stage == _ERROR and each.error_code not in _OF_PROCESSING
         }
         announced = {each.step for each in messages("experiment/reference") if each.experiment == self.experiment}
         self.references = announced | {min(self._exposed)}
         read = None if steps is None else steps | self.references
         refuse_repeated_steps((each for each in exposed if read is None or each.step in read), reader.path)
-        self._load = _LoadSamples.of(messages("load_frame/state"))
         specimen = recorded_metadata(messages("node_parameters")).specimen
         self._force_sign = specimen.force_sign
         self._force_tare = self._tare(specimen)
+
+    def _interrupted(self, stages: Iterable[Any]) -> dict[int, str]:
+        """Return the steps that were begun and not seen to hold, with the reason; none without a load frame."""
+        last: dict[int, int] = {}
+        for each in stages:
+            last[each.step] = max(each.stage, last.get(each.step, each.stage))
+        reason = "the step was interrupted before it was known that the machine held during its exposures"
+        return {step: reason for step, stage in last.items() if stage < _PROCESS and self._load.stamps.size}
 
     def _tare(self, specimen: SpecimenMetadata) -> float:
         if specimen.force_tare_newton == FIRST_STEP:

@@ -502,23 +502,31 @@ def test_every_exposed_step_has_one_row(exposed, measured, rows):
 
 
 def test_a_step_that_was_not_proven_to_hold_has_no_maps(tmp_path):
-    """All its frames are recorded, and it was a row like any other; its force was even the tare."""
+    """All its frames are recorded, and it was a row like any other; its force was even the tare.
+
+    The experiment node was killed in the last step.
+    """
     bench = Bench(tmp_path / "plate")
     bench.begin()
     metadata = Metadata.from_text("specimen: {force_tare_newton: first_step}")
     bench.parameters("experiment", ExperimentParameters(facts=metadata.to_text()))
     codes = {0: 112, 2: 114, 3: 109}  # not held, drift, dic
-    for number in range(5):
+    for number in range(6):
+        bench.write("experiment/step", bench.now, experiment="plate", step=number, stage=0)
         bench.step(number, POSITIONS[min(number, 3)])
+        if number == 5:
+            break
         code = codes.get(number)
         stage = {"stage": 3} if code is None else {"stage": 4, "error_code": code, "error_message": f"code {code}"}
         bench.write("experiment/step", bench.now, experiment="plate", step=number, **stage)
     bench.writer.close()
     for file in (process_bag(tmp_path / "plate"), dataset_from_derived(tmp_path / "plate", output=tmp_path / "d.nc")):
         with open_experiment(file) as dataset:
-            assert dataset.error.values.tolist() == ["code 112", "", "code 114", "", ""]
-            assert dataset.w.notnull().any(["row", "column"]).values.tolist() == [False, True, False, True, True]
-            assert np.isnan(dataset.rms_displacement.sel(step=[0, 2])).all()
+            *errors, interrupted = dataset.error.values.tolist()
+            assert errors == ["code 112", "", "code 114", "", ""]
+            assert interrupted.startswith("the step was interrupted before it was known that the machine held")
+            assert dataset.w.notnull().any(["row", "column"]).values.tolist() == [False, True, False, True, True, False]
+            assert np.isnan(dataset.rms_displacement.sel(step=[0, 2, 5])).all()
             assert float(dataset.force.sel(step=1)) == 0
 
 

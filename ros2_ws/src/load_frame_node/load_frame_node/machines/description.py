@@ -197,6 +197,18 @@ class ModbusDescription(MachineSection):
         _check_that_moves_can_be_stopped(self)
         return self
 
+    @model_validator(mode="after")
+    def _slowest_motion_changes_the_position(self) -> ModbusDescription:
+        if self.status is None and not self.position.type.startswith("float"):
+            count, motion = 1e3 * abs(self.position.scale) * _SI[self.position.unit], self.motion
+            if count > motion.slowest_mm_per_s * motion.span_s:
+                raise ValueError(
+                    f"one count of the position is {count:g} mm, and a motion of {motion.slowest_mm_per_s:g} mm/s "
+                    f"would look like a hold within {motion.span_s:g} s; add status, or increase motion.span_s or "
+                    "motion.slowest_mm_per_s"
+                )
+        return self
+
 
 class Query(Scaled):
     """A query whose answer is a number."""
