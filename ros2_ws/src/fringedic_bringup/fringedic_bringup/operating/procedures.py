@@ -204,7 +204,11 @@ def _run(place: Place, job: Job, request: Request, _: Section) -> Outcome:
     words = [f"{len(report.steps)} steps in {folder.name}"]
     words += [f"ended early: {report.ended_early}"] if report.ended_early else []
     words += [f"no dataset: {report.unmeasured}"] if report.unmeasured else []
-    words += [f"step {step.step} failed: {step.error}" for step in report.steps if step.error]
+    words += [
+        f"{'a move' if step.step < 0 else f'step {step.step}'} failed: {step.error}"
+        for step in report.steps
+        if step.error
+    ]
     return Outcome(words, good=not report.failed)
 
 

@@ -55,19 +55,20 @@ const STATES = { failed: "bad", measured: "good" };
 
 function rows() {
   const known = (latest("rig")?.programme ?? []).filter(({ mode }) => mode !== "none"), steps = latest("steps") ?? [], procedure = latest("procedure");
-  const running = isBusy(procedure) && procedure.procedure === "run", now = running ? procedure.step : -1;
+  const running = isBusy(procedure) && procedure.procedure === "run";
   const reports = procedure?.procedure === "run" ? procedure.reports : [];
   const head = make("tr", {}, ...["step", "target [mm]", "position [mm]", "force [N]", "measured [%]"].map((name) => make("th", {}, name)), make("th", { class: "words" }, "state"));
   // a programme with another number of steps is not the one whose targets are known: another page has started it
   const programme = reports.length > known.length || (running && procedure.steps && procedure.steps !== known.length) ? [] : known;
   const count = Math.max(running ? procedure.steps : programme.length, reports.length);
   if (procedure?.procedure === "by_hand" || !count) return [head, ...steps.map((step) => row(step.step, null, step, step.error || step.stage, false))];
-  const unbegun = reports.filter((report) => report.step < 0).map((report) => row("–", null, report, report.error, false));
+  // reports come in the order of the programme; a move that failed has one without a number, which the next step gets
+  const next = Math.max(0, running ? procedure.step : 0, ...reports.map(({ step }) => step + 1));
   return [head, ...Array.from({ length: count }, (_, k) => {
-    const done = reports.find((report) => report.step === k), is_now = k === now && !done;
+    const done = reports[k], is_now = running && k === reports.length;
     const words = done ? done.error || "measured" : is_now ? stage(procedure) : "";
-    return row(k, programme[k]?.position_mm, done, words, is_now);
-  }), ...unbegun];
+    return row(done ? (done.step < 0 ? "–" : done.step) : next + k - reports.length, programme[k]?.position_mm, done, words, is_now);
+  })];
 }
 
 const stage = ({ activity, frame, frames }) => (frames ? `${activity}, frame ${frame} of ${frames}` : activity);
