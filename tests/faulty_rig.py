@@ -13,7 +13,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.action import ActionClient
 from rclpy.parameter import Parameter
-from running_system import WORKING
+from running_system import WORKING, wait_until
 
 from fringedic.errors import StepFailedError
 from fringedic.recording.reader import BagReader
@@ -101,12 +101,17 @@ class Rig:
         assert result.error_code == MoveCrosshead.Result.CANCELLED
         assert "load_frame/hold stopped the move" in result.error_message
 
-    def holds(self) -> bool:
-        """Return whether the machine publishes that it does not move; samples from before may still be on their way."""
+    def wait_for_hold(self, what: str) -> None:
+        """Wait for a sample of the machine, acquired from now on, that says that it does not move."""
         begin = time.time_ns()
-        self.client.sleep(0.1)
-        load = self.client.load
-        return load is not None and to_nanoseconds(load.header.stamp) > begin and load.mode in (load.HOLD, load.IDLE)
+
+        def holds() -> bool:
+            self.client.sleep(0.1)
+            load = self.client.load
+            new = load is not None and to_nanoseconds(load.header.stamp) > begin
+            return new and load.mode in (load.HOLD, load.IDLE)
+
+        wait_until(holds, what)
 
 
 @contextmanager

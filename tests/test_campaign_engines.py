@@ -115,7 +115,7 @@ def processing(campaign: Campaign) -> set[str]:
 
 
 def wait_for(condition: Callable[[], object], process: subprocess.Popen[bytes] | None = None) -> None:
-    end = time.monotonic() + 120
+    end = time.monotonic() + 240
     while not condition():
         assert time.monotonic() < end, "nothing happened"
         assert process is None or process.poll() is None, "the process has ended"

@@ -113,5 +113,5 @@ def test_machine_that_is_silent(bench: Bench) -> None:
         rig.fails("the load frame reports no state", at_frame=4, then=lambda: bench.machine.send("SILENT"))
     finally:
         bench.machine.send("SPEAK")
-    wait_until(rig.holds, "answers of the machine")
+    rig.wait_for_hold("answers of the machine")
     wait_until(rig.works_again, "the next step")

@@ -102,7 +102,7 @@ def test_machine_that_answers_nonsense(rig: Rig, machine: ModbusServer) -> None:
         rig.fails(UNKNOWN, at_frame=2, then=lambda: machine.switch(2, True))
     finally:
         machine.switch(2, False)
-    wait_until(rig.holds, "valid answers of the machine")
+    rig.wait_for_hold("valid answers of the machine")
     rig.works()
 
 
@@ -115,14 +115,14 @@ def test_load_frame_that_is_stopped(rig: Rig) -> None:
         rig.fails("the latest sample of the load frame is")
     finally:
         os.kill(pid, signal.SIGCONT)
-    wait_until(rig.holds, "samples of the machine")
+    rig.wait_for_hold("samples of the machine")
     rig.works()
 
 
 def test_machine_that_reports_a_fault(rig: Rig, machine: ModbusServer) -> None:
     rig.fails("the load frame reported a fault", at_frame=2, then=lambda: machine.switch(3, True))
     machine.switch(3, False)
-    wait_until(rig.holds, "the end of the fault")
+    rig.wait_for_hold("the end of the fault")
     rig.works()
 
 

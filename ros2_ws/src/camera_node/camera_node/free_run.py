@@ -125,6 +125,7 @@ class FreeRun:
             self._publisher.dropped += 1
             self._node.diagnostics.drop()
             return
+        self._scenes.read_load()
         self._thread.submit(self._take_frame, self._index)
         self._index += 1
 

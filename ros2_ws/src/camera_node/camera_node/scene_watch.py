@@ -14,6 +14,7 @@ from camera_node.drivers import PlacedPlane, Scene, ShownPattern
 from fringedic.errors import CameraError
 from fringedic_msgs.msg import LoadState, ReferencePlane
 from fringedic_ros.images import image_array
+from fringedic_ros.polled import PolledTopic
 from fringedic_ros.qos import LATCHED, LATEST
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.waiting import Condition
@@ -36,6 +37,7 @@ class SceneWatch:
         self._node = node
         self._changed = Condition(node)
         self._subscriptions: list[Subscription] = []
+        self._samples: PolledTopic[LoadState] | None = None
         self._patterns: deque[Image] = deque(maxlen=_KEPT_PATTERNS)
         self._load: LoadState | None = None
         self._plane: PlacedPlane | None = None
@@ -46,17 +48,25 @@ class SceneWatch:
         create = self._node.create_subscription
         self._subscriptions = [
             create(Image, "projector/image", self._take_pattern, LATCHED),
-            create(LoadState, "load_frame/state", self._take_load, LATEST),
             create(ReferencePlane, "reference_plane/state", self._take_plane, LATCHED),
         ]
+        self._samples = PolledTopic(self._node, LoadState, "load_frame/state", LATEST, callback=self._take_load)
 
     def close(self) -> None:
         """Unsubscribe."""
         while self._subscriptions:
             self._node.destroy_subscription(self._subscriptions.pop())
+        if self._samples is not None:
+            self._samples.destroy()
+            self._samples = None
+
+    def read_load(self) -> None:
+        """Take the latest position of the specimen over from the load frame, in the thread of the executor."""
+        if self._samples is not None:
+            self._samples.read()
 
     def latest(self, exposure_time: float) -> Scene:
-        """Return the scene of a free run: the latest patterns, with the specimen at its latest position."""
+        """Return the scene of a free run: the latest patterns, with the specimen at the position read last."""
         position = 0.0 if self._load is None else self._load.position
         return Scene(time.time_ns(), self._shown(), position, None, exposure_time)
 
@@ -82,7 +92,7 @@ class SceneWatch:
             The projector shows a later pattern.
         """
         stamp = time.time_ns() + round(exposure_time * 1e9 / 2)
-        if not self._subscriptions:
+        if self._samples is None:
             return Scene(stamp, (), 0.0, None, exposure_time)
         await self._await_pattern(shown_ns, timeout_s)
         if placed_ns > self._placed_ns:
@@ -90,11 +100,12 @@ class SceneWatch:
                 lambda: self._placed_ns >= placed_ns, timeout_s, "reference_plane/state of the placed object"
             )
         if self._node.count_publishers("load_frame/state"):
-            await self._changed.wait(
-                lambda: self._load is not None and to_nanoseconds(self._load.header.stamp) >= stamp,
-                timeout_s,
-                "a sample of load_frame/state during the exposure",
-            )
+            with self._samples.listening():
+                await self._changed.wait(
+                    lambda: self._load is not None and to_nanoseconds(self._load.header.stamp) >= stamp,
+                    timeout_s,
+                    "a sample of load_frame/state during the exposure",
+                )
         position = 0.0 if self._load is None else self._load.position
         return Scene(stamp, self._shown(), position, self._plane, exposure_time)
 

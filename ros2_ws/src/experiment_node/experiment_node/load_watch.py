@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -18,12 +18,14 @@ from fringedic.errors import WaitTimeoutError
 from fringedic.recording.load_samples import summarise_load
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import LoadState
+from fringedic_ros.polled import PolledTopic
 from fringedic_ros.qos import STATE
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.waiting import Condition
 
 Result = MeasureStep.Result
 HELD = (LoadState.HOLD, LoadState.IDLE)
+IDLE_PERIOD = 0.1  # [s] after which samples are read between steps
 SAMPLE_TIMEOUT = 2.0  # [s] for a sample of the present, or of after the last exposure, to arrive
 LONGEST_GAP = 1.0  # [s] between two samples that prove a hold: more than twice the period of the lowest rate, 2 Hz
 MOST_AHEAD = 0.1  # [s] by which a stamp may be later than the arrival of its sample: synchronised clocks differ by less
@@ -43,21 +45,27 @@ class LoadWatch:
         Owner of the subscription.
     changed
         Notified after each sample of a running step.
-
-    Attributes
-    ----------
-    step
-        The running step, which collects the samples; None between steps.
     """
 
     def __init__(self, node: Node, changed: Condition) -> None:
-        self.step: RunningStep | None = None
+        self._step: RunningStep | None = None
         self._node = node
         self._changed = changed
         self._latest: LoadState | None = None
         self._ahead = 0.0  # [s] by which the latest sample was stamped after its arrival
         self._arrival = self._in_time = -math.inf  # [s] of the latest sample, and of the latest one in time
-        node.create_subscription(LoadState, "load_frame/state", self._take, STATE)
+        self._samples = PolledTopic[LoadState](node, LoadState, "load_frame/state", STATE, callback=self._take)
+        node.create_timer(IDLE_PERIOD, self._samples.read)
+
+    @contextmanager
+    def collecting(self, step: RunningStep) -> Iterator[None]:
+        """Context of a running step, which collects the samples as soon as they arrive."""
+        with self._samples.listening():
+            self._step = step
+            try:
+                yield
+            finally:
+                self._step = None
 
     def _take(self, message: LoadState) -> None:
         if self._latest is not None and to_nanoseconds(message.header.stamp) < to_nanoseconds(
@@ -67,8 +75,8 @@ class LoadWatch:
         self._latest, self._ahead, self._arrival = message, _ahead(message), time.monotonic()
         if self._ahead >= -MOST_BEHIND:
             self._in_time = self._arrival
-        if self.step is not None:
-            _collect(self.step, message)
+        if self._step is not None:
+            _collect(self._step, message)
             self._changed.notify()
 
     def _is_expected(self, step: RunningStep, parameters: ExperimentParameters) -> bool:

@@ -28,6 +28,7 @@ from fringedic_msgs.msg import Exposure, RecorderStatus, StepStatus
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.main import run
 from fringedic_ros.parameters import declare
+from fringedic_ros.polled import OnDemand
 from fringedic_ros.qos import LATCHED, SAMPLES
 from fringedic_ros.rig_node import FIXED_QOS, RigNode
 from fringedic_ros.serialized import header_stamp, image_crc, message_type, read
@@ -38,8 +39,8 @@ DISCOVERY_PERIOD_S = 0.1
 RECORDING_DEPTH = SAMPLES.depth
 IMAGE_DEPTH = 128
 BATCH = 100  # messages of one topic that are taken before the other topics are served
-# A turn of the executor costs as much as ten samples: collect the samples of a fast machine for this time.
-COLLECTED_S = 0.002
+SAMPLES_S = 0.05  # samples are taken together after this time: a turn of the executor costs as much as fifty of them
+LAST_RECORD_POLL_S = 0.002
 LAST_RECORD_S = 3.0  # longest wait for the end of a step that is cut off
 UNREADABLE_S = 10.0  # shortest time between two reports of messages that cannot be read
 
@@ -106,6 +107,7 @@ class RecorderNode(RigNode):
         if parameters.bag_path:
             self._open(parameters)
         self.create_timer(DISCOVERY_PERIOD_S, self._discover)
+        self.create_timer(SAMPLES_S, self._take_samples)
         self.create_timer(1.0, self._publish_status)
         self._publish_status()
 
@@ -117,9 +119,11 @@ class RecorderNode(RigNode):
         """
         end = time.monotonic() + LAST_RECORD_S
         while self._in_step and self._writing and time.monotonic() < end:
-            time.sleep(COLLECTED_S)
+            time.sleep(LAST_RECORD_POLL_S)
+            self._take_samples()
             for topic, (name, kind) in self._kinds.items():
                 self._record(name, topic, self._waiting_messages(topic, kind))
+        self._take_samples()
         self._close()
         super().destroy_node()
 
@@ -195,6 +199,7 @@ class RecorderNode(RigNode):
             self._publish_status()
             return
         callback = self._take_batches_of(name, topic, kind)
+        options = {"callback_group": OnDemand()} if name in SAMPLE_TOPICS else {}
         self._kinds[topic] = name, kind
         self._subscriptions_by_topic[topic] = self.create_subscription(
             kind,
@@ -203,6 +208,7 @@ class RecorderNode(RigNode):
             _compatible_profile(name, publishers),
             raw=True,
             qos_overriding_options=FIXED_QOS,
+            **options,
         )
 
     # messages
@@ -211,11 +217,16 @@ class RecorderNode(RigNode):
         """Return the callback of a topic, which takes all messages that wait: a turn of the executor is expensive."""
 
         def take(data: bytes, info: MessageInfo) -> None:
-            if name in SAMPLE_TOPICS:
-                time.sleep(COLLECTED_S)
+            self._take_samples()  # so that those of a step are recorded before its end
             self._record(name, topic, [(data, info), *self._waiting_messages(topic, kind)])
 
         return take
+
+    def _take_samples(self) -> None:
+        """Record the samples that have arrived."""
+        for topic, (name, kind) in self._kinds.items():
+            while name in SAMPLE_TOPICS and (taken := self._waiting_messages(topic, kind)):
+                self._record(name, topic, taken)
 
     def _waiting_messages(self, topic: str, kind: type) -> Taken:
         """Return the next messages of a topic that have arrived, at most `BATCH`."""

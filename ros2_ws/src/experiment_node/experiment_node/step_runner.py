@@ -80,16 +80,17 @@ class StepRunner:
 
     async def measure(self, step: RunningStep, parameters: ExperimentParameters) -> StepFailure | None:
         """Measure one step, from the stage BEGIN to END or ERROR; return its failure, None when it succeeded."""
-        self._running = self._load.step = step
+        self._running = step
         failure: StepFailure | None = None
         try:
-            await self._run_stages(step, parameters)
+            with self._load.collecting(step):
+                await self._run_stages(step, parameters)
         except StepFailure as error:
             failure = error
         except Exception as error:
             failure = StepFailure(Result.CAMERA_FAILED, f"{type(error).__name__}: {error}")
         finally:
-            self._running = self._load.step = None
+            self._running = None
         if failure is None:
             self._accept(step)
         else:
