@@ -114,7 +114,8 @@ def test_moves_and_holds_with_samples_in_si(kind: str, tmp_path: Path) -> None:
         assert sample.mode is LoadMode.IDLE
         connected.move_to(0.4 * MM, 2 * MM)
         assert until(connected, LoadMode.MOVING).position < 0.4 * MM
-        arrived = until(connected, LoadMode.HOLD)
+        until(connected, LoadMode.HOLD)  # SCPI: its position was asked for before its state, perhaps still on the way
+        arrived = connected.sample()
         assert arrived.position == pytest.approx(0.4 * MM, abs=1e-8)
         assert 700 < arrived.force < 900
         connected.move_to(0.0, 0.1 * MM)
