@@ -99,8 +99,8 @@ class SceneWatch:
             await self._changed.wait(
                 lambda: self._placed_ns >= placed_ns, timeout_s, "reference_plane/state of the placed object"
             )
-        if self._node.count_publishers("load_frame/state"):
-            with self._samples.listening():
+        with self._samples.listening():  # a load frame that has ended leaves its last sample
+            if self._node.count_publishers("load_frame/state"):
                 await self._changed.wait(
                     lambda: self._load is not None and to_nanoseconds(self._load.header.stamp) >= stamp,
                     timeout_s,

@@ -120,7 +120,6 @@ class RecorderNode(RigNode):
         end = time.monotonic() + LAST_RECORD_S
         while self._in_step and self._writing and time.monotonic() < end:
             time.sleep(LAST_RECORD_POLL_S)
-            self._take_samples()
             for topic, (name, kind) in self._kinds.items():
                 self._record(name, topic, self._waiting_messages(topic, kind))
         self._take_samples()
@@ -217,7 +216,6 @@ class RecorderNode(RigNode):
         """Return the callback of a topic, which takes all messages that wait: a turn of the executor is expensive."""
 
         def take(data: bytes, info: MessageInfo) -> None:
-            self._take_samples()  # so that those of a step are recorded before its end
             self._record(name, topic, [(data, info), *self._waiting_messages(topic, kind)])
 
         return take
@@ -239,8 +237,10 @@ class RecorderNode(RigNode):
         return taken
 
     def _record(self, name: str, topic: str, taken: Taken) -> None:
-        if not self._writing:
+        if not self._writing or not taken:
             return
+        if name not in SAMPLE_TOPICS:
+            self._take_samples()  # so that those of a step are recorded before its end
         received = time.time_ns()
         self._writing.put(
             [

@@ -49,7 +49,7 @@ class PolledTopic(Generic[Message]):
         self._callback = callback
         self._node = node
         self._subscription = node.create_subscription(
-            kind, topic, lambda message: self._callback(message), profile, callback_group=self._group, raw=raw
+            kind, topic, callback, profile, callback_group=self._group, raw=raw
         )
 
     def take(self) -> Message | None:
@@ -92,11 +92,13 @@ class OnDemand(CallbackGroup):
         super().__init__()
         self.listeners = 0
 
-    def can_execute(self, *_: Any) -> bool:  # noqa: D102 of the base class
+    def can_execute(self, *_: Any) -> bool:
+        """Return whether there are listeners."""
         return self.listeners > 0
 
-    def beginning_execution(self, *_: Any) -> bool:  # noqa: D102
+    def beginning_execution(self, *_: Any) -> bool:
+        """Return whether there are still listeners."""
         return self.listeners > 0
 
-    def ending_execution(self, *_: Any) -> None:  # noqa: D102
-        pass
+    def ending_execution(self, *_: Any) -> None:
+        """Do nothing: several callbacks may run."""
