@@ -65,7 +65,7 @@ def operating(folder: Path, *words: str, rig_name: str = "tiny") -> Iterator[Ope
             yield Operated(process, url, folder)
         finally:
             process.send_signal(signal.SIGINT)
-            process.wait(90)
+            process.wait(300)
 
 
 @contextmanager

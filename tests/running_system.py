@@ -160,7 +160,7 @@ def processes_of(domain: str) -> list[str]:
     return found
 
 
-def wait_until(done: Callable[[], object], what: str, timeout_s: float = 180.0) -> None:
+def wait_until(done: Callable[[], object], what: str, timeout_s: float = 300.0) -> None:
     """Wait until a condition is true."""
     end = time.monotonic() + timeout_s
     while not done():

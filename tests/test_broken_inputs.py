@@ -99,7 +99,7 @@ def test_text_file_instead_of_a_recording(tmp_path: Path) -> None:
 def test_command_refuses_an_unknown_key_in_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text("camera: {source: virtual}\nprojektor: {}\n")
     done = subprocess.run(
-        ["fringedic", "run", str(tmp_path / "rig.yaml")], capture_output=True, text=True, timeout=60, check=False
+        ["fringedic", "run", str(tmp_path / "rig.yaml")], capture_output=True, text=True, timeout=300, check=False
     )
     assert done.returncode == 1
     [sentence] = done.stderr.strip().splitlines()

@@ -82,7 +82,7 @@ def test_the_recording_gives_the_same_files_without_ros(calibrated: CalibrationR
     again = tmp_path / "again"
     command = ["fringedic", "calibrate", "--from", str(calibrated.folder / "bag"), "--output", str(again)]
     environment = {**os.environ, "PYTHONPATH": without_ros()}
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=240, check=False)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     assert "GO" in done.stdout
     assert str(again / "report.html") in done.stdout

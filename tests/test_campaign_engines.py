@@ -115,7 +115,7 @@ def processing(campaign: Campaign) -> set[str]:
 
 
 def wait_for(condition: Callable[[], object], process: subprocess.Popen[bytes] | None = None) -> None:
-    end = time.monotonic() + 240
+    end = time.monotonic() + 300
     while not condition():
         assert time.monotonic() < end, "nothing happened"
         assert process is None or process.poll() is None, "the process has ended"
@@ -124,7 +124,7 @@ def wait_for(condition: Callable[[], object], process: subprocess.Popen[bytes] |
 
 def kill(process: psutil.Process) -> None:
     process.send_signal(signal.SIGKILL)
-    process.wait(60)
+    process.wait(300)
 
 
 @contextmanager
@@ -143,7 +143,7 @@ def test_a_killed_process_changes_nothing(campaign: Campaign, expected: dict[str
     with started(campaign, "--engine", "processes") as command:
         wait_for(lambda: processing(campaign), command)
         kill(random.Random(1).choice(workers(psutil.Process(command.pid))))
-        assert command.wait(120) == 0
+        assert command.wait(300) == 0
     assert written(campaign) == expected
 
 
@@ -154,8 +154,8 @@ def test_an_interrupted_command_does_not_wait_for_its_workers(campaign: Campaign
         below = workers(psutil.Process(command.pid))
         below[0].suspend()
         command.send_signal(signal.SIGINT)
-        assert command.wait(60) == 130
-        _, alive = psutil.wait_procs(below, timeout=60)
+        assert command.wait(300) == 130
+        _, alive = psutil.wait_procs(below, timeout=300)
         assert not alive
     list(Serial().outcomes(units(campaign)))
     assert written(campaign) == expected
@@ -175,7 +175,7 @@ def test_after_killed_workers_and_a_killed_command_only_the_rest_is_processed(
         wait_for(lambda: receipts_in(campaign) and processing(campaign), command)
         below = client.children(recursive=True)
         command.kill()
-        _, alive = psutil.wait_procs(below, timeout=60)
+        _, alive = psutil.wait_procs(below, timeout=300)
         assert not alive
     before = receipts(campaign)
     waiting = units(campaign)
@@ -255,7 +255,7 @@ def test_one_two_and_three_workers_of_an_encrypted_cluster_write_the_same(
                 campaign = campaign_in(folder, recordings)
                 cluster.add_worker()
                 with distributed.Client(cluster.address) as client:
-                    client.wait_for_workers(count, timeout=60)
+                    client.wait_for_workers(count, timeout=300)
                 assert digests(Dask(1, cluster.address).outcomes(units(campaign))) == expected
 
 
@@ -280,14 +280,14 @@ def test_a_lost_scheduler_is_told_in_one_sentence(campaign: Campaign, tmp_path: 
         wait_for(lambda: receipts(campaign), command)
         command.send_signal(signal.SIGSTOP)
         cluster.scheduler.kill()
-        cluster.scheduler.wait(60)
+        cluster.scheduler.wait(300)
         if proxy:
             with socket.create_server(("127.0.0.1", int(cluster.address.rpartition(":")[2]))) as listening:
                 ending = [sys.executable, "-c", ENDING, str(listening.fileno())]
                 process = processes.enter_context(subprocess.Popen(ending, pass_fds=[listening.fileno()]))
             processes.callback(process.kill)
         command.send_signal(signal.SIGCONT)
-        said = command.communicate(timeout=60)[1]
+        said = command.communicate(timeout=300)[1]
     assert command.returncode == 1
     assert re.fullmatch(r"the connection to the Dask scheduler of tls://\S+ is lost: repeat the command.*\n", said)
     assert 0 < len(units(campaign)) < len(NAMES)

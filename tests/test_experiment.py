@@ -162,7 +162,7 @@ def test_process_without_ros_gives_the_arrays_of_the_nodes(experiment: RunReport
         ["fringedic", "process", str(experiment.folder / "bag"), "--output", str(target)],
         env={**os.environ, "PYTHONPATH": without_ros()},
         check=True,
-        timeout=240,
+        timeout=300,
     )
     with fringedic.open_experiment(experiment.folder / "bag") as nodes, fringedic.open_experiment(target) as desk:
         maps = [name for name in nodes.data_vars if nodes[name].dims == ("step", "row", "column")]

@@ -28,7 +28,6 @@ VICTIMS = ("experiment", "recorder", "dic")  # nodes with a state in memory
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
 def test_the_test_goes_on_whichever_node_is_killed(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     rig, _ = load_rig(CONFIG / "tiny.yaml", None, None)

@@ -55,7 +55,7 @@ def test_every_node_starts_and_ends_by_hand(tmp_path: Path) -> None:
         for process in started.values():
             process.send_signal(signal.SIGINT)
         for name, process in started.items():
-            codes[name] = process.wait(timeout=30)
+            codes[name] = process.wait(timeout=300)
         unclean = [name for name, code in codes.items() if code]
         assert not unclean, {name: (codes[name], (tmp_path / name).read_text()) for name in unclean}
     finally:
@@ -80,7 +80,7 @@ def test_unusable_parameters_at_start(package: str, name: str, parameter: str, w
         [executable(package, name), "--ros-args", "-p", parameter],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
         check=False,
         env=os.environ,
     )

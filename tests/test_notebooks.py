@@ -16,7 +16,7 @@ RECORDING = ROOT / "ros2_ws/src/fringedic/test/recordings/version_0_1/bag"
 
 def execute(path: Path, folder: Path) -> None:
     notebook = nbformat.read(path, as_version=4)
-    NotebookClient(notebook, timeout=280, kernel_name="python3", resources={"metadata": {"path": folder}}).execute()
+    NotebookClient(notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": folder}}).execute()
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,7 @@ from launch_stand_in import launched, running
 from operated import WAIT_MS, driving, live_frame, operating, view
 from playwright.sync_api import Browser, expect
 
-pytestmark = [pytest.mark.browser, pytest.mark.operate, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.browser, pytest.mark.operate]
 
 
 def test_page_waits_for_a_rig_and_joins_the_one_that_is_launched(

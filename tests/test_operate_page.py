@@ -38,7 +38,7 @@ import fringedic
 from fringedic.frames.region import Region
 from fringedic_ros.serialized import message_type
 
-pytestmark = [pytest.mark.browser, pytest.mark.operate, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.browser, pytest.mark.operate]
 FIVE_STEPS = "{experiment: five, ramp: {to_mm: 0.6, steps: 5, speed_mm_per_s: 5}}"
 PANELS: dict[str, set[str]] = {}  # fields of each topic of the layout; the tiny rig has no extensometer
 for _topic, _field in drawn(json.loads(LAYOUT.read_text())):
@@ -263,7 +263,7 @@ def foxglove() -> Iterator[Viewer]:
         with viewing(url) as viewer:
             yield viewer
         process.send_signal(signal.SIGINT)
-        process.wait(90)
+        process.wait(300)
 
 
 def collect(viewer: Viewer, shown: dict[str, Any], count: int) -> None:
@@ -354,6 +354,6 @@ def test_a_second_page_at_the_same_port_and_a_second_rig_are_refused(operated: O
     port = operated.url.rpartition(":")[2].partition("/")[0]
     code = "from fringedic_bringup.command.main import main; main()"
     command = [sys.executable, "-c", code, "operate", str(operated.folder / "tiny.yaml"), "--port", port]
-    refused = subprocess.run(command, capture_output=True, text=True, check=False, timeout=90)
+    refused = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert refused.returncode == 1
     assert re.search(rf"127.0.0.1 port {port}: the page cannot be served .* another --port", refused.stderr)

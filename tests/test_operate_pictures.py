@@ -15,7 +15,7 @@ from browser import NARROW, WIDE, low_contrasts
 from operated import VIEWS, WAIT_MS, driving, finished, live_frame, operating, start_programme, view
 from playwright.sync_api import Browser, Page, ViewportSize, expect
 
-pytestmark = [pytest.mark.browser, pytest.mark.operate, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.browser, pytest.mark.operate]
 SIZES: dict[str, ViewportSize] = {"phone": NARROW, "desk": WIDE, "4k": {"width": 3840, "height": 2160}}
 PROGRAMME = "{experiment: tension, ramp: {to_mm: 0.6, steps: 4, speed_mm_per_s: 5}}"
 GAUGE = ((0.5, 0.2), (0.5, 0.8))  # of width and height of the map

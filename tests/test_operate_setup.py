@@ -12,7 +12,7 @@ from playwright.sync_api import Browser, Page, expect
 
 import fringedic
 
-pytestmark = [pytest.mark.browser, pytest.mark.operate, pytest.mark.timeout(900)]
+pytestmark = [pytest.mark.browser, pytest.mark.operate]
 MEASURED_MS = 300_000  # a calibration on a busy computer
 ADJUSTED = ("axes", "camera_focus", "projector_focus")
 

@@ -49,7 +49,7 @@ def script_run(domain: str, tmp_path_factory: pytest.TempPathFactory) -> ScriptR
                 exec(script, {})
             wait_until(lambda: measured(folder) == STEPS, "the campaign's last step")
             assert not (folder / "plate" / "bag" / "manifest.sha256").exists(), "the recorder goes on"
-        assert campaign.wait(120) == 0
+        assert campaign.wait(300) == 0
     return ScriptRun(folder, printed.getvalue())
 
 

@@ -51,7 +51,7 @@ def test_a_launched_rig_measures_and_closes_its_recording(tiny: Path, tmp_path: 
                 assert client.measure().valid_fraction > 0.5
     finally:
         os.killpg(launch.pid, signal.SIGINT)
-        launch.wait(30)
+        launch.wait(300)
     assert not BagReader(folder / "bag").lost
 
 

@@ -71,7 +71,7 @@ def frame_or_message(opened: AravisDriver) -> tuple[Frame | None, str]:
 
 
 def eventually(opened: AravisDriver) -> Frame:
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 180
     while True:
         try:
             return opened.expose(SCENE)

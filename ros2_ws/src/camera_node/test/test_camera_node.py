@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from builtin_interfaces.msg import Time
+from rclpy.duration import Duration
 from sensor_msgs.msg import Image
 
 from camera_node import testing
@@ -53,7 +54,14 @@ class Studio(testing.Studio):
 
     def add_load_frame(self) -> None:
         self._loads = self.create_publisher(LoadState, "load_frame/state", STATE)
-        self.create_timer(0.01, self._tell_load)
+        self._samples = self.create_timer(0.01, self._tell_load)
+
+    def end_load_frame(self) -> None:
+        """Publish a last sample, and end when all subscribers have acknowledged it."""
+        self.destroy_timer(self._samples)
+        self._tell_load()
+        assert self._loads.wait_for_all_acked(Duration(seconds=180))
+        self.destroy_publisher(self._loads)
 
     def _tell_load(self) -> None:
         state = LoadState(mode=LoadState.HOLD, position=self.position)
@@ -89,7 +97,7 @@ def test_camera_info_tells_of_the_lens_once_calibrated(studio: Studio, tmp_path:
         before = studio.frame(studio.capture().stamp)[1]
         assert list(before.k) == [0.0] * 9
         publisher.publish(calibration_message(rig, stamp_ns=1, frame_id="reference_plane"))
-        deadline = time.monotonic() + 10
+        deadline = time.monotonic() + 180
         after = before
         while not any(after.k) and time.monotonic() < deadline:
             after = studio.frame(studio.capture().stamp)[1]
@@ -160,6 +168,23 @@ def test_virtual_frames_are_those_of_the_twin(studio: Studio, tmp_path: Path) ->
                 np.testing.assert_array_equal(written.values, written_as, err_msg=f"{name} of step {step}")
         assert np.isnan(truth.u.isel(step=2)).all()
         assert not truth.valid.isel(step=2).any()
+
+
+def test_a_load_frame_that_has_ended_leaves_its_last_position(studio: Studio, tmp_path: Path) -> None:
+    rig = VirtualRig.from_preset("plate", size="tiny")
+    white = render_pattern(ProjectedPattern(PatternKind.WHITE), *reversed(rig.projector_shape))
+    studio.add_projector()
+    studio.add_load_frame()
+    with NodeProcess(MODULE, tmp_path, {"virtual_rig": '"{preset: plate, size: tiny}"'}):
+        for number, position in enumerate((0.1e-3, 0.4e-3)):
+            studio.position = position
+            if number:
+                studio.end_load_frame()
+            shown = studio.show(white)
+            response = studio.capture(0, 1, step=number, shown=shown, kind=int(PatternKind.WHITE))
+            assert response.error_code == Request.NONE, response.error_message
+            image = image_array(studio.frame(response.stamp)[0])
+            np.testing.assert_array_equal(image, rig.expose(white, position, number))
 
 
 def test_pattern_that_never_comes_and_then_the_next(studio: Studio, tmp_path: Path) -> None:

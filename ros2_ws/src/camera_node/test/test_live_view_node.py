@@ -52,7 +52,7 @@ class Studio(Peer):
         self.wait(lambda: self.count_publishers("live_view/image"), "its picture")
         self.wait(self._reset.service_is_ready, "its service")
 
-    def send(self, *, blur: float = 0.0, free: bool = False, timeout_s: float = 60.0) -> LiveView:
+    def send(self, *, blur: float = 0.0, free: bool = False, timeout_s: float = 300.0) -> LiveView:
         """Send a frame, with two rows of it saturated, and return its figures."""
         grey = gaussian_filter(self._surface, blur) if blur else self._surface
         image = np.clip(np.rint(grey + self._random.normal(0, 2, grey.shape)), 1, 254).astype(np.uint8)

@@ -69,7 +69,7 @@ class Rig(Peer):
 
     def finish_step(self, *, reference: bool) -> None:
         self._steps.publish(StepStatus(stage=StepStatus.END, reference=reference))
-        assert self._steps.wait_for_all_acked(Duration(seconds=10))
+        assert self._steps.wait_for_all_acked(Duration(seconds=180))
         self.meet("extensometer")  # before it answers, a node takes one message of each topic
 
     def zero(self) -> None:

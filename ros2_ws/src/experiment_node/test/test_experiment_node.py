@@ -205,7 +205,7 @@ class Rig(Peer):
         self.taken(self.load)
 
     def taken(self, publisher: Any) -> None:
-        assert publisher.wait_for_all_acked(Duration(seconds=10))
+        assert publisher.wait_for_all_acked(Duration(seconds=180))
         # subscriptions are served before services: after any answer the message has been taken
         self.call(self.set_reference, step=2**31)
 
@@ -732,7 +732,7 @@ def test_unreadable_calibration_ends_the_start(tmp_path: Path) -> None:
         "experiment_node.experiment_node", tmp_path, {"calibration_file": str(tmp_path / "broken.yaml")}
     )
     with pytest.raises(AssertionError, match=r"broken\.yaml"), process:
-        process.process.wait(60)
+        process.process.wait(300)
 
 
 @pytest.mark.parametrize(

@@ -163,7 +163,7 @@ def play(bag: Path, **parameters: Any) -> subprocess.CompletedProcess[str]:
         ],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,
     )
 
 

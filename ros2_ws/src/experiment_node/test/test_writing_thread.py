@@ -31,7 +31,7 @@ def test_unexpected_error_ends_the_recording_with_its_reason(tmp_path: Path, *, 
     messages = [ReceivedMessage("/force", bytes([0, 1, 0, 0, number]), number, number, number) for number in range(5)]
     for batch in [messages] if together else [[message] for message in messages]:
         thread.put(batch)
-    ends = time.monotonic() + 10
+    ends = time.monotonic() + 180
     while thread.error is None and time.monotonic() < ends:
         time.sleep(0.01)
     thread.close()

@@ -100,7 +100,7 @@ def test_errors_are_one_sentence_and_exit_code_1(
 
 def test_installed_command_prints_one_sentence(tmp_path: Path) -> None:
     done = subprocess.run(
-        ["fringedic", "info", "nowhere"], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+        ["fringedic", "info", "nowhere"], cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False
     )
     assert done.returncode == 1
     assert done.stderr.strip() == "nowhere: no such recording"

@@ -173,7 +173,7 @@ def outcomes(folder: Path) -> dict[str, Outcome]:
         env=environment(),
         capture_output=True,
         text=True,
-        timeout=280,
+        timeout=300,
         check=False,
     )
     assert done.returncode == 0, done.stderr

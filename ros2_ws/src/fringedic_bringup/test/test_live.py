@@ -62,7 +62,7 @@ def test_command_prints_the_figures_of_a_rig() -> None:
         env=dict(os.environ),
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=300,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -31,7 +31,7 @@ def test_steps_at_rest_of_the_virtual_rig(tmp_path: Path) -> None:
         env=dict(os.environ),
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=300,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -51,7 +51,7 @@ def test_a_node_that_cannot_start_fails_the_run_with_the_end_of_its_log(tmp_path
     with private_domain() as domain:
         graph = Graph("rig", (NodeEntry("camera", "camera_node", "camera", {"source": "files", "files": "nowhere"}),))
         with RunningGraph(graph, tmp_path, domain=domain) as running:
-            end = time.monotonic() + 90
+            end = time.monotonic() + 180
             while running.exit_code("camera") is None:
                 assert time.monotonic() < end, "the node does not end"
                 time.sleep(0.1)
@@ -78,7 +78,7 @@ def test_a_rig_whose_nodes_run_already_is_not_started(tmp_path: Path, monkeypatc
     monkeypatch.setattr(processes, "ENDING_S", 0.2)
     graph = Graph("rig", (NodeEntry("load_frame", "load_frame_node", "load_frame"),))
     with private_domain() as domain, RunningGraph(graph, tmp_path, domain=domain, owner=False) as launched:
-        end = time.monotonic() + 90
+        end = time.monotonic() + 180
         while not is_announced(domain, "/rig/load_frame"):
             launched.check()
             assert time.monotonic() < end, "the node is not announced"
@@ -181,7 +181,7 @@ def test_nodes_listen_to_this_computer_alone(tmp_path: Path) -> None:
     with private_domain() as domain, RunningGraph(graph, tmp_path, domain=domain) as running:
         # the ports of this domain by the DDS interoperability standard
         ports = range(7400 + 250 * domain, 7400 + 250 * (domain + 1))
-        end = time.monotonic() + 90
+        end = time.monotonic() + 180
         while not (addresses := udp_addresses(running.pid("coupling"), ports)):
             running.check()
             assert time.monotonic() < end, "the node does not listen at all"

@@ -97,7 +97,7 @@ class Person(threading.Thread):
         self.seen.append(pygame.surfarray.array3d(pygame.display.get_surface()))
         self._click((int(0.7 * WIDTH), HEIGHT + BAR + 20))  # the button "done"
 
-    def _until(self, predicate: object, timeout_s: float = 30.0) -> None:
+    def _until(self, predicate: object, timeout_s: float = 300.0) -> None:
         deadline = time.monotonic() + timeout_s
         while not predicate():  # type: ignore[operator]
             assert time.monotonic() < deadline

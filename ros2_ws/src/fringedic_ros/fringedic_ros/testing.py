@@ -83,7 +83,7 @@ class NodeProcess:
         if alive:
             self.process.send_signal(signal.SIGINT)
         try:
-            code = self.process.wait(20)
+            code = self.process.wait(300)
         except subprocess.TimeoutExpired:
             self.process.kill()
             code = self.process.wait()
@@ -140,7 +140,7 @@ class Peer(Node):
         for heard in self._heard:
             heard.clear()
 
-    def wait(self, predicate: Callable[[], Any], what: str, timeout_s: float = 180.0) -> None:
+    def wait(self, predicate: Callable[[], Any], what: str, timeout_s: float = 300.0) -> None:
         """Serve callbacks until the predicate is true."""
         deadline = time.monotonic() + timeout_s
         while not predicate():
@@ -153,7 +153,7 @@ class Peer(Node):
         while time.monotonic() < deadline:
             self._executor.spin_once(timeout_sec=0.01)
 
-    def ask(self, client: Client, request: Any, what: str, timeout_s: float = 60.0) -> Any:
+    def ask(self, client: Client, request: Any, what: str, timeout_s: float = 300.0) -> Any:
         """Return the response to a request whose effect is the same every time; it is sent again when one is lost."""
         with RepeatedRequest(client, request) as repeated:
             self.wait(repeated.is_answered, what, timeout_s)
@@ -218,7 +218,7 @@ class Bench(Peer):
         Before it answers a request, a node takes one message of each topic.
         """
         for publisher in self.publishers:
-            assert publisher.wait_for_all_acked(Duration(seconds=10)), publisher.topic_name
+            assert publisher.wait_for_all_acked(Duration(seconds=180)), publisher.topic_name
         for _ in range(messages):
             self.change()
 

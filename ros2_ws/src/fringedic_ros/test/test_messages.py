@@ -28,7 +28,7 @@ def through_dds(message: Image | PointCloud2) -> Image | PointCloud2:
     received: list[Image | PointCloud2] = []
     node.create_subscription(type(message), "through", received.append, IMAGES)
     publisher = node.create_publisher(type(message), "through", IMAGES)
-    deadline = time.monotonic() + 10
+    deadline = time.monotonic() + 180
     while publisher.get_subscription_count() < 1 and time.monotonic() < deadline:
         time.sleep(0.01)
     publisher.publish(message)

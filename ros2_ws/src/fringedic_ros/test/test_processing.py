@@ -105,7 +105,7 @@ def test_one_status_per_step_and_a_bounded_queue(peer: Peer, node: ProcessingNod
     release = threading.Event()
 
     def work() -> Outcome:
-        release.wait(30)
+        release.wait(300)
         return Outcome()
 
     steps = QUEUED_STEPS + 2

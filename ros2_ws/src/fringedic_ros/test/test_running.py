@@ -301,7 +301,7 @@ def test_process_ends_as_it_should(which: str, sent: signal.Signals | None, code
         if sent is not None:
             time.sleep(1.0)
             process.send_signal(sent)
-        _, log = process.communicate(timeout=60)
+        _, log = process.communicate(timeout=300)
     assert process.returncode == code, log
     assert words in log
     assert which != "refused" or "Traceback" not in log
@@ -317,7 +317,7 @@ def test_signals_tear_nothing() -> None:
         assert written.readline() == "made\n"
         assert written.readline() == "closing\n"
         process.send_signal(signal.SIGINT)
-        rest, log = process.communicate(timeout=60)
+        rest, log = process.communicate(timeout=300)
     assert (process.returncode, rest, log) == (0, "closed\n", "")
 
 
@@ -328,5 +328,5 @@ def test_other_signals_do_not_end_a_node() -> None:
             process.send_signal(signal.SIGUSR1)
             assert written.readline() == "minded\n"
         process.send_signal(signal.SIGTERM)
-        rest, log = process.communicate(timeout=60)
+        rest, log = process.communicate(timeout=300)
     assert (process.returncode, rest, log) == (0, "", "")

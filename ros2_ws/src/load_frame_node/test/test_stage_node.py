@@ -32,11 +32,11 @@ class Rig:
         self.states: list[ReferencePlane] = []
         self.client.create_subscription(ReferencePlane, "reference_plane/state", self.states.append, LATCHED)
         self._spinning = spinning
-        assert self.place_client.wait_for_service(10)
+        assert self.place_client.wait_for_service(180)
         self._wait(lambda: bool(self.states), "the latched state")
 
     def _wait(self, done: Callable[[], bool], what: str) -> None:
-        deadline = time.monotonic() + 10
+        deadline = time.monotonic() + 180
         while not done():
             assert time.monotonic() < deadline, f"{what} did not come"
             time.sleep(0.01)
