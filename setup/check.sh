@@ -41,8 +41,8 @@ if ! setup/hardware.sh; then
     chosen=(-m "not hardware and not operate")
 fi
 files=$(git status --porcelain || true)
-# Most tests of nodes wait more than they compute; more processes than these would take time from what is being timed.
-"${pytest[@]}" -n 4 "${chosen[@]}" "${rest[@]}"
+# Most tests of nodes start ten processes and then wait; more of them at a time than these only take time from each other.
+"${pytest[@]}" -n $(($(nproc) < 4 ? 3 : 4)) "${chosen[@]}" "${rest[@]}"
 if [ "$files" != "$(git status --porcelain || true)" ]; then
     echo "the tests have left files in the checkout:" >&2
     git status --porcelain >&2
