@@ -83,6 +83,16 @@ def save_pictures(
     except OSError as error:
         raise DatasetError(f"{folder}: cannot be made: {error.strerror}") from error
     files, origin = [], origin_text(dataset)
+    drawn: dict[tuple[Panel, ...], Figure] = {}  # each shows one step after the other
+
+    def save(name: str, maps: xr.Dataset, panels: tuple[Panel, ...], title: str) -> None:
+        if panels in drawn:
+            _redraw_maps(drawn[panels], maps, panels, title)
+        else:
+            drawn[panels] = maps_figure(maps, panels, title=title)
+        files.append(target / name)
+        drawn[panels].savefig(files[-1], metadata={"Description": origin})
+
     for step in dataset.step.values:
         number = int(step)
         measured = with_principal_strains(dataset.sel(step=step))
@@ -90,12 +100,10 @@ def save_pictures(
             continue
         title = _title(measured, number)
         for name, panels in pictures_of(measured).items():
-            figure = maps_figure(measured, panels, title=title)
-            files.append(_save(figure, target / f"step_{number:03d}{name and f'_{name}'}.png", origin))
+            save(f"step_{number:03d}{name and f'_{name}'}.png", measured, panels, title)
         if truth is not None and "w" in measured and np.isfinite(measured["w"]).any():
             errors = truth_errors(dataset, truth, number)
-            figure = maps_figure(errors, ERRORS, title=f"{title}: measured minus true")
-            files.append(_save(figure, target / f"step_{number:03d}_errors.png", origin))
+            save(f"step_{number:03d}_errors.png", errors, ERRORS, f"{title}: measured minus true")
     return files
 
 
@@ -125,10 +133,24 @@ def maps_figure(maps: xr.Dataset, panels: tuple[Panel, ...], *, title: str) -> F
     size = _map_size(maps, 4.35)
     width, height = _panel_size(size)
     figure = Figure(figsize=(2 * width, lines * height + _HEADING), dpi=100)
-    figure.suptitle(title, y=1 - 0.1 / figure.get_figheight())
+    _entitle(figure, title)
     for place, panel in enumerate(panels):
         draw_map(_panel_axes(figure, size, place % 2, lines - 1 - place // 2), maps, panel)
     return figure
+
+
+def _redraw_maps(figure: Figure, maps: xr.Dataset, panels: tuple[Panel, ...], title: str) -> None:
+    """Show another step in a figure of `maps_figure`: new axes would take as long as all drawing."""
+    _entitle(figure, title)
+    for axes, panel in zip(figure.axes, panels, strict=True):
+        values, limits, title_of_map = _shown(maps, panel)
+        axes.images[0].set_data(values)
+        axes.images[0].set_clim(*limits)
+        axes.set_title(title_of_map, y=1.0)
+
+
+def _entitle(figure: Figure, title: str) -> None:
+    figure.suptitle(title, y=1 - 0.1 / figure.get_figheight())
 
 
 def reference_figure(reference: xr.Dataset, measured: xr.Dataset, gauges: Mapping[str, tuple[Point, Point]]) -> Figure:
@@ -211,13 +233,10 @@ def draw_map(axes: Axes, maps: xr.Dataset, panel: Panel, limits: tuple[float, fl
     """
     from matplotlib import colormaps
 
-    unit = people_unit(maps[panel.name])
-    values = _in_people_units(maps, panel)
-    finite = values[np.isfinite(values)]
-    low, high = limits or _colour_range(_coloured_alike(maps, panel, finite), panel.symmetric)
+    values, (low, high), title = _shown(maps, panel, limits)
     name = "RdBu_r" if panel.symmetric else "viridis"
     image = axes.imshow(
-        _thinned(values),
+        values,
         cmap=colormaps[name].with_extremes(bad=_NOT_MEASURED_COLOUR),
         vmin=low,
         vmax=high,
@@ -226,15 +245,27 @@ def draw_map(axes: Axes, maps: xr.Dataset, panel: Panel, limits: tuple[float, fl
         interpolation="nearest",
     )
     place = axes.inset_axes((1.03, 0.0, 0.04, 1.0))
-    bar = axes.figure.colorbar(image, cax=place, label=unit.text, extend="both", extendfrac=0.03)
+    bar = axes.figure.colorbar(
+        image, cax=place, label=people_unit(maps[panel.name]).text, extend="both", extendfrac=0.03
+    )
     bar.formatter.set_useOffset(False)  # type: ignore[attr-defined] # numbers as they are, without "+1.8e2" above them
     bar.formatter.set_scientific(False)  # type: ignore[attr-defined]
     across, down = ("x [mm]", "y [mm]") if "x_mm" in maps.coords else ("column [px]", "row [px]")
-    spread = f"RMS {np.sqrt(np.mean(finite**2)):.3g} {unit.text}" if panel.symmetric and finite.size else ""
     axes.set(xlabel=across, ylabel=down)
-    axes.set_title(
-        f"{panel.title}   {spread}".rstrip(), y=1.0
-    )  # a place found by matplotlib takes a fifth of all drawing
+    axes.set_title(title, y=1.0)  # a place found by matplotlib takes a fifth of all drawing
+
+
+def _shown(
+    maps: xr.Dataset, panel: Panel, limits: tuple[float, float] | None = None
+) -> tuple[np.ndarray, tuple[float, float], str]:
+    """Return the values of a picture in people's units, the ends of its colour scale, and its title."""
+    values = _in_people_units(maps, panel)
+    finite = values[np.isfinite(values)]
+    ends = limits or _colour_range(_coloured_alike(maps, panel, finite), panel.symmetric)
+    title = panel.title
+    if panel.symmetric and finite.size:
+        title += f"   RMS {np.sqrt(np.mean(finite**2)):.3g} {people_unit(maps[panel.name]).text}"
+    return _thinned(values), ends, title
 
 
 def _coloured_alike(maps: xr.Dataset, panel: Panel, finite: np.ndarray) -> np.ndarray:
@@ -301,8 +332,3 @@ def _title(measured: xr.Dataset, step: int) -> str:
     if "force" in measured and np.isfinite(measured["force"]):
         words.append(f"{number_text(float(measured['force']))} N")
     return ", ".join(words)
-
-
-def _save(figure: Figure, file: Path, origin: str) -> Path:
-    figure.savefig(file, metadata={"Description": origin})
-    return file

@@ -1,6 +1,7 @@
 """A small step for each node, before its first real one: machine code is loaded while the rig is being set up.
 
-The arrays are read-only as those of messages, for which the kernels have code of their own.
+The arrays are read-only as those of messages, for which the kernels have code of their own. Each function imports what
+its node needs: the modules of all three together take another node a second to load.
 """
 
 from __future__ import annotations
@@ -8,15 +9,11 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from fringedic.correlation import measure_displacement
 from fringedic.frames.collector import Stack
 from fringedic.frames.records import FrameRecord
 from fringedic.patterns.sequences import fringe_sequence
 from fringedic.rig.model import RigModel
-from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
-from fringedic.steps.phase import phase_step
-from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.steps.step_results import DicResult, PhaseResult
 
 SIZE = 96  # [px]: enough for every stage, and negligible beside compiling or loading its kernels
@@ -25,11 +22,15 @@ WINDOW = 11  # [px] of local frame and strain
 
 def rehearse_phase() -> None:
     """Measure the phase of a small stack of 8 bits."""
+    from fringedic.steps.phase import phase_step
+
     phase_step(small_stack(np.uint8, 0), PhaseParameters())
 
 
 def rehearse_displacement() -> None:
     """Measure the displacement of a small texture at rest."""
+    from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
+
     tracker = DisplacementTracker(DicParameters())
     texture = _with_gaps(white_texture(small_stack(np.uint8, 0).frames[0]))
     texture.setflags(write=False)
@@ -39,6 +40,9 @@ def rehearse_displacement() -> None:
 
 def rehearse_coupling() -> None:
     """Couple two steps of a small relief that turns, so that the light on it changes."""
+    from fringedic.correlation import measure_displacement
+    from fringedic.steps.shape_tracker import ShapeTracker
+
     random = np.random.default_rng(1)
     plane = np.tile((np.arange(SIZE) - SIZE / 2) * (16 * np.pi / SIZE), (SIZE, 1))
     relief = random.normal(0, 0.1, (SIZE, SIZE))

@@ -95,6 +95,20 @@ def test_every_measured_step_has_its_pictures(tmp_path):
     assert all(picture.shape[1] == 1250 and picture.std() > 10 for picture in pictures)
 
 
+def test_a_picture_does_not_depend_on_the_steps_drawn_before(tmp_path):
+    dataset = experiment()
+    dataset["v"][1] -= 5e-4  # another sign and another number of digits beside the colours
+    exact = dataset[["u", "v", "w"]].assign(
+        z_deformed=dataset.shape_z, valid=(("step", "row", "column"), np.ones((3, 30, 40), bool))
+    )
+    exact["u"] = exact["u"] * (1 + 1e-4 * dataset.step)
+    both = save_pictures(dataset, tmp_path / "both", truth=exact)
+    alone = save_pictures(dataset.isel(step=[1, 2]), tmp_path / "alone", truth=exact)
+    assert len(both) == 2 * len(alone) == 6
+    for file, expected in zip(both[3:], alone, strict=True):
+        np.testing.assert_array_equal(cv2.imread(str(file)), cv2.imread(str(expected)), err_msg=file.name)
+
+
 def test_errors_are_drawn_where_the_truth_is_known(tmp_path):
     dataset = experiment()
     exact = dataset[["u", "v", "w"]].assign(
