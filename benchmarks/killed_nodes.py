@@ -1,6 +1,7 @@
 """Time that a test loses by a killed node: random kills of every node of the virtual rig while a programme runs.
 
-``python benchmarks/killed_nodes.py 200`` kills 200 times, in runs of 20; without a number 20 times.
+``python benchmarks/killed_nodes.py 200`` kills 200 times, in runs of 20, and prints the figures so far after each run;
+without a number 20 times.
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ def run(folder: Path, kills: int, seed: int) -> tuple[RunReport, Victims]:
 
 
 def main(kills: int) -> None:
-    """Print the time lost by node, and what was not measured."""
+    """Print the time lost by node, and what was not measured, after each run."""
     lost: dict[str, list[float]] = {}
     steps = failed = missing = early = 0
     for seed in range(-(-kills // IN_ONE_RUN)):
@@ -107,11 +108,11 @@ def main(kills: int) -> None:
         failed += sum(bool(step.error) for step in report.steps)
         missing += sum(step.missing for step in report.steps)
         early += bool(report.ended_early)
-    print("| node | kills | time lost, median | largest |\n|---|---|---|---|")
-    everything = [value for values in lost.values() for value in values]
-    for name, values in [*sorted(lost.items()), ("all", everything)]:
-        print(f"| {name} | {len(values)} | {statistics.median(values):.1f} s | {max(values):.1f} s |")
-    print(f"{steps} steps: {failed} failed, {missing} frames missing, {early} runs ended early")
+        print("| node | kills | time lost, median | largest |\n|---|---|---|---|")
+        everything = [value for values in lost.values() for value in values]
+        for name, values in [*sorted(lost.items()), ("all", everything)]:
+            print(f"| {name} | {len(values)} | {statistics.median(values):.1f} s | {max(values):.1f} s |")
+        print(f"{steps} steps: {failed} failed, {missing} frames missing, {early} runs ended early", flush=True)
 
 
 if __name__ == "__main__":
