@@ -143,10 +143,15 @@ def _redraw_maps(figure: Figure, maps: xr.Dataset, panels: tuple[Panel, ...], ti
     """Show another step in a figure of `maps_figure`: new axes would take as long as all drawing."""
     _entitle(figure, title)
     for axes, panel in zip(figure.axes, panels, strict=True):
-        values, limits, title_of_map = _shown(maps, panel)
-        axes.images[0].set_data(values)
-        axes.images[0].set_clim(*limits)
-        axes.set_title(title_of_map, y=1.0)
+        _redraw(axes, maps, panel)
+
+
+def _redraw(axes: Axes, maps: xr.Dataset, panel: Panel, limits: tuple[float, float] | None = None) -> None:
+    """Show another step in axes of `draw_map`."""
+    values, ends, title = _shown(maps, panel, limits)
+    axes.images[0].set_data(values)
+    axes.images[0].set_clim(*ends)
+    axes.set_title(title, y=1.0)
 
 
 def _entitle(figure: Figure, title: str) -> None:
@@ -210,7 +215,7 @@ def map_figure(maps: xr.Dataset, panel: Panel, limits: tuple[float, float], *, t
 def redraw_map(figure: Figure, maps: xr.Dataset, panel: Panel, *, title: str) -> None:
     """Show the map of another step in a figure of `map_figure`, with the same colour scale."""
     axes = figure.axes[0]
-    axes.images[0].set_data(_thinned(_in_people_units(maps, panel)))
+    _redraw(axes, maps, panel, axes.images[0].get_clim())
     axes.set_title(title)
 
 

@@ -43,6 +43,11 @@ def experiment(calibrated=True, white=()):
     return with_millimetres(xr.Dataset(maps, {"step": [0, 1, 2], "row": row, "column": column}, attributes))
 
 
+def truth_of(dataset):
+    valid = ("step", "row", "column"), np.ones((3, 30, 40), bool)
+    return dataset[["u", "v", "w"]].assign(z_deformed=dataset.shape_z, valid=valid)
+
+
 def panel_axes(figure):
     return [axes for axes in figure.axes if axes.images]
 
@@ -98,9 +103,7 @@ def test_every_measured_step_has_its_pictures(tmp_path):
 def test_a_picture_does_not_depend_on_the_steps_drawn_before(tmp_path):
     dataset = experiment()
     dataset["v"][1] -= 5e-4  # another sign and another number of digits beside the colours
-    exact = dataset[["u", "v", "w"]].assign(
-        z_deformed=dataset.shape_z, valid=(("step", "row", "column"), np.ones((3, 30, 40), bool))
-    )
+    exact = truth_of(dataset)
     exact["u"] = exact["u"] * (1 + 1e-4 * dataset.step)
     both = save_pictures(dataset, tmp_path / "both", truth=exact)
     alone = save_pictures(dataset.isel(step=[1, 2]), tmp_path / "alone", truth=exact)
@@ -111,9 +114,7 @@ def test_a_picture_does_not_depend_on_the_steps_drawn_before(tmp_path):
 
 def test_errors_are_drawn_where_the_truth_is_known(tmp_path):
     dataset = experiment()
-    exact = dataset[["u", "v", "w"]].assign(
-        z_deformed=dataset.shape_z, valid=(("step", "row", "column"), np.ones((3, 30, 40), bool))
-    )
+    exact = truth_of(dataset)
     files = save_pictures(dataset.isel(step=[1, 2]), tmp_path, truth=exact)
     assert [file.name for file in files] == ["step_001.png", "step_001_sigma.png", "step_001_errors.png"]
 
