@@ -28,6 +28,7 @@ from fringedic_ros.waiting import sleep, until
 Request = CaptureFrame.Request
 _TRUTH_TIMEOUT_S = 10.0
 _LONGEST_EXPOSURE_S = 60.0
+_SUBSCRIBERS_S = 5.0  # longest wait for subscribers; the number that a client counted may contain one that has ended
 _AHEAD_S = 0.1  # a pattern with a stamp further ahead than this was shown before a clock was set back
 
 
@@ -144,7 +145,7 @@ class CameraNode(HardwareNode[CameraParameters]):
             return of_images >= images and of_exposures >= exposures
 
         try:
-            await until(self, connected, self.parameters.value.timeout_s)
+            await until(self, connected, min(_SUBSCRIBERS_S, self.parameters.value.timeout_s))
         except WaitTimeoutError:
             of_images, of_exposures = self._publisher.subscribers()
             raise NoSubscriberError(

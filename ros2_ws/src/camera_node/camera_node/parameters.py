@@ -41,7 +41,7 @@ class CameraParameters(HardwareParameters):
         0.0, ge=0, le=60, description="Pause between the pattern on the screen and the start of the exposure [s]."
     )
     timeout_s: float = Field(
-        10.0, gt=0, le=600, description="Longest wait for subscribers, for the scene and for the frame, each [s]."
+        10.0, gt=0, le=600, description="Longest wait for scene and frame, each [s]; for subscribers at most 5 s."
     )
     frame_rate_hz: float = Field(
         0.0,

@@ -237,7 +237,7 @@ def test_files_with_faults_and_what_comes_after(studio: Studio, tmp_path: Path) 
 
 def test_waits_for_subscribers(studio: Studio, tmp_path: Path) -> None:
     save(tmp_path, "0.png", np.zeros((4, 4), np.uint8))
-    with NodeProcess(MODULE, tmp_path, {"source": "files", "files": str(tmp_path), "timeout_s": 0.5}):
+    with NodeProcess(MODULE, tmp_path, {"source": "files", "files": str(tmp_path), "timeout_s": 600.0}):
         response = studio.capture(image_subscribers=2)
         assert (response.error_code, response.subscribers) == (Request.NO_SUBSCRIBER, 1)
         assert "camera/image_raw has 1 subscribers and 2 are expected" in response.error_message

@@ -114,12 +114,18 @@ class FrameTaker:
             CAMERA_TIMEOUT, CAMERA_FAILED, NO_SUBSCRIBER; LOAD_NOT_HELD when the machine explains the failure.
         """
         first = index == 0
-        request = self._request(step, index, pattern, shown, parameters)
         # the first frame waits for subscribers; the camera reports which are missing, a time-out here would not
         timeout = parameters.camera_timeout_s + (parameters.start_timeout_s if first else 0.0)
+        end = time.monotonic() + parameters.start_timeout_s
         if first:
             step.requested_ns = time.time_ns()
-        response = await step.goal.call(self._capture, request, timeout, Result.CAMERA_TIMEOUT, f"frame {index}")
+        while True:
+            request = self._request(step, index, pattern, shown, parameters)
+            response = await step.goal.call(self._capture, request, timeout, Result.CAMERA_TIMEOUT, f"frame {index}")
+            # a subscriber that was counted may have ended since: ask again with the number of now
+            if response.error_code != CaptureFrame.Request.NO_SUBSCRIBER or time.monotonic() >= end:
+                break
+            await step.goal.pause(AGAIN_S)
         if response.error_code != CaptureFrame.Request.NONE:
             self._load.check_latest(step, parameters)  # a virtual camera needs the load frame
             code = CAPTURE_ERRORS.get(response.error_code, Result.CAMERA_FAILED)

@@ -97,12 +97,14 @@ class Readiness:
             timeout,
             lambda: (Result.NO_SUBSCRIBER, f"no node publishes {', '.join(absent())}; start the nodes they belong to"),
         )
-        await step.goal.wait_polling(
-            lambda: not self._doubled(),
-            timeout,
-            lambda: (Result.NO_SUBSCRIBER, f"two nodes use {', '.join(self._doubled())}; end one of them"),
-        )
         await self._await_quiet_graph(step)
+        while self._doubled():
+            await step.goal.wait_polling(
+                lambda: not self._doubled(),
+                timeout,
+                lambda: (Result.NO_SUBSCRIBER, f"two nodes use {', '.join(self._doubled())}; end one of them"),
+            )
+            await self._await_quiet_graph(step)  # a further node may have appeared beside its dead predecessor
         await self._frames.await_responses(step, parameters)
         await self.reach_readers(step.goal, step.nodes, timeout, witness)
         self._known_endpoints = self._endpoints()

@@ -697,6 +697,44 @@ def test_the_camera_waits_for_what_the_stage_has_placed(rig: Rig) -> None:
     rig.destroy_publisher(stage)
 
 
+def test_a_subscriber_that_ends_after_it_was_counted_costs_one_request(rig: Rig) -> None:
+    """A killed recorder is counted until its lease ends; a viewer may be closed at any time."""
+    viewer = rig.create_subscription(Image, "camera/image_raw", lambda _: None, IMAGES)
+    capture = rig.capture.callback
+
+    async def ended(request: CaptureFrame.Request, response: CaptureFrame.Response) -> CaptureFrame.Response:
+        """Answer like a camera whose subscriber has ended since the request."""
+        if request.image_subscribers != 2:
+            return await capture(request, response)
+        rig.captured.append(request)
+        rig.destroy_subscription(viewer)
+        response.error_code, response.error_message = CaptureFrame.Request.NO_SUBSCRIBER, "1 of 2"
+        return response
+
+    rig.capture.callback = ended
+    try:
+        assert rig.step().error_code == Result.NONE
+    finally:
+        rig.capture.callback = capture
+    counted = [each.image_subscribers for each in rig.captured if each.index == 0]
+    assert (counted[0], counted[-1]) == (2, 1)
+
+
+def test_a_node_that_appears_beside_its_predecessor_while_connections_are_awaited_is_noticed(rig: Rig) -> None:
+    rig.change(start_timeout_s=60.0)
+    publisher = rig.statuses.pop("phase")  # a new publisher makes the experiment node check all connections again
+    rig.destroy_publisher(publisher)
+    rig.statuses["phase"] = rig.create_publisher(NodeStatus, "phase/status", EVENTS)
+    rig.wait(rig.statuses["phase"].get_subscription_count, "the experiment node")
+    running = rig.request()
+    successor = rig.create_publisher(NodeStatus, "phase/status", EVENTS)
+    rig.serve(3.0)
+    assert not rig.captured
+    rig.destroy_publisher(successor)
+    assert rig.result(running)[1].error_code == Result.NONE
+    rig.change(start_timeout_s=START_TIMEOUT)
+
+
 def test_results_that_would_not_reach_the_next_node_are_waited_for(rig: Rig) -> None:
     rig.change(start_timeout_s=1.0)
     rig.reaches_all = False

@@ -89,7 +89,7 @@ class ExposingClient(RigClient):
         StepFailedError
             The camera node took no frame.
         WaitTimeoutError
-            The camera node does not answer, or the frame did not arrive.
+            The camera node does not answer or has not discovered this client, or the frame did not arrive.
         """
         self._reach(self._captures, CaptureFrame.Request(count=0))
         if not self._connected:
@@ -127,6 +127,8 @@ class ExposingClient(RigClient):
             exposure_subscribers=1,
         )
         response = self.call(self._captures, request)
+        if response.error_code == CaptureFrame.Request.NO_SUBSCRIBER:
+            raise WaitTimeoutError(response.error_message)
         if response.error_code != CaptureFrame.Request.NONE:
             raise StepFailedError(f"{response.error_message} (error {response.error_code})")
 
