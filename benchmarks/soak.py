@@ -75,9 +75,8 @@ def memory(logs: Path) -> Iterator[tuple[str, int]]:
 
 
 def growth(sizes: list[int]) -> tuple[float, float]:
-    """Return slope and its standard uncertainty [kB per step] after the warm-up, by least squares."""
-    steps = np.arange(WARM_UP, len(sizes))
-    (slope, _), covariance = np.polyfit(steps, sizes[WARM_UP:], 1, cov=True)
+    """Return slope and its standard uncertainty [kB per step] by least squares."""
+    (slope, _), covariance = np.polyfit(np.arange(len(sizes)), sizes, 1, cov=True)
     return float(slope), float(np.sqrt(covariance[0, 0]))
 
 
@@ -136,9 +135,10 @@ def table_of(noted: Soak, bag: Path, minutes: float) -> Table:
         "equal",
     )
     for name, sizes in sorted(noted.memory.items()):
-        slope, sigma = growth(sizes)
-        value = f"{sizes[-1] / 1024:.0f} MB, {slope:+.2f} ± {sigma:.2f} kB per step"
-        table.add_row(f"memory of {name}", value, "flat")
+        half = (WARM_UP + len(sizes)) // 2
+        slopes = [f"{slope:+.2f} ± {sigma:.2f}" for slope, sigma in map(growth, (sizes[WARM_UP:half], sizes[half:]))]
+        value = f"{sizes[-1] / 1024:.0f} MB, {', '.join(slopes)} kB per step"
+        table.add_row(f"memory of {name}, growth in both halves", value, "flat")
     return table
 
 
