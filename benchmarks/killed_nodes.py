@@ -14,6 +14,7 @@ import sys
 import tempfile
 import threading
 import time
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from fringedic_bringup.launch.graph import PROCESSING_NODES
 from fringedic_bringup.launch.rig_files import configuration
 from fringedic_bringup.procedures.outcome import RunReport
 from fringedic_bringup.procedures.run import load_rig, run_experiment
+from fringedic_ros.testing import node_pids
 
 NODES = ("recorder", "projector", "stage", "camera", "load_frame", *PROCESSING_NODES, "experiment")
 IN_ONE_RUN = 20
@@ -63,14 +65,9 @@ class Victims:
                 threading.Timer(delay, self._kill, (self._random.choice(NODES),)).start()
 
     def _kill(self, name: str) -> None:
-        marker = str(self._folder / "logs" / f"{name}.yaml").encode()
-        for process in Path("/proc").glob("[0-9]*"):
-            try:
-                if marker in (process / "cmdline").read_bytes():
-                    os.kill(int(process.name), signal.SIGKILL)
-                    self.killed.append((max(self.starts), name))
-            except OSError:
-                continue  # it has ended, or belongs to another user
+        with suppress(KeyError, ProcessLookupError):  # it has just ended
+            os.kill(node_pids(self._folder)[name], signal.SIGKILL)
+            self.killed.append((max(self.starts), name))
 
     def lost(self) -> dict[str, list[float]]:
         """Return the time [s] that each kill cost its step, by node; that of a pair counts for both."""

@@ -25,6 +25,7 @@ from websockets.sync.client import connect
 from fringedic.recording.reader import BagReader
 from fringedic_bringup.launch.environment import node_environment, private_domain
 from fringedic_bringup.procedures.run import frame_losses
+from fringedic_ros.testing import child_pid
 
 WARM_UP_S, SPAN_S = 5.0, 20.0
 WHEEL_S = 11.0  # after which the wheel of the browsers before is free
@@ -101,22 +102,10 @@ def operating(rig: str, folder: Path) -> Iterator[tuple[str, int]]:
             assert process.stdout is not None
             url = next(line for line in process.stdout if line.startswith("page: ")).split()[-1]
             try:
-                yield url, page_process(process.pid)
+                yield url, child_pid(process.pid, "operator")
             finally:
                 process.send_signal(signal.SIGINT)
                 process.wait(90)
-
-
-def page_process(parent: int) -> int:
-    """Return the process of the page's server."""
-    for entry in Path("/proc").glob("[0-9]*"):
-        try:
-            words, stat = (entry / "cmdline").read_bytes().split(b"\0"), (entry / "stat").read_text()
-        except OSError:
-            continue
-        if int(stat.rpartition(")")[2].split()[1]) == parent and any(word.endswith(b"/operator") for word in words):
-            return int(entry.name)
-    raise RuntimeError("the server of the page does not run")
 
 
 def cpu_s(pid: int) -> float:

@@ -10,7 +10,7 @@ import statistics
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -29,6 +29,7 @@ from fringedic_bringup.launch.graph import rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.launch.rig_files import configuration
 from fringedic_bringup.procedures.run import load_rig
+from fringedic_ros.testing import node_pids
 
 WARM_UP = 100  # steps until buffers, histories and compiled kernels have their final size
 FARTHEST = 6e-4  # [m] crosshead
@@ -44,7 +45,7 @@ class Soak:
     Attributes
     ----------
     memory
-        Memory of each node [kB].
+        Resident memory of each node [kB].
     durations
         Duration of each successful step [s].
     failures
@@ -55,23 +56,12 @@ class Soak:
     durations: list[float] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
 
-    def note(self, logs: Path) -> None:
-        """Note the memory of all nodes."""
-        for name, size in memory(logs):
-            self.memory.setdefault(name, []).append(size)
-
-
-def memory(logs: Path) -> Iterator[tuple[str, int]]:
-    """Yield name and resident memory [kB] of each node, by the parameter file in its command line."""
-    for process in Path("/proc").glob("[0-9]*"):
-        try:
-            words = (process / "cmdline").read_text().split("\0")
-            status = (process / "status").read_text()
-        except (OSError, UnicodeDecodeError):
-            continue  # it has ended, or belongs to another user
-        files = [Path(word) for word in words if word.startswith(f"{logs}/")]
-        if files:
-            yield files[0].stem, int(status.split("VmRSS:")[1].split()[0])
+    def note(self, folder: Path) -> None:
+        """Note the memory of all nodes of the run."""
+        for name, pid in node_pids(folder).items():
+            with suppress(OSError):  # it has just ended, and the next step says so
+                status = Path(f"/proc/{pid}/status").read_text()
+                self.memory.setdefault(name, []).append(int(status.split("VmRSS:")[1].split()[0]))
 
 
 def growth(sizes: list[int]) -> tuple[float, float]:
@@ -108,7 +98,7 @@ def soak(folder: Path, seconds: float) -> Soak:
                 noted.durations.append(client.measure().duration)
             except StepFailedError as error:
                 noted.failures.append(str(error))
-            noted.note(folder / "logs")
+            noted.note(folder)
             number += 1
     return noted
 

@@ -17,6 +17,8 @@ from browser import opened, page_address
 from playwright.sync_api import Browser, Page, expect
 from running_system import CONFIG, free_port
 
+from fringedic_ros.testing import child_pid
+
 WAIT_MS = 240_000  # for a procedure on a busy computer
 VIEWS = {
     "setup": "#item-axes",
@@ -39,15 +41,7 @@ class Operated:
 
     def page_process(self) -> int:
         """Return the process of the page's server."""
-        for entry in Path("/proc").glob("[0-9]*"):
-            try:
-                words = (entry / "cmdline").read_bytes().split(b"\0")
-                parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
-            except OSError:
-                continue
-            if parent == self.process.pid and any(word.endswith(b"/operator") for word in words):
-                return int(entry.name)
-        raise AssertionError("the server of the page does not run")
+        return child_pid(self.process.pid, "operator")
 
 
 @contextmanager

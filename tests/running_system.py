@@ -24,6 +24,7 @@ from fringedic_bringup.command.main import app
 from fringedic_bringup.launch.environment import node_environment, private_domain
 from fringedic_bringup.procedures import run
 from fringedic_bringup.procedures.outcome import RunReport
+from fringedic_ros.testing import command_lines, node_pids
 
 Result = TypeVar("Result")
 ROOT = Path(__file__).parent.parent
@@ -86,7 +87,7 @@ class Killer(Progress):
         super().step(number, last, text, frame, frames)
         place = self._begun.setdefault(number, len(self._begun) + 1)
         if place in self._victims and frame >= 3:
-            os.kill(node_pid(self._folder, self._victims.pop(place)), signal.SIGKILL)
+            os.kill(node_pids(self._folder)[self._victims.pop(place)], signal.SIGKILL)
 
 
 @dataclass(frozen=True)
@@ -134,29 +135,16 @@ def without_ros() -> str:
     return os.pathsep.join(filter(None, [str(WITHOUT_ROS), os.environ.get("PYTHONPATH")]))
 
 
-def node_pid(folder: Path, name: str) -> int:
-    """Return the process of a node, identified by its parameter file."""
-    marker = str(folder / "logs" / f"{name}.yaml").encode()
-    for process in Path("/proc").glob("[0-9]*"):
-        try:
-            if marker in (process / "cmdline").read_bytes():
-                return int(process.name)
-        except OSError:
-            continue
-    raise AssertionError(f"no process of {name}")
-
-
 def processes_of(domain: str) -> list[str]:
     """Return the command lines of all processes in a ROS domain, except this one."""
     found = []
-    for process in Path("/proc").glob("[0-9]*"):
+    for pid, words in command_lines():
         try:
-            variables = (process / "environ").read_bytes().split(b"\0")
-            words = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+            variables = Path(f"/proc/{pid}/environ").read_bytes().split(b"\0")
         except OSError:
             continue  # it has ended, or belongs to another user
-        if f"ROS_DOMAIN_ID={domain}".encode() in variables and words and int(process.name) != os.getpid():
-            found.append(words)
+        if f"ROS_DOMAIN_ID={domain}".encode() in variables and any(words) and pid != os.getpid():
+            found.append(" ".join(words))
     return found
 
 

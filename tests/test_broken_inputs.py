@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+import json
 import os
+import resource
 import shutil
 import signal
 import subprocess
+import threading
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 import yaml
-from running_system import WORKING, Progress
+from rewritten import copy_topics
+from running_system import CONFIG, WORKING, Progress
 
 import fringedic
 from fringedic.errors import NodeDiedError, RecordingError
+from fringedic.frames.region import Region
 from fringedic.recording.reader import BagReader
 from fringedic.recording.repair import recover
-from fringedic.recording.writer import BagWriter
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.graph import Graph, NodeEntry
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.outcome import RunReport
 from fringedic_bringup.procedures.replay import replay
 from fringedic_bringup.procedures.run import load_rig, run_experiment
+from fringedic_ros.testing import node_pids
 
 
 def test_a_node_that_dies_ends_the_wait_with_its_log(tmp_path: Path) -> None:
@@ -59,19 +64,52 @@ def test_unreadable_image_fails_one_step(tmp_path: Path) -> None:
     assert moved == pytest.approx(-4.0, abs=0.01)
 
 
+def test_what_is_measured_after_a_test_is_measured_with_the_settings_of_the_rig_file(tmp_path: Path) -> None:
+    """No node that has them runs during the test: the recording had the defaults."""
+    part = Region.rectangle((40, 30), (120, 90))
+    Region(part.polygons, 160, 120).save(tmp_path / "part.png")
+    path = tmp_path / "rig.yaml"
+    settings = {"recording": {"process": False}, "nodes": {"dic": {"window": 24, "spacing": 2}}}
+    tiny = yaml.safe_load((CONFIG / "tiny.yaml").read_text())
+    path.write_text(yaml.safe_dump(tiny | settings | {"region_file": "part.yaml"}))
+    rig_file, programme = load_rig(path, None, None)
+    report = run_experiment(rig_file, path, programme, tmp_path / "run", Progress())
+    assert not any(step.error for step in report.steps)
+    again = fringedic.process_bag(report.folder / "bag", output=tmp_path / "again.nc")
+    for dataset in map(fringedic.open_experiment, (report.folder, again)):
+        with dataset:
+            [entry] = json.loads(dataset.parameters)
+            assert (entry["parameters"]["dic"]["window"], entry["parameters"]["dic"]["spacing"]) == (24, 2)
+            assert np.isnan(dataset.z.sel(row=slice(0, 28))).all(), "outside the region"
+            assert np.isfinite(dataset.z.sel(row=60, column=80)).all()
+
+
 def test_recording_without_frames_is_refused(experiment: RunReport, tmp_path: Path) -> None:
-    reader = BagReader(experiment.folder / "bag")
-    step = reader.find("experiment/step")["experiment/step"]
-    target = tmp_path / "bag"
-    writer = BagWriter(target)
-    writer.add_recorded_topic(reader.topics[step])
-    for message in reader.raw([step]):
-        writer.write(message.topic, message.data, message.log_time, message.publish_time)
-    writer.close()
+    target = copy_topics(experiment.folder / "bag", tmp_path / "bag", only=["experiment/step"])
     with pytest.raises(RecordingError, match="camera/image_raw"):
         fringedic.process_bag(target)
     with pytest.raises(RecordingError, match="camera/image_raw"):
         replay(target, tmp_path / "replayed", Progress())
+
+
+def test_a_replay_whose_recorder_stops_does_not_succeed(experiment: RunReport, tmp_path: Path) -> None:
+    """Its summary named all steps as whole, although the new recording ended in the middle."""
+    stopping = threading.Event()
+
+    def fill_disk() -> None:
+        while not stopping.wait(0.05):
+            pid = node_pids(tmp_path).get("recorder")
+            if pid is not None:
+                resource.prlimit(pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
+
+    disk = threading.Thread(target=fill_disk)
+    disk.start()
+    try:
+        with pytest.raises(RecordingError, match="the recorder stopped: "):
+            replay(experiment.folder / "bag", tmp_path, Progress())
+    finally:
+        stopping.set()
+        disk.join()
 
 
 def test_truncated_recording(experiment: RunReport, tmp_path: Path) -> None:

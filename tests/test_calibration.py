@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rewritten import copy_topics
 from running_system import Progress, without_ros
 
 from fringedic.calibration.recorded import calibrate_recording
 from fringedic.configuration.rig_file import load_rig_file
 from fringedic.configuration.virtual_calibration import calibration_of
 from fringedic.errors import RecordingError
-from fringedic.recording.reader import BagReader
-from fringedic.recording.writer import BagWriter
 from fringedic.report.calibration_sentences import check_in_words
 from fringedic.rig.model import RigModel
 from fringedic_bringup.procedures.calibrate import calibrate, with_angles
@@ -96,8 +95,9 @@ def test_the_recording_gives_the_same_files_without_ros(calibrated: CalibrationR
 
 
 def test_a_recording_without_planes_is_no_calibration(calibrated: CalibrationReport) -> None:
+    bag = calibrated.folder / "bag"
     with pytest.raises(RecordingError, match="experiment/plane"):
-        calibrate_recording(_without_planes(calibrated.folder / "bag"))
+        calibrate_recording(copy_topics(bag, bag.with_name("without_planes"), without=["experiment/plane"]))
 
 
 def test_check_accepts_an_unchanged_rig_and_refuses_a_moved_one(
@@ -115,15 +115,3 @@ def test_check_accepts_an_unchanged_rig_and_refuses_a_moved_one(
     moved.write_text(text.replace("size: tiny,", "size: tiny, projector: {yaw_degree: 0.35},"))
     result = check(load_rig_file(moved), moved, tmp_path / "moved", Progress(), distance=5e-3, ask=lambda _: False)
     assert not result.holds, check_in_words(result)
-
-
-def _without_planes(bag: Path) -> Path:
-    reader = BagReader(bag)
-    target = bag.with_name("without_planes")
-    with BagWriter(target) as writer:
-        for topic in reader.topics.values():
-            writer.add_recorded_topic(topic)
-        for message in reader.raw():
-            if not message.topic.endswith("experiment/plane"):
-                writer.write(*message)
-    return target

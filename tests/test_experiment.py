@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rewritten import copy_topics
 from running_system import CONFIG, WORKING, Progress, without_ros
 
 import fringedic
 from fringedic.recording.reader import BagReader
-from fringedic.recording.writer import BagWriter
 from fringedic_bringup.procedures.outcome import RunReport
 from fringedic_bringup.procedures.replay import replay
 from fringedic_bringup.procedures.run import load_rig, run_experiment
@@ -60,17 +60,7 @@ def derived(bag: Path) -> dict[str, list[bytes]]:
 @pytest.fixture(scope="module")
 def raw_bag(experiment: RunReport, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a copy of the recording with the raw topics only."""
-    reader = BagReader(experiment.folder / "bag")
-    names = set(reader.find(*RAW).values())
-    target = tmp_path_factory.mktemp("raw") / "bag"
-    writer = BagWriter(target)
-    for name in names:
-        writer.add_recorded_topic(reader.topics[name])
-    for message in reader.raw(names):
-        writer.write(message.topic, message.data, message.log_time, message.publish_time)
-    writer.close()
-    assert set(BagReader(target).topics) == names
-    return target
+    return copy_topics(experiment.folder / "bag", tmp_path_factory.mktemp("raw") / "bag", only=RAW)
 
 
 def test_errors_against_the_truth(experiment: RunReport) -> None:

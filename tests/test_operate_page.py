@@ -31,12 +31,13 @@ from operated import (
 )
 from playwright.sync_api import Browser, Page, expect
 from rclpy.serialization import deserialize_message
-from running_system import free_port, node_pid
+from running_system import free_port
 from viewer import LAYOUT, Viewer, drawn, viewing
 
 import fringedic
 from fringedic.frames.region import Region
 from fringedic_ros.serialized import message_type
+from fringedic_ros.testing import node_pids
 
 pytestmark = [pytest.mark.browser, pytest.mark.operate]
 FIVE_STEPS = "{experiment: five, ramp: {to_mm: 0.6, steps: 5, speed_mm_per_s: 5}}"
@@ -211,7 +212,7 @@ def test_full_disk_is_told_and_the_next_programme_works(page: Page, operated: Op
     expect(page.locator("#steps td.good").first).to_be_visible(timeout=WAIT_MS)
     [folder] = (operated.folder / "recordings").glob("full-*")
     limit = (folder / "bag" / "bag_0.mcap").stat().st_size + 50_000
-    resource.prlimit(node_pid(folder, "recorder"), resource.RLIMIT_FSIZE, (limit, limit))
+    resource.prlimit(node_pids(folder)["recorder"], resource.RLIMIT_FSIZE, (limit, limit))
     expect(page.locator("#steps td.bad").first).to_contain_text("the disk is full", timeout=WAIT_MS)
     expect(page.locator("#facts")).to_contain_text("the disk is full")
     page.click("#stop")

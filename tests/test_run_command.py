@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from running_system import RecordedExperiment, node_pid, wait_until
+from running_system import RecordedExperiment, wait_until
 from typer.testing import CliRunner, Result
 
 import fringedic
@@ -24,6 +24,7 @@ from fringedic.frames.messages import image_array
 from fringedic.recording.reader import BagReader
 from fringedic.rig.model import RigModel
 from fringedic_bringup.command.main import app
+from fringedic_ros.testing import node_pids
 
 FRAMES = 12
 
@@ -198,7 +199,8 @@ class Running:
 
     def pids(self) -> list[int]:
         """Return the processes of some nodes."""
-        return [node_pid(self._run, name) for name in self.NODES]
+        running = node_pids(self._run)
+        return [running[name] for name in self.NODES]
 
 
 @pytest.fixture
@@ -237,9 +239,10 @@ def test_a_rig_has_one_owner_whose_interruption_closes_recording_and_nodes(
     assert 1 <= before < 3
     continued = start_run("--continue")
     continued.wait_until_printed("(last: 2): move")
-    os.kill(node_pid(running.bag.parent, "recorder"), signal.SIGKILL)
+    os.kill(node_pids(running.bag.parent)["recorder"], signal.SIGKILL)
     assert continued.process.wait(300) == 0, continued.printed()
     assert f"{before} steps are measured already" in continued.printed()
+    assert f": {3 - before} step" in continued.printed(), "the forecast is that of the steps that are left"
     assert sorted(part.name for part in running.bag.with_name("parts").iterdir()) == ["bag-1", "bag-2", "bag-3"]
     with fringedic.open_experiment(running.bag.parent) as dataset:
         measured = dataset.step.values[dataset.error.values == ""]

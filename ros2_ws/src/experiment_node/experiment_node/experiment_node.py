@@ -22,16 +22,17 @@ from experiment_node.plane_steps import PlaneSteps
 from experiment_node.rig_transforms import RigTransforms
 from experiment_node.running_step import RunningStep
 from experiment_node.step_runner import StepRunner
+from experiment_node.topics import NODE_PARAMETERS
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.recording.load_samples import summarise_load
 from fringedic.rig.model import RigModel
 from fringedic_msgs.action import MeasureStep
-from fringedic_msgs.msg import RigCalibration
+from fringedic_msgs.msg import NodeParameters, RigCalibration
 from fringedic_msgs.srv import SetReference, StartExperiment
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.main import run
-from fringedic_ros.parameters import declare
-from fringedic_ros.qos import LATCHED
+from fringedic_ros.parameters import declare, parameters_message
+from fringedic_ros.qos import LATCHED, LATCHED_BY_MANY
 from fringedic_ros.records import calibration_message
 from fringedic_ros.rig_node import RIG_FRAME, RigNode, frame_id
 from fringedic_ros.stamps import to_msg, to_nanoseconds
@@ -44,8 +45,10 @@ class ExperimentNode(RigNode):
 
     def __init__(self) -> None:
         super().__init__("experiment")
-        self.parameters = declare(self, ExperimentParameters)
+        self._settings = self.create_publisher(NodeParameters, NODE_PARAMETERS, LATCHED_BY_MANY)
+        self.parameters = declare(self, ExperimentParameters, self._publish_later)
         parameters = self.parameters.value
+        self._publish_later(parameters)
         self._diagnostics = NodeDiagnostics(self)
         self._slot = GoalSlot(self)
         self._calibrations = self.create_publisher(RigCalibration, "calibration", LATCHED)
@@ -83,6 +86,11 @@ class ExperimentNode(RigNode):
         message.source = message.source or source
         self._calibrations.publish(message)
         self._transforms.publish(model, message.header.stamp)
+
+    def _publish_later(self, parameters: ExperimentParameters) -> None:
+        """Record what the frames are to be measured with later, as the processing nodes would if they ran."""
+        for node, values in parameters.later().items():
+            self._settings.publish(parameters_message(node, values))
 
     def _start_experiment(
         self, request: StartExperiment.Request, response: StartExperiment.Response

@@ -5,9 +5,12 @@ from __future__ import annotations
 from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+from yaml import YAMLError
 
+from fringedic.inputs.yaml_text import load_yaml
 from fringedic.patterns.pattern import PHASE_KINDS, ProjectedPattern
 from fringedic.patterns.sequences import FringeOrder, step_sequence
+from fringedic.steps.recorded_parameters import MODELS
 
 
 class ExperimentParameters(BaseModel):
@@ -56,6 +59,11 @@ class ExperimentParameters(BaseModel):
         ["phase", "dic", "coupling"], description="Processing nodes whose results end a step."
     )
     record_only: bool = Field(False, description="A step ends without results: frames are recorded and measured later.")
+    later_parameters: str = Field(
+        "",
+        description="With record_only: the parameters of phase, dic and coupling node for the later measurement as "
+        "YAML; they are recorded as if these nodes ran.",
+    )
     recording_required: bool = Field(False, description="Refuse a step unless a recorder is recording.")
     load_frame: bool = Field(
         False, description="The rig has a load frame; otherwise it has one from its first sample in an experiment on."
@@ -117,6 +125,27 @@ class ExperimentParameters(BaseModel):
         if self.reference_step >= self.first_step:
             raise ValueError(f"reference_step {self.reference_step} is not before first_step {self.first_step}")
         return self
+
+    @model_validator(mode="after")
+    def _measurable_later(self) -> Self:
+        self.later()
+        return self
+
+    def later(self) -> dict[str, BaseModel]:
+        """Return the parameters of the processing nodes for the later measurement, by node; empty without.
+
+        Raises
+        ------
+        ValueError
+            The text is no YAML, there is no such node, or it does not have such parameters.
+        """
+        try:
+            given = load_yaml(self.later_parameters) if self.record_only and self.later_parameters else {}
+        except YAMLError as error:
+            raise ValueError(f"later_parameters: {error}") from None
+        if not isinstance(given, dict) or not given.keys() <= MODELS.keys():
+            raise ValueError(f"later_parameters has to contain one mapping for each of {', '.join(MODELS)}")
+        return {node: MODELS[node].model_validate(values) for node, values in given.items()}
 
     def patterns(self) -> tuple[ProjectedPattern, ...]:
         """Return the patterns of a FRINGES step, each pattern once for each exposure time.

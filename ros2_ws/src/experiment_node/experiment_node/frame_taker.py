@@ -117,9 +117,9 @@ class FrameTaker:
         # the first frame waits for subscribers; the camera reports which are missing, a time-out here would not
         timeout = parameters.camera_timeout_s + (parameters.start_timeout_s if first else 0.0)
         end = time.monotonic() + parameters.start_timeout_s
-        if first:
-            step.requested_ns = time.time_ns()
         while True:
+            if first:
+                step.requested_ns = time.time_ns()
             request = self._request(step, index, pattern, shown, parameters)
             response = await step.goal.call(self._capture, request, timeout, Result.CAMERA_TIMEOUT, f"frame {index}")
             # a subscriber that was counted may have ended since: ask again with the number of now

@@ -97,14 +97,16 @@ class Readiness:
             timeout,
             lambda: (Result.NO_SUBSCRIBER, f"no node publishes {', '.join(absent())}; start the nodes they belong to"),
         )
-        await self._await_quiet_graph(step)
+        end = time.monotonic() + timeout
+        await self._await_quiet_graph(step, self._connected_at, end)
         while self._doubled():
             await step.goal.wait_polling(
                 lambda: not self._doubled(),
-                timeout,
+                end - time.monotonic(),
                 lambda: (Result.NO_SUBSCRIBER, f"two nodes use {', '.join(self._doubled())}; end one of them"),
             )
-            await self._await_quiet_graph(step)  # a further node may have appeared beside its dead predecessor
+            # a further node may have appeared beside its dead predecessor
+            await self._await_quiet_graph(step, time.monotonic(), end)
         await self._frames.await_responses(step, parameters)
         await self.reach_readers(step.goal, step.nodes, timeout, witness)
         self._known_endpoints = self._endpoints()
@@ -150,10 +152,13 @@ class Readiness:
             ),
         )
 
-    async def _await_quiet_graph(self, step: RunningStep) -> None:
-        """Wait until no further node has connected for a time: nodes discover each other one by one."""
-        found, since = self._endpoints(), self._connected_at
-        while (left := since + CONNECTING_TIME - time.monotonic()) > 0:
+    async def _await_quiet_graph(self, step: RunningStep, since: float, end: float) -> None:
+        """Wait until no further node has connected for a time: nodes discover each other one by one.
+
+        The time counts from `since`, on the monotonic clock [s], or from the latest change, and ends at `end`.
+        """
+        found = self._endpoints()
+        while (left := min(since + CONNECTING_TIME, end) - time.monotonic()) > 0:
             await step.goal.pause(min(left, 0.1))
             if found != (found := self._endpoints()):
                 since = time.monotonic()

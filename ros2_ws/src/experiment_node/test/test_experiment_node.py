@@ -779,6 +779,9 @@ def test_unreadable_calibration_ends_the_start(tmp_path: Path) -> None:
         ({"shifts": [4, 4, 4]}, "3 numbers of shifts for 4 pitches"),
         ({"first_step": 3, "reference_step": 3}, "reference_step 3 is not before first_step 3"),
         ({"exposure_times_s": [0.004, 0.004]}, "exposure_times_s must be above 0, 60 s at most, and differ"),
+        ({"record_only": True, "later_parameters": "{dic: {window: 3}}"}, "window"),
+        ({"record_only": True, "later_parameters": "{camera: {}}"}, "one mapping for each of phase, dic, coupling"),
+        ({"record_only": True, "later_parameters": "{dic: ["}, "later_parameters: line 1"),
     ],
 )
 def test_impossible_parameters_are_refused(parameters: dict[str, Any], words: str) -> None:

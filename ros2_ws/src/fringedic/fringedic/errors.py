@@ -183,6 +183,10 @@ class RigBusyError(StepFailedError):
     """Another controller measures with the rig, or moves its machine; the message names it."""
 
 
+class MoveStoppedError(StepFailedError):
+    """Somebody requested a hold during a move of the machine, which therefore ended before its position."""
+
+
 class OperatorError(FringedicError, RuntimeError):
     """A request of the operator's page is refused; the message says what to do instead."""
 

@@ -11,9 +11,10 @@ with RigClient("rig") as rig:
 from __future__ import annotations
 
 import math
+import statistics
 import threading
 import time
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -30,7 +31,7 @@ from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
 from fringedic.configuration.conditions import Reading
-from fringedic.errors import RigBusyError, StepFailedError, WaitTimeoutError
+from fringedic.errors import MoveStoppedError, RigBusyError, StepFailedError, WaitTimeoutError
 from fringedic.report.plane_instructions import place_in_words
 from fringedic_bringup.launch.readiness import Readiness
 from fringedic_bringup.participant import Participant
@@ -48,6 +49,7 @@ HEARTBEATS_S = 0.5
 # Without feedback. The nodes end every step and move by themselves; this ends the wait for a node that stands still.
 STEP_TIMEOUT_S = 3600.0
 CANCEL_AGAIN_S = 0.5  # between two requests to end a move
+STRAIN_S, MISSED = 2.0, 3  # without a new strain, and in periods of the strain, after which it is not known
 LOST_S = 10.0  # without its server, after which an action fails; a node that is started again is back earlier
 
 
@@ -111,6 +113,7 @@ class RigClient:
         self.node.create_subscription(StepStatus, "experiment/step", self._take_step, EVENTS)
         self._load: LoadState | None = None
         self._strain = self._strain_of_step = math.nan
+        self._strain_came, self._strain_periods = -math.inf, deque[float](maxlen=9)
         self.node.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
         self.node.create_subscription(Float64, "extensometer/strain", self._take_strain, STATE)
         self._sent: RepeatedGoal | None = None  # goal whose acceptance is pending; a server may run it already
@@ -201,6 +204,13 @@ class RigClient:
         """Latest force [N] and strain [-]; NaN before the first sample."""
         return Reading(math.nan if self._load is None else self._load.force, self._strain)
 
+    def _reading_since(self, begun: float) -> Reading:
+        """Return the latest force and strain; a strain that no longer arrives since `begun` [s] is NaN."""
+        usual = statistics.median(self._strain_periods) if self._strain_periods else 0.0
+        silence = time.monotonic() - max(self._strain_came, begun)
+        is_known = silence <= max(STRAIN_S, MISSED * usual)
+        return self.reading if is_known else self.reading._replace(strain=math.nan)
+
     @property
     def strain_of_step(self) -> float:
         """Latest valid strain of the extensometer during the last step [-]; NaN when there was none."""
@@ -225,9 +235,12 @@ class RigClient:
         until
             Called with the samples of the load frame that reach this client; when it returns true the machine is
             requested to hold. A busy computer delays samples and request without limit: for what only a client knows.
+            A strain that has not come for 2 s and three of its periods is NaN.
 
         Raises
         ------
+        MoveStoppedError
+            Somebody requested a hold.
         StepFailedError
             The machine did not reach the position.
         WaitTimeoutError
@@ -241,21 +254,19 @@ class RigClient:
             return self._act(self._move, goal, what, lambda _: None)
         self.wait_for(lambda: self._load is not None, START_TIMEOUT_S, lambda: "load_frame/state: no sample")
         sent = self._send(self._move, goal, what, lambda _: None)
-        stopped, again = False, 0.0
+        begun, stopped, again = time.monotonic(), False, 0.0
 
         def over() -> bool:
             nonlocal stopped, again
             ended = sent.request_result()
-            stopped = stopped or bool(not ended and until(self.reading))
+            stopped = stopped or bool(not ended and until(self._reading_since(begun)))
             if stopped and not ended and time.monotonic() > again:  # a request may be lost
                 again = time.monotonic() + CANCEL_AGAIN_S
                 sent.handle.cancel_goal_async()
             return ended
 
         result = self._result(sent, over, what)
-        if result.error_code and not (stopped and result.error_code == MoveCrosshead.Result.CANCELLED):
-            raise StepFailedError(f"{result.error_message} (error {result.error_code})")
-        return result
+        return result if stopped and result.error_code == MoveCrosshead.Result.CANCELLED else _without_error(result)
 
     def wait_for_strain(self, timeout_s: float = START_TIMEOUT_S) -> None:
         """Wait for a publisher of the strain.
@@ -637,7 +648,10 @@ class RigClient:
         self._load = message
 
     def _take_strain(self, message: Float64) -> None:
-        self._strain = message.data
+        now = time.monotonic()
+        if math.isfinite(self._strain_came):
+            self._strain_periods.append(now - self._strain_came)
+        self._strain, self._strain_came = message.data, now
         if math.isfinite(message.data):
             self._strain_of_step = message.data
 
@@ -645,6 +659,8 @@ class RigClient:
 def _without_error(result: Any) -> Any:
     if result.error_code:
         kind = RigBusyError if result.error_code == result.BUSY else StepFailedError
+        if isinstance(result, MoveCrosshead.Result) and result.error_code == result.CANCELLED:
+            kind = MoveStoppedError
         raise kind(f"{result.error_message} (error {result.error_code})")
     return result
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 
@@ -10,17 +11,19 @@ import rclpy
 from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
+from std_msgs.msg import Float64
 
-from fringedic.errors import NodeDiedError, StepFailedError, WaitTimeoutError
+from fringedic.configuration.conditions import Reading
+from fringedic.errors import MoveStoppedError, NodeDiedError, StepFailedError, WaitTimeoutError
 from fringedic_bringup import client
 from fringedic_bringup.client import RigClient
 from fringedic_msgs.action import MeasureStep, MoveCrosshead
-from fringedic_msgs.msg import StepStatus
-from fringedic_ros.qos import EVENTS
+from fringedic_msgs.msg import LoadState, StepStatus
+from fringedic_ros.qos import EVENTS, STATE
 from fringedic_ros.spinning import Spinning
 from fringedic_ros.waiting import sleep
 
-SLOW, SILENT, FAILING = 1e-3, 2e-3, 3e-3  # positions, for moves of these kinds
+SLOW, SILENT, FAILING, HELD = 1e-3, 2e-3, 3e-3, 4e-3  # positions, for moves of these kinds
 SILENCE_S = 1.5
 
 
@@ -30,6 +33,8 @@ class Rig(Node):
     def __init__(self) -> None:
         super().__init__("rig", namespace="rig")
         self.steps = self.create_publisher(StepStatus, "experiment/step", EVENTS)
+        self.loads = self.create_publisher(LoadState, "load_frame/state", STATE)
+        self.strains = self.create_publisher(Float64, "extensometer/strain", STATE)
         group = ReentrantCallbackGroup()
         options = {"callback_group": group, "cancel_callback": lambda _: CancelResponse.ACCEPT}
         ActionServer(self, MeasureStep, "measure_step", self._measure, **options)
@@ -45,6 +50,9 @@ class Rig(Node):
     async def _move(self, goal: ServerGoalHandle) -> MoveCrosshead.Result:
         if goal.request.position == FAILING:
             raise RuntimeError("the register does not hold this number")
+        if goal.request.position == HELD:
+            goal.abort()
+            return MoveCrosshead.Result(error_code=MoveCrosshead.Result.CANCELLED, error_message="load_frame/hold")
         end = time.monotonic() + 2.5 * SILENCE_S
         while time.monotonic() < end:
             if goal.request.position == SLOW:
@@ -68,6 +76,16 @@ def rig() -> Iterator[Rig]:
 def test_a_server_that_fails_during_a_move_has_not_moved() -> None:
     with RigClient() as controller, pytest.raises(StepFailedError, match="MoveCrosshead: its server failed"):
         controller.move(FAILING)
+
+
+def test_a_hold_of_somebody_else_in_a_move_is_told_from_a_failure(rig: Rig) -> None:
+    rig.loads.publish(LoadState())
+    with RigClient() as controller:
+        for until in (None, lambda _: False):
+            controller.wait_for(rig.loads.get_subscription_count, 30, lambda: "the subscription of the client")
+            rig.loads.publish(LoadState())
+            with pytest.raises(MoveStoppedError, match="load_frame/hold"):
+                controller.move(HELD, until=until)
 
 
 @pytest.mark.usefixtures("rig")
@@ -103,3 +121,25 @@ def test_the_steps_of_all_controllers_are_counted(rig: Rig) -> None:
         controller.wait_for(lambda: controller.highest_step("calibration") == 9, 30, lambda: "the steps")
         assert controller.highest_step("plate") == 7
         assert controller.last_step == -1, "no step of this client"
+
+
+def test_a_strain_that_no_longer_comes_is_not_known(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its publisher stands still in a move until a strain: the machine went on to the position."""
+    monkeypatch.setattr(client, "STRAIN_S", 0.3)
+    seen: list[float] = []
+    with RigClient() as controller:
+        for publisher in (rig.strains, rig.loads):
+            controller.wait_for(publisher.get_subscription_count, 30, lambda: "the subscription of the client")
+        for _ in range(9):
+            rig.strains.publish(Float64(data=0.01))
+            controller.sleep(0.01)
+        rig.loads.publish(LoadState())
+        controller.wait_for(lambda: controller.reading.strain == 0.01, 30, lambda: "the strain")
+
+        def unknown(reading: Reading) -> bool:
+            seen.append(reading.strain)
+            return math.isnan(reading.strain)
+
+        controller.move(SLOW, until=unknown)
+    assert seen[0] == 0.01
+    assert math.isnan(seen[-1])

@@ -10,6 +10,7 @@ import yaml
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import load_rig_file
 from fringedic.errors import ConfigurationError
+from fringedic.frames.region import Region
 from fringedic_bringup.launch.graph import Graph, rig_graph
 from fringedic_bringup.procedures.continuing import (
     folder_of_one_command,
@@ -61,6 +62,29 @@ def test_settings_that_change_results_are_those_of_the_first_steps(
         return
     with pytest.raises(ConfigurationError, match=rf"not those of its first steps \({named}\); undo the change"):
         require_same_settings(changed, logs)
+
+
+def test_a_refused_graph_leaves_the_calibration_of_the_run(tmp_path: Path) -> None:
+    """It was replaced, so that the next attempt went on with another calibration."""
+    graph_of(tmp_path)
+    file = tmp_path / "run" / "calibration.yaml"
+    file.write_text("of the first steps")
+    Region(Region.rectangle((40, 30), (120, 90)).polygons, 640, 480).save(tmp_path / "part.png")
+    with pytest.raises(ConfigurationError, match="drawn in an image of 640x480 px"):
+        graph_of(tmp_path, region_file="part.yaml")
+    assert file.read_text() == "of the first steps"
+
+
+def test_settings_of_a_later_measurement_are_those_of_the_first_steps(tmp_path: Path) -> None:
+    logs = tmp_path / "run" / "logs"
+    recorded = {"recording": {"process": False}}
+    first = graph_of(tmp_path, **recorded)
+    logs.mkdir()
+    for node in first.nodes:
+        node.write_parameters(logs)
+    require_same_settings(first, logs)
+    with pytest.raises(ConfigurationError, match=r"not those of its first steps \(nodes, region_file or"):
+        require_same_settings(graph_of(tmp_path, **recorded, nodes={"dic": {"window": 24}}), logs)
 
 
 @pytest.mark.parametrize("content", ["", "{", "- 5", "/**: {ros__parameters: 5}", "window: 10"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,7 +10,15 @@ from typing import Any
 import pytest
 
 from fringedic.configuration.programme import Programme, ProgrammeStep
-from fringedic.errors import ConfigurationError, NodeDiedError, OperatorError, RigBusyError, StepFailedError
+from fringedic.errors import (
+    ConfigurationError,
+    MoveStoppedError,
+    NodeDiedError,
+    OperatorError,
+    RigBusyError,
+    StepFailedError,
+    WaitTimeoutError,
+)
 from fringedic_bringup.launch.graph import Graph, NodeEntry
 from fringedic_bringup.procedures import driving
 from fringedic_bringup.procedures.continuing import STEPS_DONE, RecordedSteps, steps_done
@@ -61,6 +70,8 @@ class Rig:
         self.held = self.cancelled = 0
         self.no_hold = ""
         self.last_step, self.reference, self.recorder, self.strain_of_step = -1, 0, None, 0.0
+        self.refusals = self.silences = 0  # of the next requests for a reference, and of waits for readiness
+        self.killed: list[str] = []
         self._next, self._dead = MEASURED, dict[str, str]()
 
     # processes
@@ -78,6 +89,10 @@ class Rig:
     def restart(self, name: str, **changes: Any) -> None:
         del self._dead[name]
         self._next = changes.get("first_step", self._next)
+
+    def kill(self, names: Iterable[str]) -> None:
+        self.killed += names
+        self._dead |= dict.fromkeys(names, "was ended by SIGKILL")
 
     # client
 
@@ -107,6 +122,8 @@ class Rig:
     def move(self, *_: object) -> None:
         if self.plan[0] == "move":
             raise StepFailedError(self.plan.pop(0))
+        if self.plan[0] == "held":
+            raise MoveStoppedError(self.plan.pop(0))
 
     def highest_step(self, experiment: str) -> int:
         return self.used[-1] if self.used and experiment == EXPERIMENT else -1
@@ -123,9 +140,17 @@ class Rig:
 
     def sleep(self, *_: object) -> None: ...
 
-    def set_reference(self) -> None: ...
+    def set_reference(self) -> None:
+        self.refusals -= 1
+        if self.refusals >= 0:
+            raise StepFailedError("step 7 is being measured; set the reference between steps")
 
-    def wait_until_ready(self, *_: object) -> None: ...
+    def wait_until_ready(self, *_: object) -> None:
+        self.silences -= 1
+        if self.silences >= 0 and self.held:
+            raise WaitTimeoutError("not ready: recorder on dic/status")
+
+    def wait_for_strain(self) -> None: ...
 
     def wait_until_started(self, *_: object) -> None: ...
 
@@ -228,3 +253,78 @@ def test_a_hold_that_was_not_accepted_is_not_said_to_be_requested(
     assert drive(rig, monkeypatch, progress=progress).interrupted
     [note] = [note for note in progress.notes if note.startswith("interrupted")]
     assert "no hold was accepted: there is no service load_frame/hold: stop the machine by hand" in note
+
+
+def test_a_reference_that_is_refused_during_a_step_of_another_controller_is_set_afterwards(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = Rig(tmp_path, ["dic", ""])
+    rig.refusals = 3
+    driven = drive(rig, monkeypatch)
+    assert (driven.ended_early, rig.refusals) == ("", -1)
+    assert len(driven.steps) == 1
+
+
+def test_a_node_that_started_and_did_not_become_ready_is_started_once_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = Rig(tmp_path, ["dic", ""])
+    rig.silences = 2  # one before the first step
+    driven = drive(rig, monkeypatch)
+    assert (driven.ended_early, rig.killed) == ("", ["dic"])
+    assert len(driven.steps) == 1
+
+
+@pytest.mark.parametrize(
+    ("plan", "is_lost"),
+    [
+        (["", "dic"], True),
+        (["", "extensometer"], True),
+        (["", "load_frame", ""], False),
+        (["dic", "", ""], False),
+        (["error", ""], False),
+    ],
+)
+def test_a_programme_does_not_go_on_when_the_zero_of_its_strain_is_lost(
+    plan: list[str], is_lost: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The move until 2 % ended 2 % beyond the strain at the death; before the first step nothing is lost."""
+    rig = Rig(tmp_path, plan)
+    entries = (*rig.graph.nodes, NodeEntry("extensometer", "dic_node", "extensometer"))
+    rig.graph = Graph("rig", entries)
+    monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
+    steps = [{}, {"position_mm": 1.0, "until": {"strain_above_percent": 2}}]
+    programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": steps})
+    monkeypatch.setattr(rig, "move", lambda *_, **__: SimpleNamespace(position=0.0, force=0.0, force_reached=False))
+    driven = driving.drive(rig, programme, Progress())  # type: ignore[arg-type]
+    assert ("the strain would count from the present load" in driven.ended_early) is is_lost
+    if is_lost:
+        assert rig.held >= 2
+    else:
+        assert (driven.ended_early, len(driven.steps)) == ("", 2)
+
+
+@pytest.mark.parametrize(
+    ("plan", "ended", "measured"),
+    [(["", "held"], "held", 1), (["error", "held", "", ""], "", 3), (["", "dic", "held", "", ""], "", 3)],
+)
+def test_a_hold_that_somebody_requests_in_a_move_ends_the_programme(
+    plan: list[str], ended: str, measured: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The machine went on to the next position; a late hold of the programme itself is no reason to end."""
+    rig = Rig(tmp_path, plan)
+    monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
+    programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": [{"position_mm": 1.0}] * 3})
+    driven = driving.drive(rig, programme, Progress())  # type: ignore[arg-type]
+    assert (driven.ended_early, len(driven.steps)) == (ended, measured)
+    assert rig.held >= bool(ended)
+
+
+def test_a_failed_move_without_measurement_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(tmp_path, ["move", ""])
+    monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
+    programme = Programme.model_validate(
+        {"experiment": EXPERIMENT, "steps": [{"position_mm": 1.0, "mode": "none"}, {}]}
+    )
+    driven = driving.drive(rig, programme, Progress())  # type: ignore[arg-type]
+    assert [(report.step, report.error) for report in driven.steps] == [(-1, "move"), (MEASURED, "")]

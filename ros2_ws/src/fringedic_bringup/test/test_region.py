@@ -17,7 +17,7 @@ import xarray as xr
 from typer.testing import CliRunner
 
 from fringedic.configuration.rig_file import load_rig_file
-from fringedic.errors import ImageError
+from fringedic.errors import ConfigurationError, ImageError
 from fringedic.frames.region import Polygon, Region
 from fringedic_bringup.command.main import app
 from fringedic_bringup.display.region_window import BAR, GREEN, RED, Drawing, draw_region
@@ -209,10 +209,14 @@ def test_measure_takes_mask_and_polygons(tmp_path: Path) -> None:
 
 
 def test_nodes_get_the_region_of_the_rig_file(tmp_path: Path) -> None:
-    REGION.save(tmp_path / "region.png")
+    region = Region(REGION.polygons, 160, 120)
+    region.save(tmp_path / "region.png")
     path = tmp_path / "rig.yaml"
     path.write_text((CONFIG / "tiny.yaml").read_text() + "region_file: region.yaml\n")
     graph = rig_graph(load_rig_file(path), path, tmp_path / "out")
     for name in ("phase", "dic"):
         parameters = next(node.parameters for node in graph.nodes if node.name == name)
-        assert Region.from_text(parameters["region"]) == REGION
+        assert Region.from_text(parameters["region"]) == region
+    REGION.save(tmp_path / "region.png")
+    with pytest.raises(ConfigurationError, match=r"region.yaml: the region was drawn in an image of 200x160 px"):
+        rig_graph(load_rig_file(path), path, tmp_path / "out")

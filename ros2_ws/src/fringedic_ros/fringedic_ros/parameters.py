@@ -88,12 +88,19 @@ class Parameters(Generic[ModelT]):
                 self._on_change(value)
 
     def _publish(self) -> None:
-        message = NodeParameters(node=self._node.get_name())
-        message.header.stamp = to_msg(time.time_ns())
-        message.parameters = [
-            self._node.get_parameter(name).to_parameter_msg() for name in type(self.value).model_fields
-        ]
-        self._publisher.publish(message)
+        self._publisher.publish(parameters_message(self._node.get_name(), self.value))
+
+
+def parameters_message(node: str, value: BaseModel) -> NodeParameters:
+    """Return the message with the parameters of a node, from the model that declares them."""
+    message = NodeParameters(node=node)
+    message.header.stamp = to_msg(time.time_ns())
+    plain = _plain(value)
+    message.parameters = [
+        Parameter(name, _ros_type(field), _widened(plain[name], field)).to_parameter_msg()
+        for name, field in type(value).model_fields.items()
+    ]
+    return message
 
 
 def declare(node: Node, model: type[ModelT], on_change: Callable[[ModelT], None] | None = None) -> Parameters[ModelT]:

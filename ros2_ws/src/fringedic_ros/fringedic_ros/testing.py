@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -42,6 +42,32 @@ from fringedic_ros.waiting import RepeatedRequest
 PITCHES = (100.0, 20.0, 5.0)
 SHIFTS = (4, 4, 8)
 Frame = tuple[FrameRecord, np.ndarray]
+
+
+def command_lines() -> Iterator[tuple[int, list[str]]]:
+    """Yield the process id and the words of the command line of every process that this user may see."""
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            words = (process / "cmdline").read_text(errors="replace").split("\0")
+        except OSError:
+            continue  # it has ended, or belongs to another user
+        yield int(process.name), words
+
+
+def child_pid(parent: int, executable: str) -> int:
+    """Return the process of an executable that another process has started."""
+    for pid, words in command_lines():
+        with suppress(OSError):  # it has ended
+            of = int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
+            if of == parent and any(Path(word).name == executable for word in words):
+                return pid
+    raise ProcessLookupError(f"process {parent} has no child {executable}")
+
+
+def node_pids(folder: Path) -> dict[str, int]:
+    """Return the processes of the nodes of a run by their names: the command line contains the parameter file."""
+    logs = f"{folder / 'logs'}/"
+    return {Path(word).stem: pid for pid, words in command_lines() for word in words if word.startswith(logs)}
 
 
 class NodeProcess:

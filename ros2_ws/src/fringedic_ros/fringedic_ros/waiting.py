@@ -161,10 +161,11 @@ class Condition:
             changed = self._changed  # taken before the check, so that no change is missed between check and wait
             if predicate():
                 return
-            try:
-                await wait_for(self._node, changed, max(deadline - time.monotonic(), 0.0))
-            except WaitTimeoutError:
-                raise WaitTimeoutError(f"{what} did not come within {timeout_s:g} s") from None
+            left = deadline - time.monotonic()
+            if left <= 0:  # also when there is a change in every turn of the executor
+                raise WaitTimeoutError(f"{what} did not come within {timeout_s:g} s")
+            with contextlib.suppress(WaitTimeoutError):
+                await wait_for(self._node, changed, left)
 
 
 def _opener(node: Node, gate: Future) -> Callable[..., None]:

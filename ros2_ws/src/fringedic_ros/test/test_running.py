@@ -82,6 +82,19 @@ def test_condition_wakes_at_the_change(spinning: Spinning) -> None:
     assert spinning.run(wait_for_three) == 3
 
 
+def test_a_condition_that_changes_in_every_turn_still_gives_up(spinning: Spinning) -> None:
+    """At 1000 samples/s of a load frame no wait of a step ended."""
+    node = spinning.add(Node("waiter"))
+    condition = Condition(node)
+    node.create_timer(0.0, condition.notify, callback_group=ReentrantCallbackGroup())
+
+    async def wait_in_vain() -> None:
+        with pytest.raises(WaitTimeoutError, match=r"the camera did not come within 0\.2 s"):
+            await condition.wait(lambda: False, 0.2, "the camera")
+
+    spinning.run(wait_in_vain)
+
+
 def test_call_answers_or_gives_up(spinning: Spinning) -> None:
     node = spinning.add(Node("caller"))
     server = spinning.add(Node("server"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Container
 from contextlib import suppress
 
@@ -13,6 +14,7 @@ from fringedic_ros.waiting import Condition
 from load_frame_node.machines import LoadMode, Machine, Sample
 
 _STANDSTILL = (LoadMode.IDLE, LoadMode.HOLD)
+_AGAIN_S = 0.2  # between two requests of a hold
 
 
 class Crosshead:
@@ -114,6 +116,23 @@ class Crosshead:
         with self._in_use:
             self._hold_is_owed_until = ()
             self._request_hold()
+
+    def hold_at_last(self, timeout_s: float) -> None:
+        """Request a hold, while the machine does not answer again and again for up to `timeout_s`.
+
+        Raises
+        ------
+        MachineError
+            The machine did not accept it.
+        """
+        end = time.monotonic() + timeout_s
+        while True:
+            try:
+                return self.hold()
+            except MachineGoneError:
+                if time.monotonic() >= end:
+                    raise
+            time.sleep(_AGAIN_S)
 
     def _request_hold(self) -> None:
         self._open_machine().hold()

@@ -27,6 +27,7 @@ from load_frame_node.parameters import LoadFrameParameters
 from load_frame_node.sampler import Sampler
 
 JOINT = "crosshead"
+_LAST_HOLD_S = 10.0  # longest wait for the hold at the end; a lost machine is tried again after 8 s at most
 _CLOCK_PERIOD_S = 1.0  # between two messages about the clock of the machine
 
 
@@ -65,9 +66,9 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
             self._sampler = None
         if self._crosshead.machine is not None and self.parameters.value.source != "controller":
             try:
-                self._crosshead.hold()
+                self._crosshead.hold_at_last(_LAST_HOLD_S)
             except MachineError as error:
-                self.get_logger().warning(str(error))
+                self.get_logger().error(f"no hold was accepted: {error}; if the machine moves, stop it by hand")
 
     def close(self) -> None:
         """Release the machine."""

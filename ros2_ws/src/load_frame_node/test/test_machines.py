@@ -6,6 +6,7 @@ import math
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -408,6 +409,27 @@ def test_a_hold_that_was_not_accepted_is_requested_again(operator: Operator, tmp
             assert result.error_code == MoveCrosshead.Result.MACHINE_FAULT
             assert "a hold was not accepted and is requested again with every sample" in result.error_message
             assert operator.until(LoadState.HOLD).force < 500
+
+
+def test_a_node_that_ends_requests_the_hold_until_it_is_accepted(operator: Operator, tmp_path: Path) -> None:
+    """It tried once, while there was no connection, and the machine moved on."""
+    path = tmp_path / "machine.yaml"
+    parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
+    with server("modbus_machine.py") as (process, port):
+        path.write_text(yaml.safe_dump({**description("modbus", port), "timeout_s": 0.3}))
+        with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters):
+            operator.start(1.0 * MM, 0.02 * MM)
+            operator.until(LoadState.MOVING)
+            process.send_signal(signal.SIGSTOP)
+            operator.until(LoadState.UNKNOWN)
+            back = threading.Timer(3.0, process.send_signal, [signal.SIGCONT])
+            back.start()
+        back.join()
+        connected = opened(description("modbus", port), tmp_path)
+        held = connected.sample()
+        connected.close()
+        assert held.mode is LoadMode.HOLD
+        assert held.position < 0.9 * MM
 
 
 @pytest.mark.parametrize("is_reached", [True, False])

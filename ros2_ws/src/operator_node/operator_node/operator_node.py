@@ -11,6 +11,7 @@ import os
 import struct
 import tempfile
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -171,7 +172,11 @@ class OperatorNode(RigNode):
             code = getattr(ControlProcedure.Request, command.command.upper())
             return await self._called(self._controls, ControlProcedure.Request(command=code))
         if isinstance(command, Hold):
-            return await self._called(self._holds, Trigger.Request()) or "the machine was requested to hold"
+            answer = await self._called(self._holds, Trigger.Request()) or "the machine was requested to hold"
+            with suppress(OperatorError):  # no programme runs
+                await self._called(self._controls, ControlProcedure.Request(command=ControlProcedure.Request.PAUSE))
+                answer += "; the programme does not go on by itself"
+            return answer
         assert isinstance(command, Measure), "there are no other commands"
         return await self._measure_by_hand(command)
 

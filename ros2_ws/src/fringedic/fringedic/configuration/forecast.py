@@ -98,10 +98,20 @@ class Forecast:
             )
 
 
-def forecast(rig: RigFile, programme: Programme) -> Forecast:
+def forecast(rig: RigFile, programme: Programme, done: int = 0) -> Forecast:
     """Return the time and the disk space that a programme needs on a rig.
 
     Images whose size is not known before the test count as 5 megapixels.
+
+    Parameters
+    ----------
+    rig
+        The rig.
+    programme
+        The load steps.
+    done
+        How many of them an earlier command did. Those after them are forecast; at the end all parts of the recording
+        are joined, and all steps are measured again from their frames.
 
     Examples
     --------
@@ -112,16 +122,19 @@ def forecast(rig: RigFile, programme: Programme) -> Forecast:
     """
     costs = _Costs.of(rig)
     steps = programme.load_steps()
+    before, steps = steps[:done], steps[done:]
     measured = [step for step in steps if step.mode != "none"]
+    recorded = [step for step in before if step.mode != "none"]
     frames = sum(costs.frames(step) for step in measured)
     evaluation = sum(costs.evaluation_time(step) for step in measured)
-    test = START_TIME + _moving_time(rig, steps) + sum(step.hold_s for step in steps)
+    test = START_TIME + _moving_time(rig, before + steps) - _moving_time(rig, before)
+    test += sum(step.hold_s for step in steps)
     test += len(measured) * costs.step_time + frames * costs.frame_time
-    writing = len(measured) * (WRITING_TIME[0] + WRITING_TIME[1] * costs.points)
+    writing = len(recorded + measured) * (WRITING_TIME[0] + WRITING_TIME[1] * costs.points)
     if rig.recording.process:
         test += evaluation
-    else:
-        writing += evaluation
+    if done or not rig.recording.process:
+        writing += evaluation + sum(costs.evaluation_time(step) for step in recorded)
     free_frames = 0
     if rig.extensometer is not None:
         free_frames = round(rig.extensometer.rate_hz * max(test - START_TIME - frames * costs.frame_time, 0.0))
@@ -129,6 +142,8 @@ def forecast(rig: RigFile, programme: Programme) -> Forecast:
     size += free_frames * (costs.frame_bytes + FREE_RUN_BYTES)
     if rig.load_frame is not None:
         size += SAMPLE_BYTES * rig.load_frame.rate_hz * test
+    if done:
+        size += forecast(rig, programme).size  # all parts are copied into one recording
     return Forecast(
         len(steps), len(measured), frames, free_frames, test, writing, size, early=bool(programme.conditions())
     )

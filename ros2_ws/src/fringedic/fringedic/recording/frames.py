@@ -95,6 +95,20 @@ def records(bag: BagReader, experiment: str | None = None) -> Iterator[FrameReco
             yield record
 
 
+def newly_dropped(counts: Iterable[int]) -> Iterator[int]:
+    """Yield how many frames a camera dropped before each record, from its count, which a restarted camera begins again.
+
+    Examples
+    --------
+    >>> list(newly_dropped([0, 2, 2, 1]))
+    [0, 2, 0, 1]
+    """
+    before = 0
+    for count in counts:
+        yield count - before if count >= before else count
+        before = count
+
+
 def repeated_steps(exposures: Iterable[tuple[str, int, int, int]]) -> list[tuple[str, int]]:
     """Return experiment and number of the steps of which a frame was exposed more than once.
 

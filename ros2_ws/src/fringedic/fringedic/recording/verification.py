@@ -11,7 +11,7 @@ from pathlib import Path
 
 from fringedic.frames.records import stamp_of
 from fringedic.recording.bag_metadata import offered_profiles
-from fringedic.recording.frames import EXPOSURE, IMAGE, repeated_steps
+from fringedic.recording.frames import EXPOSURE, IMAGE, newly_dropped, repeated_steps
 from fringedic.recording.manifest import ManifestCheck, check_manifest
 from fringedic.recording.reader import BagReader, describe_set_back
 from fringedic.recording.topics import RawMessage, Topic
@@ -144,12 +144,12 @@ class _Frames:
     """Images, exposure records and stages of steps of a recording."""
 
     def __init__(self, reader: BagReader) -> None:
-        self.dropped = 0
         self._reader = reader
         known = reader.topics.keys() | reader.missing.keys()  # no message of a counted topic may be readable
         self._topics = {
             full: name for full in known for name in (IMAGE, EXPOSURE, STEP) if f"/{full}".endswith(f"/{name}")
         }
+        self._dropped: list[int] = []  # by the count of the camera at each record
         self._images: set[int] = set()
         self._records: set[int] = set()
         self._indices: defaultdict[Step, set[int]] = defaultdict(set)
@@ -172,9 +172,14 @@ class _Frames:
                 self._indices[step].add(message.index)
                 self._exposures.add((*step, message.index, stamp_of(message)))
                 self._sizes[step] = message.count
-            self.dropped = max(self.dropped, message.dropped)
+            self._dropped.append(message.dropped)
         elif message.stage == _END:
             self._finished.add((message.experiment, message.step))
+
+    @property
+    def dropped(self) -> int:
+        """Frames that the camera dropped before it published them."""
+        return sum(newly_dropped(self._dropped))
 
     @property
     def complete(self) -> int:

@@ -9,6 +9,7 @@ from typing import Any
 from fringedic.campaign.plan import Plan, Unit
 from fringedic.campaign.run import Status
 from fringedic.campaign.unit import Failure, Receipt
+from fringedic.report.counts import counted
 
 _SHOWN = 20  # failures, before the rest is counted
 
@@ -18,7 +19,7 @@ def plan_sentences(plan: Plan) -> list[str]:
     steps, size = sum(unit.steps for unit in plan.units), sum(unit.size for unit in plan.units)
     largest = max((unit.memory for unit in plan.units), default=0.0)
     return [
-        f"plan: {_count(len(plan.units), 'recording')}, about {_count(steps, 'step')}, {1e-9 * size:.2f} GB, "
+        f"plan: {counted(len(plan.units), 'recording')}, about {counted(steps, 'step')}, {1e-9 * size:.2f} GB, "
         f"{1e-9 * largest:.1f} GB of memory per worker, store {plan.store}",
         *(
             f"odd: {name} has images of {columns}x{rows} px, unlike most recordings"
@@ -31,7 +32,7 @@ def plan_sentences(plan: Plan) -> list[str]:
 
 def status_sentences(status: Status) -> list[str]:
     """Return the state of a campaign and its failures."""
-    counts = f"{len(status.done)} of {_count(len(status.plan.units), 'recording')} complete"
+    counts = f"{len(status.done)} of {counted(len(status.plan.units), 'recording')} complete"
     return [
         f"{counts}, {len(status.failed)} failed, {len(status.waiting)} waiting, {len(status.plan.refused)} refused",
         *_listed("begun", [_begun_words(name, begun) for name, begun in status.begun.items()]),
@@ -42,7 +43,7 @@ def status_sentences(status: Status) -> list[str]:
 
 def _begun_words(name: str, begun: dict[str, Any]) -> str:
     steps, attempts = begun["steps"], begun["attempts"]
-    measured = f", {_count(steps, 'step')} measured while it is recorded" if steps else ""
+    measured = f", {counted(steps, 'step')} measured while it is recorded" if steps else ""
     return f"{name} by {begun['worker']}{measured}" + (f", attempt {attempts}" if attempts > 1 else "")
 
 
@@ -82,7 +83,7 @@ class CampaignProgress:
         if isinstance(outcome, Failure):
             return f"{place} failed: {outcome.reason}"
         failed = outcome.figures["failed_steps"]
-        words = f"{place}: {_count(outcome.figures['steps'], 'step')}" + (f", {failed} failed" if failed else "")
+        words = f"{place}: {counted(outcome.figures['steps'], 'step')}" + (f", {failed} failed" if failed else "")
         return f"{words}, {outcome.seconds:.1f} s; {self._rates(seconds)}{self._trouble()}"
 
     def _trouble(self) -> str:
@@ -112,7 +113,3 @@ def _duration(seconds: float) -> str:
     if seconds < 100:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
-
-
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"

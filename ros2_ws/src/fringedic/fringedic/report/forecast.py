@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from fringedic.configuration.forecast import Forecast
+from fringedic.report.counts import counted, grouped
 
 
 def forecast_sentence(forecast: Forecast) -> str:
     """Return one sentence about a forecast."""
     most = "at most " if forecast.early else ""
-    free = f" and {forecast.free_frames} of the free run" if forecast.free_frames else ""
+    free = f" and {grouped(forecast.free_frames)} of the free run" if forecast.free_frames else ""
+    steps, frames = counted(forecast.steps, "step"), counted(forecast.frames, "frame")
     return (
-        f"{most}{forecast.steps} steps, {forecast.frames} frames{free}: about {_duration(forecast.duration)}, then "
+        f"{most}{steps}, {frames}{free}: about {_duration(forecast.duration)}, then "
         f"{_duration(forecast.writing)} for dataset and report, if the computer has no other work; "
         f"{_size(forecast.size)} of disk space"
     )

@@ -12,7 +12,7 @@ import numpy as np
 from fringedic.frames.messages import image_array
 from fringedic.frames.records import FrameRecord, stamp_of
 from fringedic.patterns.pattern import PatternKind
-from fringedic.recording.frames import records
+from fringedic.recording.frames import newly_dropped, records
 from fringedic.recording.reader import BagReader
 
 PHASE_TEXTURE = "phase/texture"
@@ -50,8 +50,11 @@ class Exposures:
 def read_exposures(recording: Path, experiment: str) -> Exposures | None:
     """Return the exposures of an experiment, None if the recording contains none."""
     steps: defaultdict[int, list[FrameRecord]] = defaultdict(list)
-    for record in records(BagReader(recording), experiment):
+    published = list(records(BagReader(recording), experiment))
+    dropped = 0
+    for record, lost in zip(published, newly_dropped(each.dropped for each in published), strict=True):
         if record.pattern.kind != PatternKind.OTHER:
+            dropped += lost if steps else 0  # those before the first frame belong to no step
             steps[record.step].append(record)
     if not steps:
         return None
@@ -59,12 +62,11 @@ def read_exposures(recording: Path, experiment: str) -> Exposures | None:
     longest = max(steps.values(), key=len)
     fringes = Counter(record.pattern.pitch for record in longest if record.pattern.kind == PatternKind.FRINGES)
     pitches = tuple(sorted(fringes, reverse=True))
-    dropped = [record.dropped for record in exposed]
     return Exposures(
         frames=len(longest),
         exposure_time=float(np.median([record.exposure_time for record in exposed])),
         frame_rate=_frame_rate(steps.values()),
-        dropped=max(dropped) - min(dropped),
+        dropped=dropped,
         pitches=pitches,
         shifts=tuple(fringes[pitch] for pitch in pitches),
         orientation=longest[0].pattern.orientation.name.lower(),

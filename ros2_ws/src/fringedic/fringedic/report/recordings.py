@@ -10,6 +10,7 @@ from fringedic.recording.manifest import MANIFEST, ManifestCheck
 from fringedic.recording.reader import describe_parts
 from fringedic.recording.repair import Content
 from fringedic.recording.verification import Verification
+from fringedic.report.counts import counted, grouped
 
 
 def content_sentences(content: Content) -> list[str]:
@@ -31,8 +32,8 @@ def content_sentences(content: Content) -> list[str]:
         lines.append(f"not listed in {METADATA}, but read: {', '.join(content.unlisted)}; remove other recordings")
     if content.whole:
         return [*lines, "lost: nothing"]
-    counted = f"{_plural(frames[1], 'frame')}, {_plural(messages[1] - frames[1], 'other message')}"
-    lost = counted if content.missing else "", content.damage, describe_parts(content.parts)
+    missing = f"{counted(frames[1], 'frame')}, {counted(messages[1] - frames[1], 'other message')}"
+    lost = missing if content.missing else "", content.damage, describe_parts(content.parts)
     return [*lines, f"lost: {'; '.join(filter(None, lost))}"]
 
 
@@ -58,10 +59,6 @@ def next_command(content: Content) -> str:
 
 def _frames(counts: Mapping[str, int]) -> int:
     return sum(count for name, count in counts.items() if f"/{name}".endswith(f"/{IMAGE}"))
-
-
-def _plural(number: int, name: str) -> str:
-    return f"{grouped(number)} {name}{'s' if number != 1 else ''}"
 
 
 def _share(readable: int, missing: int) -> str:
@@ -90,7 +87,7 @@ def verification_sentences(verification: Verification) -> Iterator[str]:
 
 def _chunks(verification: Verification) -> str:
     number = verification.unchecked
-    unchecked = f"{_plural(number, 'chunk')} {'has' if number == 1 else 'have'} no checksum" if number else ""
+    unchecked = f"{counted(number, 'chunk')} {'has' if number == 1 else 'have'} no checksum" if number else ""
     if number and not verification.manifest.present:
         unchecked += f" and no {MANIFEST}: a changed byte would not be found, record with checksums"
     return "; ".join(filter(None, (verification.damage, unchecked))) or "all fit their checksums"
@@ -108,14 +105,3 @@ def _manifest(check: ManifestCheck) -> str:
     if check.unreadable:
         problems.append(f"{MANIFEST} is damaged")
     return "; ".join(problems)
-
-
-def grouped(number: int) -> str:
-    """Return a number with its digits in groups of three.
-
-    Examples
-    --------
-    >>> grouped(12345)
-    '12 345'
-    """
-    return f"{number:,}".replace(",", " ")

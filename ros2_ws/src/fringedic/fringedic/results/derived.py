@@ -33,6 +33,7 @@ class Collected:
         self._calibration: RigModel | None = None
         self._steps: dict[int, dict[str, Any]] = {}  # by stamp, of the steps that are not complete yet
         self._done: set[int] = set()  # stamps of the rows so far
+        self._numbers: set[int] = set()  # steps of the rows so far
         self._reference: int | None = None
         self._reference_of: dict[int, int | None] = {}
         self._checks = ClosureChecks()
@@ -77,7 +78,11 @@ class Collected:
             parts = self._steps.pop(stamp)
             self._done.add(stamp)
             if any(topic.endswith("/status") for topic in parts):
-                rows.append(self._row(parts, stamp))
+                row = self._row(parts, stamp)
+                # a step that failed early ends for each node with the latest stamp that it knows
+                if row.step not in self._numbers:
+                    rows.append(row)
+                    self._numbers.add(row.step)
         return rows
 
     def _expected(self, parts: Mapping[str, Any]) -> set[str]:

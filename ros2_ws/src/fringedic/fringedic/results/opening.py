@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from fringedic.errors import DatasetError, ErrorCode, RecordingError, optional_i
 from fringedic.inputs.arguments import check_arguments
 from fringedic.inputs.arguments import path as file_path
 from fringedic.metadata import translate_metadata
-from fringedic.recording.bag_files import BAG, recorded_bytes, recording_of
+from fringedic.recording.bag_files import BAG, parts_of_run, recorded_bytes, recording_of
 from fringedic.recording.remote import file_system, is_remote, named_errors
 from fringedic.results.attributes import JSON_ATTRIBUTES
 from fringedic.results.millimetres import with_millimetres
@@ -106,7 +107,16 @@ def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
 
 
 def _dataset_in(folder: Path) -> Path | None:
-    """Return the dataset in the folder of a run, None if there is none, or the path is no such folder."""
+    """Return the dataset in the folder of a run, None if there is none, or the path is no such folder.
+
+    Raises
+    ------
+    DatasetError
+        As of `find_dataset`.
+    """
+    recording = folder / BAG
+    if recording.exists():
+        return _current(recording, _of_run(recording) + _named(recording))
     return next((folder / name for name in _OF_A_FOLDER if (folder / name).exists()), None)
 
 
@@ -118,25 +128,49 @@ def find_dataset(recording: Path) -> Path | None:
     DatasetError
         The recording has become longer since its dataset was made, or a dataset is damaged.
     """
+    return _current(recording, _named(recording) + _of_run(recording))
+
+
+def _named(recording: Path) -> list[Path]:
+    """Return where the datasets with the name of a recording are."""
     beside = dataset_path(recording, overwrite=True)
-    named = (beside, beside.with_suffix(".zarr"))
-    size = str(recorded_bytes(recording))
-    outdated = None
-    for candidate in (*named, *map(recording.with_name, _OF_A_RUN)):
-        if not candidate.exists():
-            continue
+    return [beside, beside.with_suffix(".zarr")]
+
+
+def _of_run(recording: Path) -> list[Path]:
+    """Return where the results of the run that made a recording are, or those of another one."""
+    return [recording.with_name(name) for name in _OF_A_RUN]
+
+
+def _current(recording: Path, candidates: Iterable[Path]) -> Path | None:
+    """Return the first dataset with everything that was recorded, None if there is no dataset at all."""
+    outdated = ""
+    for candidate in filter(Path.exists, candidates):
         with _open(candidate) as dataset:
-            if candidate not in named and dataset.attrs.get("source") != recording.name:
-                continue
-            if size == "0" or dataset.attrs.get(SOURCE_BYTES, size) == size:
-                return candidate
-        outdated = outdated or candidate
-    if outdated is not None:
-        raise DatasetError(
-            f"{outdated}: was made when {recording} had another size; 'fringedic process {recording} --overwrite' "
-            "makes it again"
-        )
+            attributes = dict(dataset.attrs)
+        if candidate.name in _OF_A_RUN and attributes.get("source") != recording.name:
+            continue
+        fault = _missing_part(recording, attributes)
+        if not fault:
+            return candidate
+        outdated = outdated or f"{candidate}: {fault}"
+    if outdated:
+        raise DatasetError(outdated)
     return None
+
+
+def _missing_part(recording: Path, attributes: Mapping[str, Any]) -> str:
+    """Return why a dataset may lack steps of its recording; empty if it does not, or says so itself."""
+    parts = [part.name for part in parts_of_run(recording) if part.name not in attributes.get("damage", "")]
+    if parts:
+        return (
+            f"lacks what {', '.join(parts)}, later parts of the same run, contain: 'fringedic run --continue' goes on "
+            f"with the run, 'fringedic recover {recording}' writes one recording of all parts, to be processed"
+        )
+    size = str(recorded_bytes(recording))
+    if size not in ("0", attributes.get(SOURCE_BYTES, size)):
+        return f"was made when {recording} had another size; 'fringedic process {recording} --overwrite' makes it again"
+    return ""
 
 
 def _open_remote(address: str) -> xr.Dataset:

@@ -107,7 +107,8 @@ class Timeline:
             if each.stage == _ERROR and each.error_code not in _OF_PROCESSING
         }
         announced = {each.step for each in messages("experiment/reference") if each.experiment == self.experiment}
-        self.references = announced | {min(self._exposed)}
+        # a reference step that failed before its first frame was announced, too, and the next one after it
+        self.references = (announced & self._exposed.keys()) | {min(self._exposed)}
         read = None if steps is None else steps | self.references
         refuse_repeated_steps((each for each in exposed if read is None or each.step in read), reader.path)
         specimen = recorded_metadata(messages("node_parameters")).specimen

@@ -16,7 +16,7 @@ from fringedic.steps.parameters import CouplingParameters, DicParameters, Parame
 
 METADATA_PARAMETER = "facts"  # its name in recordings
 _RENAMED = {"watch_region_px": "drift_marker_px"}  # parameters of older recordings
-_MODELS: dict[str, type[Parameters]] = {"phase": PhaseParameters, "dic": DicParameters, "coupling": CouplingParameters}
+MODELS: dict[str, type[Parameters]] = {"phase": PhaseParameters, "dic": DicParameters, "coupling": CouplingParameters}
 
 
 def present_name(node: str, recorded: str) -> str | None:
@@ -28,7 +28,7 @@ def present_name(node: str, recorded: str) -> str | None:
     ('drift_marker_px', None)
     """
     name = _RENAMED.get(recorded, recorded)
-    return name if name in _MODELS[node].model_fields else None
+    return name if name in MODELS[node].model_fields else None
 
 
 @dataclass(frozen=True)

@@ -154,6 +154,11 @@ def test_forecast_follows_steps_images_holds_and_moves() -> None:
     assert later.duration < base.duration  # what is measured at the end is measured in the time for writing
     assert later.duration + later.writing == pytest.approx(base.duration + base.writing)
     assert forecast(rig(), programme("steps: [{mode: white}]")).frames == 1
+    rest = forecast(rig(), slow, done=1)
+    assert (rest.steps, rest.frames) == (1, 12)
+    assert base.duration + 90 < rest.duration < base.duration + 98, "the slow move is left, one step is done"
+    assert rest.writing > base.writing, "all steps are measured again at the end"
+    assert rest.size > base.size, "the parts of the recording are copied into one"
     nested = forecast(rig(), programme(NESTED))
     assert (nested.steps, nested.frames, nested.early) == (14, 121, True)
 

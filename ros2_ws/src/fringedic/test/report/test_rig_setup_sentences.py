@@ -148,7 +148,7 @@ def test_noise_floor_as_text() -> None:
 def test_forecast() -> None:
     forecast = Forecast(14, 13, 121, 15000, duration=610.0, writing=80.0, size=2.5e9, early=True)
     sentence = forecast_sentence(forecast)
-    assert sentence.startswith("at most 14 steps, 121 frames and 15000 of the free run: about 10 min, then 80 s for")
+    assert sentence.startswith("at most 14 steps, 121 frames and 15 000 of the free run: about 10 min, then 80 s for")
     assert sentence.endswith("2.5 GB of disk space")
     short = dataclasses.replace(forecast, early=False, free_frames=0, duration=7500.0, size=3e8)
     assert forecast_sentence(short).startswith("14 steps, 121 frames: about 2 h 05 min")

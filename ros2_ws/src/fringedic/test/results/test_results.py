@@ -398,6 +398,19 @@ def test_a_step_without_its_last_status_keeps_its_place():
     assert "lacks coupling/status" in rows[1].error
 
 
+def test_a_failed_step_that_nodes_ended_with_different_stamps_is_one_row():
+    """The phase node ends it at the frame that it refuses, the others when they hear of the error: two rows."""
+    topics = {"phase/status", "dic/status"}
+    collected = Collected(topics)
+    rows = []
+    for step, seconds, topic in ((1, 10, "phase/status"), (1, 11, "dic/status"), *((2, 20, each) for each in topics)):
+        header = SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=0))
+        status = {"header": header, "step": step, "valid_fraction": 1.0, "rms": 1.0, "error_message": f"{topic} failed"}
+        rows += collected.take(topic, SimpleNamespace(**status, error_code=int(step == 1)))
+    rows += collected.finish()
+    assert [(row.step, row.error) for row in rows] == [(1, "phase/status failed"), (2, "")]
+
+
 def test_results_do_not_depend_on_the_number_of_threads(bench, processed, tmp_path):
     script = """
         import sys
@@ -560,9 +573,22 @@ def test_a_dataset_of_a_shorter_recording_is_not_opened_for_it(tmp_path):
             writer.write(*message)
     with pytest.raises(DatasetError, match=r"bag\.nc: was made when .*bag had another size; 'fringedic process"):
         open_experiment(bag)
-    process_bag(bag, output=tmp_path / "results.nc")
-    with open_experiment(bag) as dataset:
-        assert dataset.sizes["step"] == 3
+    (tmp_path / "bag.nc").rename(tmp_path / "results.nc")
+    with pytest.raises(DatasetError, match=r"results\.nc: was made when .*bag had another size; 'fringedic process"):
+        open_experiment(tmp_path)
+    process_bag(bag)
+    for path in (bag, tmp_path):
+        with open_experiment(path) as dataset:
+            assert dataset.sizes["step"] == 3
+    process_bag(bag, output=tmp_path / "results.nc", overwrite=True)
+    shutil.copytree(bag, tmp_path / "bag-2")  # as of a command that was killed before it joined the parts
+    (tmp_path / "bag.nc").unlink()
+    for path in (bag, tmp_path):
+        with pytest.raises(DatasetError, match=r"results\.nc: lacks what bag-2, .*'fringedic run --continue' goes on"):
+            open_experiment(path)
+    process_bag(bag)
+    with open_experiment(tmp_path) as dataset:
+        assert "bag-2" in dataset.damage
 
 
 def test_a_white_step_has_a_displacement_and_no_shape(processed):
@@ -675,6 +701,19 @@ def test_zarr_holds_the_same(bench, processed, tmp_path):
     assert [each.name for each in tmp_path.iterdir()] == ["plate.zarr"]
     with pytest.raises(DatasetError, match=r"is named \.nc \(NetCDF\) or \.zarr"):
         process_bag(bench.bag, output=tmp_path / "plate.txt")
+
+
+def test_a_reference_step_that_failed_before_its_first_frame_is_none(tmp_path):
+    """It had been announced: a part of the steps was refused, because that step has no frame."""
+    bench = Bench(tmp_path / "plate")
+    bench.begin()  # announces step 0
+    bench.write("experiment/step", bench.now, experiment="plate", step=0, stage=4, error_message="no hold")
+    bench.write("experiment/reference", bench.now, experiment="plate", step=1)
+    for number in (1, 2):
+        bench.step(number, POSITIONS[number], derived=False)
+    bench.writer.close()
+    with open_experiment(process_bag(tmp_path / "plate", steps=[2])) as dataset:
+        assert (dataset.step.values.tolist(), dataset.reference_step.values.tolist()) == ([1, 2], [1, 1])
 
 
 def test_another_reference_step_turns_the_displacement_round(bench, processed, tmp_path):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import termios
 from types import TracebackType
 
 from rich.console import Console
@@ -76,6 +78,8 @@ class LiveProgress:
     def ask(self, words: str) -> bool:
         """Ask an operator to do something and wait for Enter; False without input, or when the answer is not empty."""
         self._bars.stop()
+        if sys.stdin.isatty():
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)  # what was typed before the question is no answer to it
         try:
             answer = self._console.input(f"{escape(words)}, then press Enter (any other text stops): ")
         except EOFError:

@@ -11,7 +11,7 @@ import yaml
 
 from fringedic.configuration.rig_file import RigFile, load_fitting_calibration
 from fringedic.configuration.sections import ExtensometerSection
-from fringedic.errors import ConfigurationError
+from fringedic.errors import ConfigurationError, ImageError
 from fringedic.frames.region import Region
 from fringedic.inputs.yaml_text import load_yaml
 from fringedic.metadata import Metadata
@@ -97,25 +97,21 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
     Raises
     ------
     ConfigurationError
-        The calibration file cannot be read or belongs to another rig, or the coarsest fringes repeat in the view.
+        The calibration file cannot be read or belongs to another rig, the coarsest fringes repeat in the view, or the
+        region was drawn in an image of another size.
     """
     calibration = load_fitting_calibration(rig, rig_path)
     folder.mkdir(parents=True, exist_ok=True)
-    calibration_file = ""
-    if calibration is not None:
-        calibration_file = str((folder / "calibration.yaml").absolute())
-        calibration.to_yaml(calibration_file)
-
+    calibration_file = "" if calibration is None else str((folder / "calibration.yaml").absolute())
+    region = _region(rig, rig_path)
+    processing = {
+        "phase": _phase(rig) | region,
+        "dic": rig.nodes.dic.model_dump() | region,
+        "coupling": rig.nodes.coupling.model_dump(),
+    }
     nodes = [NodeEntry("recorder", "experiment_node", "recorder", _recorder(rig, folder))]
     if rig.recording.process:
-        region = _region(rig, rig_path)
-        nodes += _processing_nodes(
-            {
-                "phase": _phase(rig) | region,
-                "dic": rig.nodes.dic.model_dump() | region,
-                "coupling": rig.nodes.coupling.model_dump(),
-            }
-        )
+        nodes += _processing_nodes(processing)
     if rig.load_frame is not None and rig.load_frame.source != "external":
         # the machine, which may be moving, is requested to hold as soon as it answers
         again = {"machine_required": False}
@@ -130,10 +126,14 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         "calibration_folder": str((folder / "calibrations").absolute()),
         "record_only": not rig.recording.process,
     }
+    if not rig.recording.process:
+        settings["later_parameters"] = yaml.safe_dump(processing)
     nodes += [
         *_hardware(rig, rig_path, _camera(rig, rig_path) | _truth(rig, folder) | _free_run(rig)),
         NodeEntry("experiment", "experiment_node", "experiment", settings),
     ]
+    if calibration is not None:
+        calibration.to_yaml(calibration_file)  # when nothing can fail any more: it may replace that of an earlier run
     return _graph(rig, nodes)
 
 
@@ -326,7 +326,16 @@ def _camera(rig: RigFile, rig_path: Path) -> dict[str, Any]:
 
 def _region(rig: RigFile, rig_path: Path) -> dict[str, str]:
     """Return the region of interest as a parameter, so that a replay needs no other file."""
-    return {} if rig.region_file is None else {"region": Region.load(rig_path.parent / rig.region_file).to_text()}
+    if rig.region_file is None:
+        return {}
+    path, size = rig_path.parent / rig.region_file, rig.camera_size()
+    region = Region.load(path)
+    if size is not None:
+        try:
+            region.mask_for(size[::-1])
+        except ImageError as error:
+            raise ConfigurationError(f"{path}: {error}") from error
+    return {"region": region.to_text()}
 
 
 def _phase(rig: RigFile) -> dict[str, Any]:

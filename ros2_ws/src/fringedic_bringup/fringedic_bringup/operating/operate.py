@@ -18,7 +18,7 @@ from fringedic_bringup.operating.server import ProcedureServer
 
 TOKEN = "FRINGEDIC_OPERATOR_TOKEN"  # the environment of another user's process cannot be read
 START_S = 60.0
-MOST_DEATHS = 5  # of the page within `DEATHS_SPAN_S`; after more, another start does not help
+MOST_DEATHS = 5  # of the page within `DEATHS_SPAN_S`; after more, another start helps later at best
 DEATHS_SPAN_S = 60.0
 
 
@@ -70,11 +70,15 @@ def operate(
             deaths: list[float] = []
             while not stop():
                 work()
-                if page.dead():
-                    deaths = [*(each for each in deaths if time.monotonic() - each < DEATHS_SPAN_S), time.monotonic()]
-                    if len(deaths) > MOST_DEATHS:
-                        page.check()
-                    page.restart("operator")
+                deaths = [each for each in deaths if time.monotonic() - each < DEATHS_SPAN_S]
+                if not page.dead():
+                    continue
+                if len(deaths) < MOST_DEATHS:
+                    deaths.append(time.monotonic())
+                    with suppress(OSError):  # no memory or disk space for it now
+                        page.restart("operator")
+                elif procedures is None or not procedures.is_measuring:  # a page that is gone must not end a test
+                    page.check()
 
 
 def _await_page(page: RunningGraph, address: Address, work: Callable[[], None]) -> None:

@@ -68,6 +68,11 @@ class ProcedureServer:
         node.create_service(ControlProcedure, "procedures/control", self._control)
         self._publish_setup()
 
+    @property
+    def is_measuring(self) -> bool:
+        """Whether a procedure other than the live view runs or is about to begin."""
+        return self._next is not None or (self._running is not None and not self._running.is_live)
+
     def spin_once(self) -> None:
         """Run callbacks, begin the next procedure when the one before has ended, and publish changes."""
         self._participant.spin_once(PERIOD_S)

@@ -131,9 +131,10 @@ def calibration_client(
         RunningGraph(graph, folder / "logs", domain=domain) as running,
         RigClient(graph.namespace, domain=domain, watch=running.check) as client,
     ):
-        if "stage" not in graph.names:
-            client.serve_placing(placing_by(ask))
         client.wait_until_ready(graph.names)
+        place = client.node.resolve_service_name("reference_plane/place")
+        if "stage" not in graph.names and not client.node.count_services(place):  # no driver of a real stage serves it
+            client.serve_placing(placing_by(ask))
         yield client
 
 

@@ -21,6 +21,7 @@ from fringedic_msgs.msg import StepStatus
 
 STEPS_DONE = "steps_done"  # file among the logs: steps of the programme that were done, and the references
 COMPARED = ("experiment", "camera", "projector", "phase", "dic", "coupling")  # nodes whose parameters change results
+_LATER = "nodes, region_file or pixel_format, which earlier versions did not record without processing"
 OF_ONE_COMMAND = {"truth_folder", "calibration_file", "calibration_folder", "facts", "first_step", "reference_step"}
 
 
@@ -151,7 +152,7 @@ def require_same_settings(graph: Graph, logs: Path) -> None:
         The message names the parameters that differ, or a parameter file that is damaged.
     """
     changed = [
-        f"{node.name}.{name}"
+        _LATER if name == "later_parameters" else f"{node.name}.{name}"
         for node in graph.nodes
         if node.name in COMPARED
         for name in sorted(node.changed_parameters(logs) - OF_ONE_COMMAND)

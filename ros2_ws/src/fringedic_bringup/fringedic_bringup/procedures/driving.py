@@ -17,6 +17,7 @@ from fringedic.configuration.conditions import MetCondition, Reading
 from fringedic.configuration.programme import Programme, ProgrammeStep
 from fringedic.errors import (
     FringedicError,
+    MoveStoppedError,
     NodeDiedError,
     OperatorError,
     RigBusyError,
@@ -34,6 +35,7 @@ from fringedic_msgs.action import MeasureStep
 
 MOST_DEATHS = 3  # of one node without a measured step in between; after more, a restart does not remove the cause
 MOST_SILENCES = 3  # missing answers without a measured step in between, although every node runs
+EXTENSOMETER = "extensometer"  # counts the strain from its first frame, and from each reference step
 WITH_REFERENCE = ("dic", "coupling")  # keep the reference step in memory and lose it when they end
 INTERRUPTION_S = 5.0  # wait for the answer to hold and cancel
 BUSY_S = 1.0  # between two attempts while another controller uses the rig
@@ -107,10 +109,11 @@ def drive(
 
     with RigClient(running.graph.namespace, domain=domain, watch=watch, name="programme") as rig:
         rig.wait_until_ready(running.graph.names)
-        if any(until.needs_strain for until in programme.conditions()):
+        needs_strain = any(until.needs_strain for until in programme.conditions())
+        if needs_strain:
             rig.wait_for_strain()
         count = sum(step.mode != "none" for step in programme.load_steps())
-        driver = _Driver(running, rig, progress, control, count - 1)
+        driver = _Driver(running, rig, progress, control, count - 1, needs_strain=needs_strain)
         if before is not None:
             rig.last_step = before.last
             driver.references += before.references
@@ -158,13 +161,17 @@ class _Driver:
         progress: Progress,
         control: RunControl,
         last: int,
+        *,
+        needs_strain: bool = False,
     ) -> None:
         self.reports: list[StepReport] = []
         self.references: list[int] = []
         self._running, self._rig, self._progress, self._control = running, rig, progress, control
-        self._number, self._last = 0, last
+        self._number, self._last, self._needs_strain = 0, last, needs_strain
         self.interrupted = False
         self._restarted = False  # a node was started again since the last successful step
+        self._is_new_reference = False  # the step under way sets the reference, and the zero of the strain
+        self._held = False  # a hold was requested since then, by this programme or for its failed step
         self._deaths: Counter[str] = Counter()  # without a measured step in between
         self._silences = 0
         self._awaited: dict[str, int] = {}  # nodes that were started again, and when [ns]
@@ -172,6 +179,7 @@ class _Driver:
     def do(self, step: ProgrammeStep) -> Reading | None:
         """Execute a step, and repeat it when a node ends meanwhile; return the readings for the conditions."""
         self._number = self._rig.last_step + 1  # the number that the step gets in the recording
+        self._is_new_reference = step.set_reference
         self._last = max(self._last, self._number)
         if not self._control.may_begin():
             self._tell("paused")
@@ -180,6 +188,7 @@ class _Driver:
 
     def finish(self) -> None:
         """Wait until everything is recorded."""
+        self._needs_strain = False
         self._with_restarts(self._rig.wait_until_recorded)
         if self._rig.recorder is not None and self._rig.recorder.error_message:
             self._progress.note(f"recorder: {self._rig.recorder.error_message}")
@@ -197,7 +206,14 @@ class _Driver:
             result = self._rig.measure(step.mode, set_reference=step.set_reference, feedback=self._show)
         except RigBusyError:
             raise
+        except MoveStoppedError as error:
+            if not self._held:
+                raise  # somebody wants the machine to stand still
+            self._held = False
+            self._progress.note(f"{error}: perhaps by a request of this programme that came late; the move is repeated")
+            return self._move_and_measure(step)
         except StepFailedError as error:
+            self._held = True
             self._running.check()  # raises when a node has ended: then the step is repeated
             self._progress.note(str(error))
             if self._restarted:
@@ -205,9 +221,8 @@ class _Driver:
                 self._restarted = False
                 self._progress.note(f"step {self._number} is repeated")
                 return self._move_and_measure(step)
-            if step.mode != "none":
-                begun = self._rig.last_step >= self._number
-                self._report(StepReport(self._rig.last_step if begun else -1, error=str(error)))
+            begun = step.mode != "none" and self._rig.last_step >= self._number
+            self._report(StepReport(self._rig.last_step if begun else -1, error=str(error)))
             return None
         if moved:
             self._progress.note(moved)
@@ -215,13 +230,15 @@ class _Driver:
 
     def _take(self, step: ProgrammeStep, result: MeasureStep.Result) -> Reading:
         """Report a measured step."""
-        self._restarted, self._silences = False, 0
+        self._restarted, self._held, self._silences = False, False, 0
         self._deaths.clear()
-        if not step.set_reference and self.reports and result.step == self._rig.reference:
-            self.interrupted = True  # the experiment node replaced it
+        replaced = bool(self.references) and not step.set_reference and result.step == self._rig.reference
         if step.set_reference or not self.references:
             self.references.append(result.step)
         self._report(_report(step, result))
+        if replaced:  # by the experiment node
+            self.interrupted = True
+            self._require_zero_of_strain(f"step {result.step} became the reference")
         return Reading(result.force_mean, self._rig.strain_of_step, result.valid_fraction)
 
     def _report(self, report: StepReport) -> None:
@@ -296,7 +313,7 @@ class _Driver:
 
     def interrupt(self) -> str:
         """Request a hold, and the end of the move or step under way; return why no hold was accepted, if it was not."""
-        not_held = ""
+        not_held, self._held = "", True
         try:
             self._rig.hold(INTERRUPTION_S)
         except (StepFailedError, WaitTimeoutError, NodeDiedError) as error:
@@ -315,11 +332,16 @@ class _Driver:
                 names.update(self._running.dead())
                 self._start_again(death)
                 self._rig.wait_until_ready(self._running.graph.names)
+                self._awaited.clear()
                 self._restarted = True
                 self._progress.note(f"{_in_words(names)} ready again after {time.monotonic() - begin:.0f} s")
                 without_reference = names.intersection(WITH_REFERENCE)
+                if EXTENSOMETER in names:
+                    self._require_zero_of_strain("the extensometer was started again")
                 if without_reference and self._rig.reference >= 0:
-                    self._rig.set_reference()
+                    if self.references and not self._is_new_reference:
+                        self._require_zero_of_strain(f"{_in_words(without_reference)} lost the reference")
+                    self._set_reference()
                     self._progress.note(
                         f"{_in_words(without_reference)} lost the reference: until the end of the programme, or the "
                         "next reference in it, displacements count from the next step; afterwards all steps are "
@@ -332,6 +354,32 @@ class _Driver:
                 death = another
             except WaitTimeoutError as silence:
                 death = self._end_silent(silence)
+
+    def _require_zero_of_strain(self, why: str) -> None:
+        """End the programme when the strain would count from another state than its conditions mean.
+
+        Raises
+        ------
+        StepFailedError
+            The programme has conditions on the strain of an extensometer of this rig.
+        """
+        if self._needs_strain and EXTENSOMETER in self._running.graph.names:
+            raise StepFailedError(
+                f"{why}: the strain would count from the present load, and the conditions of the programme would come "
+                "too late; unload, and start a new run"
+            )
+
+    def _set_reference(self) -> None:
+        """Make the next step the reference, after the end of a step of another controller."""
+        waits_for = ""
+        while True:
+            try:
+                return self._rig.set_reference()
+            except StepFailedError as refusal:
+                if str(refusal) != waits_for:
+                    self._progress.note(f"the programme waits: {refusal}")
+                waits_for = str(refusal)
+            self._rig.sleep(BUSY_S)
 
     def _end_silent(self, silence: WaitTimeoutError) -> NodeDiedError:
         """End the nodes that were started again and did not become ready, so that they are started once more."""
@@ -357,7 +405,6 @@ class _Driver:
             )
         self.interrupt()
         self._rig.wait_until_started(self._awaited, RESTART_S)
-        self._awaited.clear()
 
     def _changes(self, name: str) -> dict[str, Any]:
         """Return the parameters with which a restarted node continues where it ended."""

@@ -18,8 +18,8 @@ from fringedic_bringup.launch.graph import replay_graph
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.participant import Participant
 from fringedic_bringup.procedures.outcome import Progress
-from fringedic_msgs.msg import StepStatus
-from fringedic_ros.qos import LATCHED_BY_MANY
+from fringedic_msgs.msg import RecorderStatus, StepStatus
+from fringedic_ros.qos import LATCHED, LATCHED_BY_MANY
 
 _LOOK_EVERY_S = 0.1
 _REMAINING = 100  # callbacks after the end of the player, which leaves when its last status was received
@@ -62,8 +62,8 @@ def replay(
     Raises
     ------
     RecordingError
-        The recording lacks frames, exposures or steps, or a calibration when none is given; or the output contains a
-        recording already.
+        The recording lacks frames, exposures or steps, or a calibration when none is given; the output contains a
+        recording already; or the recorder stopped, such as on a full disk.
     CalibrationError
         The calibration belongs to another rig, or its lengths contradict each other.
     PatternError
@@ -95,8 +95,10 @@ def replay(
         while running.exit_code("player") is None:
             running.check()
             played.report(_LOOK_EVERY_S)
+            played.check()
         running.check()
         played.report_rest()
+        played.check()
     if not target.exists():
         raise NodeDiedError(f"the recorder wrote no recording; see {running.log('recorder')}")
     return target
@@ -118,6 +120,8 @@ class _PlayedSteps:
     def __init__(self, namespace: str, domain: int, steps: int, progress: Progress) -> None:
         self._participant = Participant("replay", namespace, domain=domain)
         self._participant.node.create_subscription(StepStatus, "player/status", self._take, LATCHED_BY_MANY)
+        self._participant.node.create_subscription(RecorderStatus, "recorder/status", self._take_recorder, LATCHED)
+        self._recorder = RecorderStatus()
         self._progress = progress
         self._steps, self._number = steps, 0
         self._frames: dict[tuple[str, int], int] = {}
@@ -133,12 +137,20 @@ class _PlayedSteps:
         """Report one status that has been received or is received in this time."""
         self._participant.spin_once(timeout_s)
 
+    def check(self) -> None:
+        """Raise RecordingError when the recorder has stopped."""
+        if self._recorder.state == RecorderStatus.FAILED:
+            raise RecordingError(f"the recorder stopped: {self._recorder.error_message}")
+
     def report_rest(self) -> None:
         """Report everything that was received, and a summary."""
         for _ in range(_REMAINING):
             self._participant.spin_once(0.0)
         whole, frames = self._number - self._problems, sum(self._frames.values())
         self._progress.note(f"whole: {whole} of {self._steps} steps, {frames} frames")
+
+    def _take_recorder(self, status: RecorderStatus) -> None:
+        self._recorder = status
 
     def _take(self, status: StepStatus) -> None:
         if status.stage == StepStatus.BEGIN:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from fringedic.configuration.forecast import forecast
+from fringedic.configuration.forecast import Forecast, forecast
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_programme, load_rig_file
 from fringedic.configuration.sections import VIRTUAL_RIG
@@ -19,6 +19,8 @@ from fringedic.errors import ConfigurationError, DatasetError, ImageError
 from fringedic.figures.maps import save_pictures
 from fringedic.frames.files import image_files
 from fringedic.frames.records import frame_record, stamp_of
+from fringedic.patterns.pattern import PatternKind
+from fringedic.recording.frames import EXPOSURE, IMAGE, newly_dropped
 from fringedic.recording.reader import BagReader
 from fringedic.report import write_report
 from fringedic.report.calibration_sentences import in_force_words
@@ -130,9 +132,8 @@ def run_experiment(
             if resume
             else f"{folder} contains a recording already; choose another --output, or go on with it by --continue"
         )
-    expected = forecast(rig, programme)
-    progress.note(f"{programme.experiment}: {forecast_sentence(expected)}")
-    expected.check_disk(folder)
+    if not resume:
+        _announce(forecast(rig, programme), programme, folder, progress)
     with folder_of_one_command(folder):
         bag, calibration, before = folder / "bag", folder / "calibration.yaml", None
         first_calibration = calibration.read_text() if resume and calibration.exists() else ""
@@ -145,6 +146,7 @@ def run_experiment(
             before = recorded_steps(bag, programme, rig.namespace)
             require_same_settings(graph, folder / "logs")
             progress.note(f"{programme.experiment}: {len(before.measured)} steps are measured already")
+            _announce(forecast(rig, programme, before.done), programme, folder, progress)
             graph = continued(graph, bag, before)
         if isinstance(rig.calibration, str) and rig.calibration != VIRTUAL_RIG:
             for words in in_force_words(rig_path.parent / rig.calibration, datetime.now(UTC)):
@@ -160,6 +162,11 @@ def run_experiment(
         )
         report.ended_early, report.interrupted = driven.ended_early, driven.interrupted
         return report
+
+
+def _announce(expected: Forecast, programme: Programme, folder: Path, progress: Progress) -> None:
+    progress.note(f"{programme.experiment}: {forecast_sentence(expected)}")
+    expected.check_disk(folder)
 
 
 def write_results(
@@ -235,23 +242,25 @@ def _compare(
 
 
 def frame_losses(bag: Path) -> dict[int, tuple[int, int]]:
-    """Return (frames that the camera dropped, exposures without image in the recording) of each step."""
+    """Return (frames that the camera dropped, exposures without image in the recording) of each step.
+
+    Those of the free run belong to no step.
+    """
     reader = BagReader(bag)
-    names = reader.find("camera/image_raw", "camera/exposure")
-    images, records = set(), defaultdict(list)
+    names = reader.find(IMAGE, EXPOSURE)
+    images, records = set(), []
     for topic, message, _ in reader.messages(names.values()):
-        if topic == names["camera/image_raw"]:
+        if topic == names[IMAGE]:
             images.add(stamp_of(message))
         else:
-            record = frame_record(message)
-            records[record.step].append(record)
-    losses: dict[int, tuple[int, int]] = {}
-    dropped_before = 0
-    for step, exposures in sorted(records.items()):
-        dropped = max(record.dropped for record in exposures)
-        losses[step] = dropped - dropped_before, sum(record.stamp not in images for record in exposures)
-        dropped_before = dropped
-    return losses
+            records.append(frame_record(message))
+    dropped: Counter[int] = Counter()
+    missing: Counter[int] = Counter()
+    for record, lost in zip(records, newly_dropped(each.dropped for each in records), strict=True):
+        if record.pattern.kind != PatternKind.OTHER:
+            dropped[record.step] += lost
+            missing[record.step] += record.stamp not in images
+    return {step: (dropped[step], missing[step]) for step in dropped}
 
 
 def _exact(rig: RigFile) -> Reconstruct | None:
