@@ -196,6 +196,9 @@ def test_programme_goes_on_without_its_driver_and_four_others_see_it(
         expect(page.locator("tr.now")).to_contain_text("capture", timeout=WAIT_MS)
         page.click("#hold")
         expect(page.locator("#message")).to_contain_text("hold requested at")
+        expect(page.locator("#message")).to_contain_text("the programme does not go on by itself")
+        expect(page.locator("#summary")).to_contain_text("is paused", timeout=WAIT_MS)
+        page.click("#resume")
         page.goto("about:blank")
         for each in lookers:
             assert finished(each).startswith("3 steps in alone-")
