@@ -60,7 +60,9 @@ def derived(bag: Path) -> dict[str, list[bytes]]:
 @pytest.fixture(scope="module")
 def raw_bag(experiment: RunReport, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a copy of the recording with the raw topics only."""
-    return copy_topics(experiment.folder / "bag", tmp_path_factory.mktemp("raw") / "bag", only=RAW)
+    target = copy_topics(experiment.folder / "bag", tmp_path_factory.mktemp("raw") / "bag", only=RAW)
+    assert set(BagReader(target).topics) == set(BagReader(experiment.folder / "bag").find(*RAW).values())
+    return target
 
 
 def test_errors_against_the_truth(experiment: RunReport) -> None:

@@ -159,9 +159,21 @@ class Rig:
 
 def drive(rig: Rig, monkeypatch: pytest.MonkeyPatch, *, steps: int = 1, progress: Progress | None = None) -> Driven:
     """Drive a programme of some steps more than an earlier run has done."""
-    monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
-    programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": [{}] * (MEASURED + steps)})
     before = RecordedSteps(list(range(MEASURED)), MEASURED - 1, MEASURED, [0])
+    return drive_steps(rig, monkeypatch, [{}] * (MEASURED + steps), before=before, progress=progress)
+
+
+def drive_steps(
+    rig: Rig,
+    monkeypatch: pytest.MonkeyPatch,
+    steps: list[dict[str, Any]],
+    *,
+    before: RecordedSteps | None = None,
+    progress: Progress | None = None,
+) -> Driven:
+    """Drive a programme of these steps."""
+    monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
+    programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": steps})
     return driving.drive(rig, programme, progress or Progress(), before=before)  # type: ignore[arg-type]
 
 
@@ -204,9 +216,7 @@ def test_a_failed_step_is_done_and_an_interrupted_one_is_not(tmp_path: Path, mon
 def test_a_move_that_fails_has_no_number_of_a_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It had that of the step before, so that a page showed the step as measured."""
     rig = Rig(tmp_path, ["", "move", "", "error"])
-    monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
-    programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": [{"position_mm": 1.0}] * 4})
-    driven = driving.drive(rig, programme, Progress())  # type: ignore[arg-type]
+    driven = drive_steps(rig, monkeypatch, [{"position_mm": 1.0}] * 4)
     assert [(report.step, report.error) for report in driven.steps] == [
         (MEASURED, ""),
         (-1, "move"),
@@ -227,12 +237,11 @@ def test_steps_of_a_run_that_did_not_count_them(measured: int, done: int, tmp_pa
 def test_references_of_a_programme_survive_its_interruption(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Results of a run that is continued count from them; they counted from the first step."""
     rig = Rig(tmp_path, ["", "error", "", "Ctrl-C"])
-    monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
     steps = [*[{}] * MEASURED, {}, {"set_reference": True}, {"set_reference": True}, {}]
-    programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": steps})
     before = RecordedSteps(list(range(MEASURED)), MEASURED - 1, MEASURED, [0, 2])
-    driven = driving.drive(rig, programme, Progress(), before=before)  # type: ignore[arg-type]
+    driven = drive_steps(rig, monkeypatch, steps, before=before)
     assert driven.measure_again == [0, 2, MEASURED + 2], "a step that failed is no reference"
+    programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": steps})
     assert steps_done(tmp_path / STEPS_DONE, [], programme.load_steps()) == (MEASURED + 3, driven.measure_again)
 
 
@@ -292,11 +301,9 @@ def test_a_programme_does_not_go_on_when_the_zero_of_its_strain_is_lost(
     rig = Rig(tmp_path, plan)
     entries = (*rig.graph.nodes, NodeEntry("extensometer", "dic_node", "extensometer"))
     rig.graph = Graph("rig", entries)
-    monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
     steps = [{}, {"position_mm": 1.0, "until": {"strain_above_percent": 2}}]
-    programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": steps})
     monkeypatch.setattr(rig, "move", lambda *_, **__: SimpleNamespace(position=0.0, force=0.0, force_reached=False))
-    driven = driving.drive(rig, programme, Progress())  # type: ignore[arg-type]
+    driven = drive_steps(rig, monkeypatch, steps)
     assert ("the strain would count from the present load" in driven.ended_early) is is_lost
     if is_lost:
         assert rig.held >= 2
@@ -313,18 +320,12 @@ def test_a_hold_that_somebody_requests_in_a_move_ends_the_programme(
 ) -> None:
     """The machine went on to the next position; a late hold of the programme itself is no reason to end."""
     rig = Rig(tmp_path, plan)
-    monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
-    programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": [{"position_mm": 1.0}] * 3})
-    driven = driving.drive(rig, programme, Progress())  # type: ignore[arg-type]
+    driven = drive_steps(rig, monkeypatch, [{"position_mm": 1.0}] * 3)
     assert (driven.ended_early, len(driven.steps)) == (ended, measured)
     assert rig.held >= bool(ended)
 
 
 def test_a_failed_move_without_measurement_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rig = Rig(tmp_path, ["move", ""])
-    monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
-    programme = Programme.model_validate(
-        {"experiment": EXPERIMENT, "steps": [{"position_mm": 1.0, "mode": "none"}, {}]}
-    )
-    driven = driving.drive(rig, programme, Progress())  # type: ignore[arg-type]
+    driven = drive_steps(rig, monkeypatch, [{"position_mm": 1.0, "mode": "none"}, {}])
     assert [(report.step, report.error) for report in driven.steps] == [(-1, "move"), (MEASURED, "")]

@@ -97,6 +97,15 @@ def machine(kind: str, folder: Path, **changes: Any) -> Iterator[tuple[Machine, 
             connected.close()
 
 
+@contextmanager
+def modbus(folder: Path, **changes: Any) -> Iterator[tuple[subprocess.Popen[str], int, dict[str, Any]]]:
+    """Run a Modbus machine; yield its process, its port, and the parameters of a load frame node for it."""
+    path = folder / "machine.yaml"
+    with server("modbus_machine.py") as (process, port):
+        path.write_text(yaml.safe_dump({**description("modbus", port), **changes}))
+        yield process, port, {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
+
+
 def until(connected: Machine, mode: LoadMode) -> Sample:
     deadline = time.monotonic() + 180
     while (sample := connected.sample()).mode is not mode:
@@ -363,60 +372,55 @@ def operator() -> Iterator[Operator]:
 
 
 def test_node_drives_a_modbus_machine_that_is_lost_and_found(operator: Operator, tmp_path: Path) -> None:
-    path = tmp_path / "machine.yaml"
-    parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
-    with server("modbus_machine.py") as (process, port):
-        path.write_text(yaml.safe_dump({**description("modbus", port), "timeout_s": 0.3}))
-        with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters):
-            arrived = operator.move(0.3 * MM, 1.0 * MM)
-            assert (arrived.error_code, arrived.error_message) == (MoveCrosshead.Result.NONE, "")
-            assert arrived.position == pytest.approx(0.3 * MM, abs=1e-8)
-            assert operator.move(0.3 * MM, 1.0 * MM).error_code == MoveCrosshead.Result.NONE, "it is there already"
-            assert operator.move(2 * MM, 1.0 * MM).error_code == MoveCrosshead.Result.INVALID_GOAL
-            held = operator.until(LoadState.HOLD)
-            assert held.force > 500
-            process.kill()
-            process.wait()
-            unknown = operator.until(LoadState.UNKNOWN)
-            assert math.isnan(unknown.force)
-            assert math.isnan(unknown.position)
-            refused = operator.move(0.1 * MM, 1.0 * MM)
-            assert refused.error_code == MoveCrosshead.Result.MACHINE_FAULT
-            assert "no state for 10 s and is not moved: testing machine at 127.0.0.1" in refused.error_message
-            called_off = operator.start(0.1 * MM, 1.0 * MM)
-            time.sleep(0.5)
-            called_off.cancel_goal_async()
-            assert operator.end(called_off).error_code == MoveCrosshead.Result.CANCELLED
-            assert not operator.hold().success
-            with server("modbus_machine.py", port):
-                operator.until(LoadState.HOLD)  # which was requested while there was no machine
-                assert operator.move(0.1 * MM, 1.0 * MM).error_code == MoveCrosshead.Result.NONE
+    with (
+        modbus(tmp_path, timeout_s=0.3) as (process, port, parameters),
+        NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters),
+    ):
+        arrived = operator.move(0.3 * MM, 1.0 * MM)
+        assert (arrived.error_code, arrived.error_message) == (MoveCrosshead.Result.NONE, "")
+        assert arrived.position == pytest.approx(0.3 * MM, abs=1e-8)
+        assert operator.move(0.3 * MM, 1.0 * MM).error_code == MoveCrosshead.Result.NONE, "it is there already"
+        assert operator.move(2 * MM, 1.0 * MM).error_code == MoveCrosshead.Result.INVALID_GOAL
+        held = operator.until(LoadState.HOLD)
+        assert held.force > 500
+        process.kill()
+        process.wait()
+        unknown = operator.until(LoadState.UNKNOWN)
+        assert math.isnan(unknown.force)
+        assert math.isnan(unknown.position)
+        refused = operator.move(0.1 * MM, 1.0 * MM)
+        assert refused.error_code == MoveCrosshead.Result.MACHINE_FAULT
+        assert "no state for 10 s and is not moved: testing machine at 127.0.0.1" in refused.error_message
+        called_off = operator.start(0.1 * MM, 1.0 * MM)
+        time.sleep(0.5)
+        called_off.cancel_goal_async()
+        assert operator.end(called_off).error_code == MoveCrosshead.Result.CANCELLED
+        assert not operator.hold().success
+        with server("modbus_machine.py", port):
+            operator.until(LoadState.HOLD)  # which was requested while there was no machine
+            assert operator.move(0.1 * MM, 1.0 * MM).error_code == MoveCrosshead.Result.NONE
 
 
 def test_a_hold_that_was_not_accepted_is_requested_again(operator: Operator, tmp_path: Path) -> None:
     """The machine does not answer for longer than the time-out in a move until a force, and goes on moving."""
-    path = tmp_path / "machine.yaml"
-    parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
-    with server("modbus_machine.py") as (process, port):
-        path.write_text(yaml.safe_dump({**description("modbus", port), "timeout_s": 0.3}))
-        with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters):
-            goal = operator.start(1.0 * MM, 0.02 * MM, force_above=[1000.0])
-            operator.until(LoadState.MOVING)
-            process.send_signal(signal.SIGSTOP)
-            time.sleep(0.8)
-            process.send_signal(signal.SIGCONT)
-            result = operator.end(goal)
-            assert result.error_code == MoveCrosshead.Result.MACHINE_FAULT
-            assert "a hold was not accepted and is requested again with every sample" in result.error_message
-            assert operator.until(LoadState.HOLD).force < 500
+    with (
+        modbus(tmp_path, timeout_s=0.3) as (process, _, parameters),
+        NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters),
+    ):
+        goal = operator.start(1.0 * MM, 0.02 * MM, force_above=[1000.0])
+        operator.until(LoadState.MOVING)
+        process.send_signal(signal.SIGSTOP)
+        time.sleep(0.8)
+        process.send_signal(signal.SIGCONT)
+        result = operator.end(goal)
+        assert result.error_code == MoveCrosshead.Result.MACHINE_FAULT
+        assert "a hold was not accepted and is requested again with every sample" in result.error_message
+        assert operator.until(LoadState.HOLD).force < 500
 
 
 def test_a_node_that_ends_requests_the_hold_until_it_is_accepted(operator: Operator, tmp_path: Path) -> None:
     """It tried once, while there was no connection, and the machine moved on."""
-    path = tmp_path / "machine.yaml"
-    parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
-    with server("modbus_machine.py") as (process, port):
-        path.write_text(yaml.safe_dump({**description("modbus", port), "timeout_s": 0.3}))
+    with modbus(tmp_path, timeout_s=0.3) as (process, port, parameters):
         with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters):
             operator.start(1.0 * MM, 0.02 * MM)
             operator.until(LoadState.MOVING)
@@ -437,10 +441,7 @@ def test_a_node_that_was_killed_in_a_move_requests_the_hold_at_its_next_start(
     is_reached: bool, operator: Operator, tmp_path: Path
 ) -> None:
     """Whether the machine is reached at once or, as after a lost connection, later."""
-    path = tmp_path / "machine.yaml"
-    parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
-    with server("modbus_machine.py") as (process, port):
-        path.write_text(yaml.safe_dump({**description("modbus", port), "timeout_s": 0.3}))
+    with modbus(tmp_path, timeout_s=0.3) as (process, _, parameters):
         killed = NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters).__enter__().process
         operator.start(1.0 * MM, 0.02 * MM)
         operator.until(LoadState.MOVING)
@@ -458,20 +459,19 @@ def test_a_node_that_was_killed_in_a_move_requests_the_hold_at_its_next_start(
 
 
 def test_a_start_leaves_a_machine_that_stands_still_alone(operator: Operator, tmp_path: Path) -> None:
-    path = tmp_path / "machine.yaml"
-    with server("modbus_machine.py") as (_, port):
-        path.write_text(yaml.safe_dump(description("modbus", port)))
-        parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
-        with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters):
-            operator.until(LoadState.IDLE)
-            with ModbusTcpClient("127.0.0.1", port=port) as technician:
-                for register, value in ((10, 0.5), (12, 0.1)):
-                    words = technician.convert_to_registers(value, technician.DATATYPE.FLOAT32)
-                    technician.write_registers(register, words, device_id=1)
-                technician.write_coil(0, True, device_id=1)
-            operator.until(LoadState.MOVING)
-            operator.serve(0.5)
-            operator.until(LoadState.MOVING)
+    with (
+        modbus(tmp_path) as (_, port, parameters),
+        NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters),
+    ):
+        operator.until(LoadState.IDLE)
+        with ModbusTcpClient("127.0.0.1", port=port) as technician:
+            for register, value in ((10, 0.5), (12, 0.1)):
+                words = technician.convert_to_registers(value, technician.DATATYPE.FLOAT32)
+                technician.write_registers(register, words, device_id=1)
+            technician.write_coil(0, True, device_id=1)
+        operator.until(LoadState.MOVING)
+        operator.serve(0.5)
+        operator.until(LoadState.MOVING)
 
 
 @pytest.mark.parametrize(("error", "mode"), [(MachineError, LoadMode.UNKNOWN), (MachineGoneError, LoadMode.HOLD)])
@@ -505,16 +505,15 @@ def test_a_move_that_is_not_accepted_does_not_replace_a_hold(
 
 
 def test_a_move_that_is_stopped_at_the_machine_has_not_arrived(operator: Operator, tmp_path: Path) -> None:
-    path = tmp_path / "machine.yaml"
-    parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
-    with server("modbus_machine.py") as (_, port):
-        path.write_text(yaml.safe_dump(description("modbus", port)))
-        with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters):
-            goal = operator.start(0.8 * MM, 0.05 * MM)
-            operator.until(LoadState.MOVING)
-            with ModbusTcpClient("127.0.0.1", port=port) as technician:
-                technician.write_coil(1, True, device_id=1)
-            result = operator.end(goal)
+    with (
+        modbus(tmp_path) as (_, port, parameters),
+        NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters),
+    ):
+        goal = operator.start(0.8 * MM, 0.05 * MM)
+        operator.until(LoadState.MOVING)
+        with ModbusTcpClient("127.0.0.1", port=port) as technician:
+            technician.write_coil(1, True, device_id=1)
+        result = operator.end(goal)
     assert result.error_code == MoveCrosshead.Result.MACHINE_FAULT
     assert "mm from its target: it was stopped at the machine" in result.error_message
     # the standstill may be a wrong report

@@ -12,6 +12,7 @@ import numpy as np
 from fringedic.frames.messages import image_array
 from fringedic.frames.pairing import FramePairs
 from fringedic.frames.records import FrameRecord, frame_record, stamp_of
+from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.reader import BagReader
 
 IMAGE = "camera/image_raw"
@@ -107,6 +108,20 @@ def newly_dropped(counts: Iterable[int]) -> Iterator[int]:
     for count in counts:
         yield count - before if count >= before else count
         before = count
+
+
+def with_losses(exposures: Iterable[FrameRecord]) -> Iterator[tuple[FrameRecord, int]]:
+    """Yield the exposures of steps, each with the number of frames that the camera dropped before it.
+
+    Parameters
+    ----------
+    exposures
+        All in the order of publishing; those of the free run belong to no step.
+    """
+    published = list(exposures)
+    for record, lost in zip(published, newly_dropped(each.dropped for each in published), strict=True):
+        if record.pattern.kind != PatternKind.OTHER:
+            yield record, lost
 
 
 def repeated_steps(exposures: Iterable[tuple[str, int, int, int]]) -> list[tuple[str, int]]:

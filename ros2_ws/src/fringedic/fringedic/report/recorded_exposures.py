@@ -12,7 +12,7 @@ import numpy as np
 from fringedic.frames.messages import image_array
 from fringedic.frames.records import FrameRecord, stamp_of
 from fringedic.patterns.pattern import PatternKind
-from fringedic.recording.frames import newly_dropped, records
+from fringedic.recording.frames import records, with_losses
 from fringedic.recording.reader import BagReader
 
 PHASE_TEXTURE = "phase/texture"
@@ -50,12 +50,10 @@ class Exposures:
 def read_exposures(recording: Path, experiment: str) -> Exposures | None:
     """Return the exposures of an experiment, None if the recording contains none."""
     steps: defaultdict[int, list[FrameRecord]] = defaultdict(list)
-    published = list(records(BagReader(recording), experiment))
     dropped = 0
-    for record, lost in zip(published, newly_dropped(each.dropped for each in published), strict=True):
-        if record.pattern.kind != PatternKind.OTHER:
-            dropped += lost if steps else 0  # those before the first frame belong to no step
-            steps[record.step].append(record)
+    for record, lost in with_losses(records(BagReader(recording), experiment)):
+        dropped += lost if steps else 0  # those before the first frame belong to no step
+        steps[record.step].append(record)
     if not steps:
         return None
     exposed = [record for step in steps.values() for record in step]

@@ -573,6 +573,9 @@ def test_a_dataset_of_a_shorter_recording_is_not_opened_for_it(tmp_path):
             writer.write(*message)
     with pytest.raises(DatasetError, match=r"bag\.nc: was made when .*bag had another size; 'fringedic process"):
         open_experiment(bag)
+    process_bag(bag, output=tmp_path / "results.nc")
+    with open_experiment(bag) as dataset:
+        assert dataset.sizes["step"] == 3
     (tmp_path / "bag.nc").rename(tmp_path / "results.nc")
     with pytest.raises(DatasetError, match=r"results\.nc: was made when .*bag had another size; 'fringedic process"):
         open_experiment(tmp_path)

@@ -19,8 +19,7 @@ from fringedic.errors import ConfigurationError, DatasetError, ImageError
 from fringedic.figures.maps import save_pictures
 from fringedic.frames.files import image_files
 from fringedic.frames.records import frame_record, stamp_of
-from fringedic.patterns.pattern import PatternKind
-from fringedic.recording.frames import EXPOSURE, IMAGE, newly_dropped
+from fringedic.recording.frames import EXPOSURE, IMAGE, with_losses
 from fringedic.recording.reader import BagReader
 from fringedic.report import write_report
 from fringedic.report.calibration_sentences import in_force_words
@@ -256,10 +255,9 @@ def frame_losses(bag: Path) -> dict[int, tuple[int, int]]:
             records.append(frame_record(message))
     dropped: Counter[int] = Counter()
     missing: Counter[int] = Counter()
-    for record, lost in zip(records, newly_dropped(each.dropped for each in records), strict=True):
-        if record.pattern.kind != PatternKind.OTHER:
-            dropped[record.step] += lost
-            missing[record.step] += record.stamp not in images
+    for record, lost in with_losses(records):
+        dropped[record.step] += lost
+        missing[record.step] += record.stamp not in images
     return {step: (dropped[step], missing[step]) for step in dropped}
 
 
