@@ -9,6 +9,7 @@ from running_system import Progress
 
 from fringedic.calibration.acceptance import AcceptanceError, Artefacts, measure_place
 from fringedic.configuration.rig_file import load_calibration, load_rig_file
+from fringedic.errors import CalibrationError
 from fringedic_bringup.procedures.accept import shapes_by_nodes
 
 RIG = """\
@@ -33,18 +34,20 @@ def test_nodes_measure_what_the_operator_places(tmp_path: Path) -> None:
     model = load_calibration(rig, path)
     assert model is not None
     artefacts = Artefacts(diameter=14e-3, spacing=30e-3, volume=(55e-3, 40e-3, 20e-3))
-    places = artefacts.places()[:2]
+    middle, front = artefacts.places()[0], artefacts.places()[9]  # the ball stays in the middle
     asked: list[str] = []
 
     def ask(words: str) -> bool:
         asked.append(words)
         return True
 
-    shapes = shapes_by_nodes(rig, path, tmp_path / "out", Progress(), model=model, places=places, ask=ask)
-    results = [measure_place(place, shape, artefacts) for place, shape in zip(places, shapes, strict=True)]
+    first, second = shapes_by_nodes(
+        rig, path, tmp_path / "out", Progress(), model=model, places=[middle, front], ask=ask
+    )
     assert asked == [
         "Place 1 of 2: ball at x +0.0, y +0.0, z +0.0 mm",
-        "Place 2 of 2: ball at x -20.5, y -13.0, z -3.0 mm",
+        "Place 2 of 2: ball at x +0.0, y +0.0, z +3.0 mm",
     ]
-    for each in results:
-        assert abs(each.errors[AcceptanceError.SIZE]) < 0.4e-3  # 400 µm per pixel
+    assert abs(measure_place(middle, first, artefacts).errors[AcceptanceError.SIZE]) < 0.4e-3  # 400 µm per pixel
+    with pytest.raises(CalibrationError, match="nearer to place"):
+        measure_place(front, second, artefacts)

@@ -15,8 +15,9 @@ from enum import StrEnum
 import numpy as np
 import xarray as xr
 from scipy.ndimage import gaussian_filter, uniform_filter
+from scipy.spatial.transform import Rotation
 
-from fringedic.errors import CalibrationError
+from fringedic.errors import CalibrationError, number_text
 
 REJECTED = 3e-3  # part of the points of each artefact that may be left out
 CAP = math.radians(45.0)  # half angle of the part of a ball around the direction to the camera that is evaluated
@@ -26,6 +27,7 @@ _CELL = 0.25  # of the radius: cells in which the normals of a ball vote for its
 _MEANS = 5  # passes of the mean around the most voted cell
 _NEAR = 0.1  # of the radius: points this far from a ball's surface belong to it
 _SHOWN = 4000  # residuals that are kept of each place
+_CORNERS = ((-1, 1, -1, 1), (-1, -1, 1, 1))  # signs of x and y
 _STEPS = 20  # of Gauss and Newton; converges in about five
 
 
@@ -231,8 +233,9 @@ def find_balls(shape: xr.Dataset, diameter: float, number: int) -> list[np.ndarr
             sphere_points = _cap(points, sphere.centre, sphere.radius, camera)
         if abs(sphere.radius - radius) > _NEAR * radius:
             raise CalibrationError(
-                f"no ball of {1e3 * diameter:.3g} mm was found: the roundest part of the surface has a diameter of "
-                f"{2e3 * sphere.radius:.3g} mm; check the diameter and that every ball is in view and matt"
+                f"no ball of {number_text(1e3 * diameter, 3)} mm was found: the roundest part of the surface has a "
+                f"diameter of {number_text(2e3 * sphere.radius, 3)} mm; check the "
+                "diameter and that every ball is in view and matt"
             )
         found.append(sphere_points)
         beside = np.linalg.norm(votes - sphere.centre[:, None, None], axis=0) > diameter
@@ -255,11 +258,13 @@ def measure_place(place: Place, shape: xr.Dataset, artefacts: Artefacts) -> Plac
     Raises
     ------
     CalibrationError
-        The artefact was not found.
+        The artefact was not found, or stands nearer to another of the places.
     """
     if place.artefact is Artefact.PLANE:
         points = np.stack([np.asarray(shape[name], float) for name in "xyz"]).reshape(3, -1)
         kept, distances = _without_outliers(points[:, np.isfinite(points[2])], _plane_distances)
+        plane = np.linalg.lstsq(np.stack([np.ones(kept.shape[1]), *kept[:2]], axis=1), kept[2], rcond=None)[0]
+        _check_place(place, _plane_corners(plane, artefacts), artefacts)
         return _result(place, {AcceptanceError.FLATNESS: float(np.ptp(distances))}, kept, distances)
     number = 2 if place.artefact is Artefact.BALL_BAR else 1
     caps = [
@@ -267,6 +272,7 @@ def measure_place(place: Place, shape: xr.Dataset, artefacts: Artefacts) -> Plac
         for each in find_balls(shape, artefacts.diameter, number)
     ]
     spheres = [fit_sphere(kept) for kept, _ in caps]
+    _check_place(place, np.array([each.centre for each in spheres]), artefacts)
     if place.artefact is Artefact.BALL_BAR:
         spacing = float(np.linalg.norm(spheres[1].centre - spheres[0].centre))
         errors = {AcceptanceError.SPACING: spacing - artefacts.spacing}
@@ -275,6 +281,41 @@ def measure_place(place: Place, shape: xr.Dataset, artefacts: Artefacts) -> Plac
         errors = {AcceptanceError.FORM: form, AcceptanceError.SIZE: size}
     kept, distances = (np.concatenate(parts, axis=-1) for parts in zip(*caps, strict=True))
     return _result(place, errors, kept, distances)
+
+
+def _check_place(place: Place, found: np.ndarray, artefacts: Artefacts) -> None:
+    """Refuse an artefact that was not moved: its points (n, 3) [m] are nearer to those of another place."""
+
+    def away(other: Place) -> float:
+        nominal = _points_of(other, artefacts)
+        # nothing distinguishes the two balls of a bar
+        return min(float(np.linalg.norm(each - nominal, axis=1).max()) for each in (found, found[::-1]))
+
+    others = [each for each in enumerate(artefacts.places(), start=1) if each[1].artefact is place.artefact]
+    number, nearest = min([(0, place), *others], key=lambda each: away(each[1]))  # itself, where two places coincide
+    if nearest is not place:
+        raise CalibrationError(
+            f"the {place.artefact} is {number_text(1e3 * away(place), 3)} mm away from it and nearer to place "
+            f"{number}: move it to every place, and repeat the test"
+        )
+
+
+def _points_of(place: Place, artefacts: Artefacts) -> np.ndarray:
+    """Return the centres of balls, or the corners of a plane in the volume, at an exact place (n, 3) [m]."""
+    turn = Rotation.from_rotvec(place.rotation)
+    if place.artefact is Artefact.PLANE:
+        normal = turn.apply((0.0, 0.0, 1.0))
+        slope = -normal[:2] / normal[2]
+        return _plane_corners(np.array([place.centre[2] - slope @ place.centre[:2], *slope]), artefacts)
+    half = artefacts.spacing / 2 if place.artefact is Artefact.BALL_BAR else 0.0
+    centres: np.ndarray = place.centre + turn.apply([(-half, 0.0, 0.0), (half, 0.0, 0.0)])
+    return centres if half else centres[:1]
+
+
+def _plane_corners(plane: np.ndarray, artefacts: Artefacts) -> np.ndarray:
+    """Return where a plane z = a + b x + c y cuts the four edges of the volume along z, (4, 3) [m]."""
+    x, y = (np.array(signs) * each / 2 for signs, each in zip(_CORNERS, artefacts.volume[:2], strict=True))
+    return np.stack([x, y, plane[0] + plane[1] * x + plane[2] * y], axis=1)
 
 
 def _result(

@@ -128,6 +128,19 @@ def test_a_plane_is_no_ball(rig, model):
         measure_place(PLACES[18], shape.where(False), ARTEFACTS)
 
 
+@pytest.mark.parametrize(("asked", "was"), [(1, 0), (9, 0), (11, 10), (14, 13), (15, 10), (19, 18), (21, 19), (22, 20)])
+def test_an_artefact_that_was_not_moved(asked, was, rig, model):
+    shape = measure_virtual_artefact(rig, model, PLACES[was], ARTEFACTS)
+    with pytest.raises(CalibrationError, match=rf"mm away from it and nearer to place {was + 1}"):
+        measure_place(PLACES[asked], shape, ARTEFACTS)
+
+
+def test_places_need_not_be_exact(rig, model):
+    beside = replace(PLACES[15], centre=(2e-3, -2e-3, 1e-3))
+    shape = measure_virtual_artefact(rig, model, beside, ARTEFACTS)
+    assert abs(measure_place(PLACES[15], shape, ARTEFACTS).errors[AcceptanceError.SPACING]) < 10e-6
+
+
 def test_places_fill_the_volume():
     assert [sum(each.artefact is kind for each in PLACES) for kind in Artefact] == [10, 7, 6]
     half = np.array(ARTEFACTS.volume) / 2
