@@ -454,8 +454,10 @@ class RigClient:
         )
         return self._goal(self._calibrate_rig, goal, "calibrate_rig", feedback)
 
-    def place(self, kind: int, angle: float = 0.0, height: float = 0.0) -> None:
+    def place(self, kind: int, angle: float = 0.0, height: float = 0.0) -> PlaceReferencePlane.Response:
         """Have the grid, the plane or the specimen (`PlaceReferencePlane.Request` kinds) placed before the camera.
+
+        The response contains the angle [rad] and the height [m] that were reached.
 
         Raises
         ------
@@ -466,6 +468,7 @@ class RigClient:
         response = self._await(self._place.call_async(request), STEP_TIMEOUT_S, self._place.srv_name)
         if not response.success:
             raise StepFailedError(f"{place_in_words(kind, angle, height)}: {response.message}")
+        return response
 
     def serve_placing(self, place: Callable[[int, float, float], str]) -> None:
         """Serve ``reference_plane/place`` as a stage would.

@@ -31,6 +31,7 @@ class CalibrationWarning(StrEnum):
     NOT_TESTED = "not_tested"
     UNCERTAIN_HEIGHT = "uncertain_height"  # sigma [m]
     DRIFT = "drift"  # change, noise [m]
+    DRIFT_UNKNOWN = "drift_unknown"
     TEXT = "warning_in_words"  # of a file of an older version; the subject is the sentence
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Protocol
 
 import numpy as np
 
@@ -23,6 +24,18 @@ class PlaneKind(IntEnum):
     GRID = 0
     PLANE = 1
     SPECIMEN = 2
+
+
+class Placed(Protocol):
+    """Anything with the place of a plane, as stated or as a stage reports it."""
+
+    @property
+    def angle(self) -> float:
+        """Angle [rad]."""
+
+    @property
+    def height(self) -> float:
+        """Height [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,10 +92,8 @@ class Placement:
 
     def apart(self, first: int, second: int) -> bool:
         """Return whether two planes are at different positions."""
-        return bool(
-            abs(self.angles[first] - self.angles[second]) > SMALLEST_TURN
-            or abs(self.heights[first] - self.heights[second]) > SMALLEST_MOVE
-        )
+        turn, lift = (abs(values[first] - values[second]) for values in (self.angles, self.heights))
+        return bool(turn > SMALLEST_TURN or lift > SMALLEST_MOVE)
 
     def turned(self, planes: Sequence[int]) -> bool:
         """Return whether some planes have different angles."""
@@ -109,6 +120,12 @@ class Placement:
                 f"the planes have {different} different positions only: at least {FEWEST_PLANES} angles "
                 f"(more than {math.degrees(SMALLEST_TURN):g} degree apart) or as many heights are needed"
             )
+
+
+def repeats(plane: Placed, earlier: Placed) -> bool:
+    """Return whether a plane stands where an earlier one stood: stages reach no angle exactly, and report it."""
+    both = (earlier, plane)
+    return not Placement(np.array([each.angle for each in both]), np.array([each.height for each in both])).apart(0, 1)
 
 
 def angle_error(index: int) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from fringedic.calibration.placement import PlaneKind
+from fringedic.calibration.placement import PlaneKind, repeats
 from fringedic.calibration.session import CalibrationSession, Plane, PlaneQuality, Setting
 from fringedic.errors import RecordingError
 from fringedic.frames.collector import FrameCollector, Stack
@@ -149,8 +149,7 @@ def _repeats_first(planes: Sequence[Any]) -> bool:
     """Return whether the last plane repeats the first one, as that of a complete calibration."""
     if len(planes) < 2:
         return False
-    first, last = planes[0], planes[-1]
-    return last.held_out and (first.angle, first.height) == (last.angle, last.height)
+    return planes[-1].held_out and repeats(planes[-1], planes[0])
 
 
 def _messages(reader: BagReader, name: str) -> Iterator[Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -111,21 +112,38 @@ class RigCalibration(FitResult):
         return folder / MODEL_FILE
 
     @classmethod
-    def load(cls, folder: str | Path) -> RigCalibration:
+    def load(cls, path: str | Path) -> RigCalibration:
         """Read the files that `save` wrote, also those of older versions.
+
+        Parameters
+        ----------
+        path
+            Their folder, or the file of the model among them.
 
         Raises
         ------
         CalibrationError
-            A file is missing or has another content.
+            A file is missing or has another content, or the figures beside the model are those of another calibration.
         """
-        folder = Path(folder)
+        path = Path(path)
+        file = path / MODEL_FILE if path.is_dir() else path
         try:
-            values = read_fit(folder / FIT_FILE)
-            model = RigModel.from_yaml(folder / MODEL_FILE)
-            with xr.open_dataset(folder / RESIDUAL_FILE, engine="h5netcdf") as stored:
-                return cls(model=model, residual_map=stored.load(), **values)
+            values = read_fit(file.with_name(FIT_FILE))
+            model = RigModel.from_yaml(file)
+            with xr.open_dataset(file.with_name(RESIDUAL_FILE), engine="h5netcdf") as stored:
+                found = cls(model=model, residual_map=stored.load(), **values)
         except CalibrationError:
             raise
         except (OSError, KeyError, TypeError, ValueError, yaml.YAMLError) as error:
-            raise CalibrationError(f"{folder} does not hold a calibration of the rig: {error!r}") from error
+            raise CalibrationError(f"{path} does not hold a calibration of the rig: {error!r}") from error
+        if not found._belongs_to_model():
+            raise CalibrationError(
+                f"{file.with_name(FIT_FILE)} contains the figures of another calibration than {file}: keep each "
+                "calibration in a folder of its own"
+            )
+        return found
+
+    def _belongs_to_model(self) -> bool:
+        """Return whether model and figures come from the same fit: two fits never agree in every digit."""
+        distances = [1e-3 * each.value for each in self.parameters if each.name == "camera_distance"]
+        return all(math.isclose(each, self.model.camera_distance, rel_tol=1e-9) for each in distances)

@@ -11,7 +11,7 @@ import numpy as np
 
 from fringedic.calibration.calibrate import calibrate_rig
 from fringedic.calibration.findings import CalibrationWarning
-from fringedic.calibration.placement import Placement
+from fringedic.calibration.placement import Placement, repeats
 from fringedic.calibration.planes import PlaneBlocks, check_different, reduce_plane
 from fringedic.calibration.result import RigCalibration
 from fringedic.camera.findings import Finding
@@ -234,7 +234,9 @@ class CalibrationSession:
         )
         self.drift, noise = _drift(fitted, planes[0], planes[-1])
         warnings = [*grid.warnings, *fitted.warnings]
-        if self.drift > noise:
+        if math.isnan(self.drift):
+            warnings.append(Finding(CalibrationWarning.DRIFT_UNKNOWN))
+        elif self.drift > noise:
             warnings.append(Finding(CalibrationWarning.DRIFT, values={"change": self.drift, "noise": noise}))
         self.result = dataclasses.replace(fitted, warnings=tuple(warnings))
         return self.result
@@ -271,7 +273,7 @@ def _drift(fitted: RigCalibration, first: Plane, last: Plane) -> tuple[float, fl
     surface = fitted.reconstruct(first.phase, first.sigma)
     slope = np.abs(surface.dz_dphi.values.astype(float))
     noise = float(np.nanmedian(slope * first.sigma))
-    if first is last or (first.angle, first.height) != (last.angle, last.height):
+    if first is last or not repeats(last, first):
         return math.nan, noise
     change = slope * (last.phase.astype(float) - first.phase)
     variance = slope**2 * (first.sigma.astype(float) ** 2 + last.sigma.astype(float) ** 2)

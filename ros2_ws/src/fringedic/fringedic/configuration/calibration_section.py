@@ -113,9 +113,9 @@ class CalibrationSection(Section):
 
 
 def calibration_metadata(file: Path) -> CalibrationMetadata:
-    """Return the metadata of a calibration from the files beside it; empty where there are none."""
+    """Return the metadata of a calibration from the files beside it; empty where there are none of its own."""
     try:
-        found = RigCalibration.load(file.parent)
+        found = RigCalibration.load(file)
     except CalibrationError:
         return CalibrationMetadata()
     return CalibrationMetadata(

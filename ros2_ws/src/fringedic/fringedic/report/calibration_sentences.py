@@ -152,13 +152,12 @@ def in_force_words(file: Path, now: datetime) -> list[str]:
     Parameters
     ----------
     file
-        ``calibration.yaml`` with the other files of the calibration beside it, or alone, when nothing is known about
-        it.
+        The model with the other files of its calibration beside it; without them nothing is known about it.
     now
         The time.
     """
     try:
-        calibration = RigCalibration.load(file.parent)
+        calibration = RigCalibration.load(file)
         checks = recorded_checks(file.parent)
     except CalibrationError:
         return [f"calibration {file}: its age and its quality are not known"]
@@ -357,6 +356,10 @@ _FINDINGS: dict[str, Callable[[Finding], str]] = {
         f"the rig moved by {_UM * finding.values['change']:.2f} µm RMS while it was calibrated, more than the noise of "
         f"a pixel ({_UM * finding.values['noise']:.2f} µm): let projector and camera warm up, check that nothing can "
         "shift, and calibrate again"
+    ),
+    CalibrationWarning.DRIFT_UNKNOWN: lambda _: (
+        "the first plane was not measured again in the same place, so that it is unknown whether the rig moved while "
+        "it was calibrated"
     ),
 }
 

@@ -9,6 +9,7 @@ import dataclasses
 import math
 import re
 import shutil
+from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
 
@@ -21,9 +22,11 @@ from fringedic.calibration.findings import CalibrationWarning
 from fringedic.calibration.fit_results import Reason
 from fringedic.calibration.variants import ModelVariant
 from fringedic.camera.plane_homography import PinHole, PlaneHomography
+from fringedic.configuration.calibration_section import calibration_metadata
 from fringedic.errors import CalibrationError, ImageError
+from fringedic.metadata import CalibrationMetadata
 from fringedic.patterns.pattern import Orientation
-from fringedic.report.calibration_sentences import problem_sentence, verdict_sentence, warning_sentences
+from fringedic.report.calibration_sentences import in_force_words, problem_sentence, verdict_sentence, warning_sentences
 from fringedic.rig.geometry import parameter_values
 from fringedic.rig.uncertainty import displacement_variance, position_errors
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
@@ -346,9 +349,26 @@ def test_files_hold_everything(tmp_path: Path, misaligned: tuple[Bench, list[np.
     assert verdict_sentence(read) == verdict_sentence(calibration)
     assert warning_sentences(read) == warning_sentences(calibration)
     assert "angle_degree: -15" in (file.parent / "calibration_fit.yaml").read_text()
+    assert RigCalibration.load(file).created == read.created
     (file.parent / "calibration_residuals.nc").unlink()
     with pytest.raises(CalibrationError, match="does not hold"):
         RigCalibration.load(file.parent)
+
+
+def test_figures_beside_the_model_of_another_calibration(
+    tmp_path: Path, misaligned: tuple[Bench, list[np.ndarray]]
+) -> None:
+    """Age, verdict and checks are those of the model that is used, or unknown."""
+    bench, phases = misaligned
+    file = bench.calibrate(noisy(phases, 5)).save(tmp_path)
+    other = bench.calibrate(noisy(phases, 6)).save(tmp_path / "other").rename(tmp_path / "other_rig.yaml")
+    now = datetime.now(UTC)
+    with pytest.raises(CalibrationError, match=r"another calibration than .*other_rig\.yaml"):
+        RigCalibration.load(other)
+    assert in_force_words(other, now) == [f"calibration {other}: its age and its quality are not known"]
+    assert calibration_metadata(other) == CalibrationMetadata()
+    assert len(in_force_words(file, now)) > 1
+    assert calibration_metadata(file).created
 
 
 def test_files_of_version_1_hold_sentences(tmp_path: Path) -> None:

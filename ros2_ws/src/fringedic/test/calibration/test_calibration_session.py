@@ -138,6 +138,16 @@ def test_a_rig_that_stands_still_has_no_drift(session: CalibrationSession) -> No
     assert CalibrationWarning.NOT_TESTED in warnings, "the first plane repeated is no test of the model"
 
 
+@pytest.mark.parametrize(("reached", "known"), [(0.004, True), (0.2, False)])
+def test_stage_that_reports_the_angle_that_it_reached(reached: float, known: bool, session: CalibrationSession) -> None:
+    for seed, angle in enumerate((0.0, -18.0, -9.0, 9.0, 18.0)):
+        session.add_plane(plane(angle, seed=seed))
+    session.add_plane(plane(reached, seed=9, held_out=True))
+    result = session.calibrate(NOW)
+    assert math.isfinite(session.drift) == known
+    assert (CalibrationWarning.DRIFT_UNKNOWN in [each.code for each in result.warnings]) != known
+
+
 def test_a_repeated_plane_does_not_excuse_the_plane_that_tests(session: CalibrationSession) -> None:
     """The plane kept out deviates by 3.5 times the noise of a pixel (22 µm), the repeated one by none of it."""
     for seed, angle in enumerate((0.0, -18.0, -9.0, 9.0, 18.0)):
@@ -163,7 +173,7 @@ def test_recorded_session_that_was_cut_off_is_refused(tmp_path: Path, kept: int,
     planes = [(PlaneKind.GRID, angle, False) for angle in (0.0, -0.2, 0.2)]
     planes.append((first, 0.0, False))
     planes += [(PlaneKind.PLANE, angle, angle == 0.2) for angle in (-0.3, 0.3, 0.2)]
-    planes.append((PlaneKind.PLANE, 0.0, True))
+    planes.append((PlaneKind.PLANE, 5e-5, True))
     with BagWriter(tmp_path / "bag") as writer:
         writer.add_recorded_topic(Topic("/rig/experiment/plane", kind, definition, "ros2msg", "", ""))
         for step, (plane, angle, held_out) in enumerate(planes[: 3 + kept]):

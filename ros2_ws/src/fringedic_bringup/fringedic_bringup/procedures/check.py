@@ -12,7 +12,6 @@ import xarray as xr
 from fringedic.calibration import RigCalibration, RigCheck, check_rig
 from fringedic.calibration.history import record_check
 from fringedic.configuration.rig_file import RigFile
-from fringedic.configuration.sections import VIRTUAL_RIG
 from fringedic.errors import CalibrationError, RecordingError
 from fringedic.frames.messages import image_array
 from fringedic.frames.records import stamp_of
@@ -68,14 +67,16 @@ def check(
     model = calibration_to_check(rig, rig_path)
     rig = rig.model_copy(update={"recording": rig.recording.model_copy(update={"derived": True})})
     heights = [0.0, distance, 0.0]
-    stamps = []
+    stamps, reached = [], []
     with calibration_client(rig, rig_path, folder, progress, ask=ask, domain=domain) as client:
         for number, height in enumerate(heights, start=1):
             progress.part(number, len(heights), f"plane {1e3 * height:g} mm above its place")
-            client.place(PLANE, height=height)
+            reached.append(client.place(PLANE, height=height).height)
             stamps.append(to_nanoseconds(client.measure().stamp))
         client.place(PlaceReferencePlane.Request.SPECIMEN)
         client.wait_until_recorded()
+    calibration = rig_path.parent / str(rig.calibration)
+    known = _known(calibration)
     first, lifted, last = phase_maps(folder / "bag", stamps)
     finest = rig.patterns()[-1]
     result = check_rig(
@@ -84,35 +85,24 @@ def check(
         last.sigma,
         pitch=finest.pitch,
         orientation=finest.orientation,
-        distance=distance,
+        distance=reached[1] - reached[0],
         lifted=lifted,
         earlier=first,
-        age=_age(rig, rig_path),
+        age=math.nan if known is None else known.age(),
     )
     when = datetime.fromtimestamp(1e-9 * stamps[-1], UTC)
     write_check_page(result, folder / CHECK_PAGE, rig=model.identifier, created=when, traceability=traceability_of(rig))
-    calibrated = calibration_folder(rig, rig_path)
-    if calibrated is not None:
-        record_check(calibrated, result, when, verdict=check_in_words(result))
+    if known is not None:
+        record_check(calibration.parent, result, when, verdict=check_in_words(result))
     return result
 
 
-def calibration_folder(rig: RigFile, rig_path: Path) -> Path | None:
-    """Return the folder of the calibration that a rig file names; None for the exact one of a virtual rig."""
-    if not isinstance(rig.calibration, str) or rig.calibration == VIRTUAL_RIG:
-        return None
-    return (rig_path.parent / rig.calibration).parent
-
-
-def _age(rig: RigFile, rig_path: Path) -> float:
-    """Return the age of the calibration that a rig file names [s]; NaN when it is not known."""
-    folder = calibration_folder(rig, rig_path)
-    if folder is None:
-        return math.nan
+def _known(calibration: Path) -> RigCalibration | None:
+    """Return the files beside a model; None for the model of a virtual rig or of a rig file, or without such files."""
     try:
-        return RigCalibration.load(folder).age()
+        return RigCalibration.load(calibration)
     except CalibrationError:
-        return math.nan
+        return None
 
 
 def phase_maps(bag: Path, stamps: list[int]) -> list[xr.Dataset]:
