@@ -78,7 +78,7 @@ def test_adjusted_items_are_done_with_date_and_figures(page: Page, operated: Ope
         expect(page.locator("#focus")).to_contain_text("%", timeout=WAIT_MS)
         page.click(f"#item-{item} >> text=It is adjusted")
         expect(page.locator(f"#item-{item}")).to_have_class(re.compile("good"))
-    kept = yaml.safe_load((operated.folder / "setup.yaml").read_text())
+    kept = yaml.safe_load((operated.folder / "tiny_setup.yaml").read_text())
     assert set(kept) == {"axes", "camera_focus", "projector_focus"}
     assert "% of the best" in kept["camera_focus"]["words"][0]
 
@@ -96,14 +96,14 @@ def test_region_is_drawn_by_clicks_and_used(page: Page, operated: Operated) -> N
     page.click("#undo")
     page.click("#save-region")
     expect(page.locator("#words")).to_contain_text("the rig file uses it", timeout=WAIT_MS)
-    region = Region.load(operated.folder / "region.yaml")
+    region = Region.load(operated.folder / "tiny_region.yaml")
     mask = region.mask()
     assert mask.shape == (120, 160)
     assert [polygon.hole for polygon in region.polygons] == [False, True]
     expected = Region.rectangle((20, 15), (140, 105)).mask_for((120, 160))
     assert np.count_nonzero(expected & ~mask) == pytest.approx(20 * 20 / 2, abs=60), "the hole"
     assert np.count_nonzero(mask & ~expected) < 0.03 * expected.sum(), "a screen pixel is a tenth of a pixel"
-    assert fringedic.load_rig_file(operated.folder / "tiny.yaml").region_file == "region.yaml"
+    assert fringedic.load_rig_file(operated.folder / "tiny.yaml").region_file == "tiny_region.yaml"
     assert list(operated.folder.glob("tiny.before-*.yaml"))
 
 

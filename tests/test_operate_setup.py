@@ -97,13 +97,13 @@ def test_rig_is_set_up_and_measures_its_first_test_by_clicks_alone(page: Page, o
     draw_region(page)
     measure(page, "noise", steps="5")
     measure(page, "advise", wanted_noise_px="0.05", pixel_size_mm="0.4")
-    kept = yaml.safe_load((operated.folder / "setup.yaml").read_text())
+    kept = yaml.safe_load((operated.folder / "tiny_setup.yaml").read_text())
     assert len(kept) == page.locator("ol.list > li").count()
     assert page.locator("ol.list > li.care").count() == 0, "nothing is out of date in this order"
     assert "5 steps at rest" in kept["noise"]["words"][0]
     assert any(" mm" in line for line in kept["advise"]["words"])
     rig = fringedic.load_rig_file(operated.folder / "tiny.yaml")
-    assert rig.region_file == "region.yaml"
+    assert rig.region_file == "tiny_region.yaml"
     assert rig.noise_floor_file is not None
     start_programme(page, "{experiment: first, ramp: {to_mm: 0.6, steps: 5, speed_mm_per_s: 5}}")
     assert finished(page).startswith("5 steps in first-")

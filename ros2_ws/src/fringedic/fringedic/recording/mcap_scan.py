@@ -64,7 +64,8 @@ def scan_file(path: Path, data: Bytes) -> McapFile:
     if scan.undefined_messages:
         damage.append(f"{scan.undefined_messages} messages left out because the definition of their topic is lost")
     if unfinished_at is not None:
-        damage.append(f"not closed; {len(data) - unfinished_at} bytes after the last complete record are lost")
+        unread = len(data) - unfinished_at
+        damage.append("not closed" + (f"; {unread} bytes after the last complete record are lost" if unread else ""))
     return scan.file
 
 

@@ -87,6 +87,10 @@ class Place:
         job.writes_into(str(folder))
         return folder
 
+    def own_file(self, name: str) -> Path:
+        """Return a file of this rig alone, beside the rig file: the folder may contain rig files of other rigs."""
+        return self.folder / f"{self.rig_path.stem}_{name}"
+
     def relative(self, file: Path) -> str:
         """Return a path as the rig file names it."""
         return os.path.relpath(file, self.folder)
@@ -148,7 +152,7 @@ def _region(place: Place, job: Job, request: Request, _: Section) -> Outcome:
     share = 100 * region.mask().mean()
     if share == 0:
         raise ConfigurationError("the region is empty: draw a part of the image that is not a hole")
-    picture = place.folder / "region.png"
+    picture = place.own_file("region.png")
     corners = region.save(picture)[1]
     job.writes_into(str(place.folder))
     change_rig_file(place.rig_path, f"region_file: {corners.name}")

@@ -24,7 +24,6 @@ from fringedic_msgs.srv import ControlProcedure, StartProcedure
 from fringedic_ros.qos import LATCHED, LATEST
 from fringedic_ros.stamps import to_msg
 
-CHECK_LIST = "setup.yaml"
 CONFIRM = "confirm"  # the procedure that records an item of the live view as done
 LIVE_ITEMS = (SetupItem.AXES, SetupItem.CAMERA_FOCUS, SetupItem.PROJECTOR_FOCUS)
 LONGEST_END_S = 60.0  # of a live view, or of any procedure at the end of the server
@@ -55,7 +54,7 @@ class ProcedureServer:
         self._live: Request | None = requested("live")
         self._live_from = 0.0  # not before this time [s]
         self._figures: tuple[str, ...] = ()  # of the last live view
-        self._list = CheckList.load(place.folder / CHECK_LIST)
+        self._list = CheckList.load(place.own_file("setup.yaml"))
         self._driver_seen = time.monotonic()
         # the result of the last procedure stays there while the live view runs
         self._statuses = {
@@ -179,10 +178,11 @@ class ProcedureServer:
     def _record(self, item: SetupItem, words: tuple[str, ...], folder: str = "", picture: str = "") -> None:
         record = SetupRecord(when=datetime.now(UTC), words=words, folder=folder, picture=picture)
         self._list = self._list.with_record(item, record)
+        file = self._place.own_file("setup.yaml")
         try:
-            self._list.save(self._place.folder / CHECK_LIST)
+            self._list.save(file)
         except OSError as error:
-            self._participant.node.get_logger().error(f"{CHECK_LIST}: cannot be written: {error.strerror}; make room")
+            self._participant.node.get_logger().error(f"{file}: cannot be written: {error.strerror}; make room")
         self._publish_setup()
 
     def _see_driver(self, present: Bool) -> None:
