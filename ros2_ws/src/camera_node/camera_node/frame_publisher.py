@@ -10,7 +10,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
 from camera_node.drivers import Driver, Frame
-from fringedic.errors import ClockJumpError, FringedicError
+from fringedic.errors import ClockJumpError, FringedicError, number_text
 from fringedic.frames.records import FrameRecord
 from fringedic.rig.model import RigModel
 from fringedic_msgs.msg import ClockDrift, Exposure, RigCalibration
@@ -74,8 +74,8 @@ class FramePublisher:
         if back > _BACK_NS:
             self._stamp_ns = frame.stamp_ns
             raise ClockJumpError(
-                f"the clock jumped back by {1e-9 * back:.3g} s between two frames; measure the step again, and do not "
-                "set the clock during a test"
+                f"the clock jumped back by {number_text(1e-9 * back, 3)} s between two frames; measure the step again, "
+                "and do not set the clock during a test"
             )
         self._stamp_ns = max(frame.stamp_ns, self._stamp_ns + 1)
         image = image_message(frame.image, stamp_ns=self._stamp_ns, frame_id=self._frame)

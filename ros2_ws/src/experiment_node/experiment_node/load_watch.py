@@ -14,7 +14,7 @@ from rclpy.node import Node
 from experiment_node.active_goal import StepFailure
 from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.running_step import RunningStep
-from fringedic.errors import WaitTimeoutError
+from fringedic.errors import WaitTimeoutError, number_text
 from fringedic.recording.load_samples import summarise_load
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import LoadState
@@ -304,8 +304,8 @@ def check_drift(step: RunningStep, limit: DriftLimit) -> None:
     if abs(drift) > limit.largest:
         raise StepFailure(
             Result.LOAD_DRIFT,
-            f"the {limit.quantity} drifted by {drift:+.3g} {limit.unit} during the exposures, {limit.largest:g} "
-            f"{limit.unit} are allowed; hold longer before the step",
+            f"the {limit.quantity} drifted by {number_text(drift, 3, sign=True)} {limit.unit} during the exposures, "
+            f"{limit.largest:g} {limit.unit} are allowed; hold longer before the step",
         )
 
 

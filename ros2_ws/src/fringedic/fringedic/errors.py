@@ -5,9 +5,12 @@ A message names the thing that is wrong and says what to do.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
+
+import numpy as np
 
 
 class ErrorCode(StrEnum):
@@ -234,3 +237,32 @@ def optional_import(extra: str) -> Iterator[None]:
     except ModuleNotFoundError as error:
         package = str(error.name).partition(".")[0]
         raise FringedicError(f"{_EXTRAS[extra]} needs {package}: pip install 'fringedic[{extra}]'") from error
+
+
+def number_text(value: float, digits: int = 4, *, sign: bool = False) -> str:
+    """Return a number as people write it: rounded, without an exponent; "-" when it is not finite.
+
+    Parameters
+    ----------
+    value
+        Any number.
+    digits
+        Significant digits; those before the decimal point are all written.
+    sign
+        Write the plus of a positive number.
+
+    Examples
+    --------
+    >>> [number_text(value) for value in (3.14159, 123456.0, -0.042, 3.191e-05, 0.0, float("nan"))]
+    ['3.142', '123456', '-0.042', '0.00003191', '0', '-']
+    >>> number_text(1793.4, 3, sign=True)
+    '+1793'
+    """
+    if not math.isfinite(value):
+        return "-"
+    text = (
+        f"{value:.0f}"
+        if abs(value) >= 10**digits
+        else np.format_float_positional(value, digits, fractional=False, trim="-")
+    )
+    return f"+{text}" if sign and value > 0 else text

@@ -18,7 +18,7 @@ from sensor_msgs.msg import Image
 
 from camera_node.drivers.driver import Frame, Scene
 from camera_node.drivers.stamp_of import StampOf
-from fringedic.errors import CameraError, CameraTimeoutError, ClockJumpError
+from fringedic.errors import CameraError, CameraTimeoutError, ClockJumpError, number_text
 from fringedic.frames.grey import luminance
 from fringedic.recording.clocks import ClockEstimate, DeviceClock
 from fringedic_ros.images import image_array
@@ -236,8 +236,8 @@ class TopicDriver:
         if not passed_over:
             return f"{_names(images)} publishes {self._topic} but no image arrived {waited}; check its camera"
         return (
-            f"{passed_over} images arrived on {self._topic} {waited}, the last {age:.3g} s after its stamp, and no "
-            "exposure began after the request; synchronise the clock of the driver with this computer"
+            f"{passed_over} images arrived on {self._topic} {waited}, the last {number_text(age, 3)} s after its "
+            "stamp, and no exposure began after the request; synchronise the clock of the driver with this computer"
         )
 
     def _check_stamp(self, stamp_ns: int, arrived_ns: int) -> None:
@@ -247,9 +247,9 @@ class TopicDriver:
         ended = settings.stamp_of.start_ns(stamp_ns, settings.exposure_time) + round(1e9 * settings.exposure_time)
         if ended > arrived_ns + _AHEAD_NS:
             raise CameraError(
-                f"an image of {self._topic} arrived {1e-9 * (ended - arrived_ns):.3g} s before the end of its exposure "
-                f"by its stamp; synchronise the clock of the driver with this computer, or correct exposure_time_s and "
-                f"stamp_of ({settings.stamp_of})"
+                f"an image of {self._topic} arrived {number_text(1e-9 * (ended - arrived_ns), 3)} s before the end of "
+                "its exposure by its stamp; synchronise the clock of the driver with this computer, or correct "
+                f"exposure_time_s and stamp_of ({settings.stamp_of})"
             )
 
     def _grey(self, message: Image) -> np.ndarray:

@@ -21,7 +21,7 @@ from fringedic.calibration.planes import CalibrationPlanes
 from fringedic.calibration.result import RigCalibration
 from fringedic.camera.distortion import DistortionMap
 from fringedic.camera.plane_homography import PlaneHomography
-from fringedic.errors import CalibrationError
+from fringedic.errors import CalibrationError, number_text
 from fringedic.inputs.arguments import array, check_arguments, number, one_of, optional, several, whole
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.geometry import current_model_name
@@ -246,8 +246,8 @@ def _known_camera(camera: Camera, principal_point: tuple[float, float] | None) -
 def _camera_of_grid(camera: Camera, plane: PlaneHomography) -> Camera:
     if abs(plane.pixel_size / camera.pixel_size - 1) > _SAME_SCALE:
         raise CalibrationError(
-            f"pixel_size is {1e6 * camera.pixel_size:.4g} µm, the grid on the plane gives "
-            f"{1e6 * plane.pixel_size:.4g} µm: is the grid's pitch right?"
+            f"pixel_size is {number_text(1e6 * camera.pixel_size)} µm, the grid on the plane gives "
+            f"{number_text(1e6 * plane.pixel_size)} µm: is the grid's pitch right?"
         )
     return dataclasses.replace(
         camera,

@@ -18,7 +18,7 @@ from fringedic.calibration.closed_form import SixParameters
 from fringedic.calibration.placement import Placement
 from fringedic.camera.distortion import DistortionMap
 from fringedic.camera.plane_homography import PinHole, PlaneHomography
-from fringedic.errors import CalibrationError
+from fringedic.errors import CalibrationError, number_text
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.geometry import GENERAL as GENERAL_MODEL
 from fringedic.rig.geometry import SIX_PARAMETER
@@ -195,8 +195,9 @@ def check_size(camera: Camera, distance: float) -> None:
     width = camera.pixel_size * max(camera.width / camera.pixel_aspect, camera.height)
     if width > _WIDEST_FIELD * distance or not _NEAREST < distance < _FARTHEST:
         raise CalibrationError(
-            f"the camera would stand {distance:.3g} m from a field of {width:.3g} m: are the grid's pitch, the pixel "
-            "size and heights given in metre and angles in radian (in files: millimetre, degree)?"
+            f"the camera would stand {number_text(distance, 3)} m from a field of {number_text(width, 3)} m: are the "
+            "grid's pitch, the pixel size and heights given in metre and angles in radian (in files: millimetre, "
+            "degree)?"
         )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fringedic.correlation import image_kernels
-from fringedic.errors import CorrelationError, ErrorCode, ImageError
+from fringedic.errors import CorrelationError, ErrorCode, ImageError, number_text
 
 SMALLEST_WINDOW = 8  # [px], one cell of a pixel per node: see `window`
 # An end of the grey levels is saturated if at least this share of the pixels is there, and this many times those in the
@@ -124,9 +124,9 @@ def measure_photometry(image: np.ndarray, mean: float, deviation: float) -> Phot
     own_mean, own_deviation = measure_grey_range(image, "deformed")
     if not 1 / MOST_CONTRAST < own_deviation / deviation < MOST_CONTRAST:
         raise CorrelationError(
-            f"the grey levels of the deformed image vary by {own_deviation:.3g}, those of the reference by "
-            f"{deviation:.3g} (standard deviations): save all images with the same bit depth, 8 or 16, and the same "
-            "exposure time",
+            f"the grey levels of the deformed image vary by {number_text(own_deviation, 3)}, those of the reference by "
+            f"{number_text(deviation, 3)} (standard deviations): save all images with the same bit depth, 8 or 16, and "
+            "the same exposure time",
             code=ErrorCode.NO_CORRELATION,
         )
     lowest, highest = ((end - mean) / deviation for end in find_saturation(image))

@@ -9,7 +9,7 @@ import numpy as np
 
 from fringedic.calibration.check import RigCheck
 from fringedic.calibration.result import RigCalibration
-from fringedic.errors import CalibrationError, optional_import
+from fringedic.errors import CalibrationError, number_text, optional_import
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.model import RigModel
 from fringedic.rig.uncertainty import position_errors
@@ -179,7 +179,8 @@ def draw_residuals(calibration: RigCalibration) -> Figure:
         )
         kind = "" if plane.fitted else (" - BAD" if plane.problem else " - kept out")
         axes.set_title(
-            f"{plane.name.replace(' (', chr(10)).rstrip(')')}{kind}\n{1e6 * plane.systematic:.2g} µm rms", fontsize=8
+            f"{plane.name.replace(' (', chr(10)).rstrip(')')}{kind}\n{number_text(1e6 * plane.systematic, 2)} µm rms",
+            fontsize=8,
         )
         axes.set_xticks([])
         axes.set_yticks([])
@@ -238,7 +239,7 @@ def draw_planes(calibration: RigCalibration) -> Figure:
     axes.yaxis.set_minor_formatter(NullFormatter())
     axes.set_ylim(bottom=0.5e6 * min(each.systematic for each in calibration.planes))
     labels = [
-        f"{math.degrees(each.angle):+.4g}°"
+        f"{number_text(math.degrees(each.angle), sign=True)}°"
         + (f"\n{1e3 * each.height:+g} mm" if each.height else "")
         + ("" if each.fitted else "\nbad" if each.problem else "\nkept out")
         for each in calibration.planes

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import DatasetError, optional_import
+from fringedic.errors import DatasetError, number_text, optional_import
 from fringedic.figures.panels import ERRORS, Panel, pictures_of
 from fringedic.figures.previews import NOT_MEASURED
 from fringedic.frames.region import Point
 from fringedic.inputs.arguments import check_arguments, path
 from fringedic.inputs.arguments import dataset as dataset_of
 from fringedic.results.attributes import origin_text
-from fringedic.results.quantities import number_text, people_unit
+from fringedic.results.quantities import people_unit
 from fringedic.results.step_maps import with_principal_strains
 from fringedic.results.truth import truth_errors
 
@@ -269,7 +269,7 @@ def _shown(
     ends = limits or _colour_range(_coloured_alike(maps, panel, finite), panel.symmetric)
     title = panel.title
     if panel.symmetric and finite.size:
-        title += f"   RMS {np.sqrt(np.mean(finite**2)):.3g} {people_unit(maps[panel.name]).text}"
+        title += f"   RMS {number_text(np.sqrt(np.mean(finite**2)), 3)} {people_unit(maps[panel.name]).text}"
     return _thinned(values), ends, title
 
 

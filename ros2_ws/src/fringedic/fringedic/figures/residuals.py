@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import optional_import
+from fringedic.errors import number_text, optional_import
 from fringedic.figures.maps import draw_map
 from fringedic.figures.panels import GREY_RESIDUAL
 
@@ -42,6 +42,9 @@ def residual_figure(step: xr.Dataset, contrast: float) -> Figure:
     expected = finite.size * (edges[1] - edges[0]) / (width * np.sqrt(2 * np.pi))
     axes.plot(places, expected * np.exp(-0.5 * ((places - centre) / width) ** 2), "k--", lw=1.2, label="normal")
     axes.set(xlabel="residual [grey level]", ylabel="points")
-    axes.set_title(f"σ = {width:.3g} grey levels, {100 * width / contrast:.2g} % of the contrast", fontsize=11)
+    axes.set_title(
+        f"σ = {number_text(width, 3)} grey levels, {100 * width / contrast:.2g} % of the contrast",
+        fontsize=11,
+    )
     axes.legend(frameon=False)
     return figure

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from fringedic.errors import ClockJumpError
+from fringedic.errors import ClockJumpError, number_text
 
 # the tests in test_clocks.py fix these limits
 _LARGEST_DRIFT = 1e-4  # [s/s] between two quartz clocks, each specified to 50 ppm or better
@@ -189,4 +189,5 @@ class _Line:
 
 def _words(clock: str, change_ns: int) -> str:
     direction = "forward" if change_ns > 0 else "back"
-    return f"{clock} jumped {direction} by {1e-9 * abs(change_ns):.3g} s between two frames; take the step again"
+    jump = number_text(1e-9 * abs(change_ns), 3)
+    return f"{clock} jumped {direction} by {jump} s between two frames; take the step again"

@@ -15,6 +15,7 @@ from fringedic.calibration.acceptance import (
     Place,
     unsuitable,
 )
+from fringedic.errors import number_text
 from fringedic.report.embedding import base64_png
 from fringedic.report.templates import render_page
 
@@ -125,4 +126,4 @@ def write_acceptance_page(acceptance: Acceptance, path: Path, *, rig: str, creat
 
 
 def _micro(value: float) -> str:
-    return "-" if math.isnan(value) else f"{1e6 * value:.3g} µm"
+    return "-" if math.isnan(value) else f"{number_text(1e6 * value, 3)} µm"

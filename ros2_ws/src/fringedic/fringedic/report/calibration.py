@@ -12,6 +12,7 @@ from fringedic.calibration.fit_results import GOOD, USABLE, PlaneResult, Verdict
 from fringedic.calibration.placement import PlaneKind
 from fringedic.calibration.result import RigCalibration
 from fringedic.calibration.variants import ModelVariant
+from fringedic.errors import number_text
 from fringedic.metadata import Metadata
 from fringedic.recording.reader import BagReader
 from fringedic.report.calibration_sentences import (
@@ -127,9 +128,9 @@ def _content(calibration: RigCalibration, traceability: Traceability) -> dict[st
                 "name": _MODELS[each.name],
                 "chosen": each.name is calibration.variant,
                 "parameters": each.parameters,
-                "chi_square": f"{each.chi_square:.3g}",
+                "chi_square": number_text(each.chi_square, 3),
                 "systematic": _micro(each.systematic),
-                "criterion": f"{each.criterion:.3g}",
+                "criterion": number_text(each.criterion, 3),
             }
             for each in calibration.candidates
         ],
@@ -138,7 +139,7 @@ def _content(calibration: RigCalibration, traceability: Traceability) -> dict[st
                 "title": each.title,
                 "unit": "" if each.unit == "1" else each.unit,
                 "value": _with_digits(each.value, each.sigma),
-                "sigma": f"{each.sigma:.2g}",
+                "sigma": number_text(each.sigma, 2),
             }
             for each in calibration.parameters
         ],
@@ -186,7 +187,7 @@ def _figures(calibration: RigCalibration) -> list[tuple[str, str, str]]:
         ),
         (
             "chi square of the block means",
-            f"{calibration.chi_square:.3g}",
+            number_text(calibration.chi_square, 3),
             "1: noise alone. More: a systematic residual, whose size is in the first line.",
         ),
     ]
@@ -329,7 +330,7 @@ def _pictures(calibration: RigCalibration) -> dict[str, str]:
 
 
 def _micro(value: float) -> str:
-    return "unknown" if math.isnan(value) else f"{1e6 * value:.3g} µm"
+    return "unknown" if math.isnan(value) else f"{number_text(1e6 * value, 3)} µm"
 
 
 def _with_digits(value: float, sigma: float) -> str:

@@ -7,6 +7,7 @@ from datetime import datetime
 from pathlib import Path
 
 from fringedic.calibration.check import SCALE_TOLERANCE, RigCheck
+from fringedic.errors import number_text
 from fringedic.report.calibration import Traceability, traceability_entries
 from fringedic.report.calibration_sentences import check_sentence, check_warning_sentences, measured_distance
 from fringedic.report.embedding import base64_png
@@ -73,4 +74,4 @@ def _figures(check: RigCheck) -> list[tuple[str, str, str]]:
 
 
 def _micro(value: float) -> str:
-    return f"{1e6 * value:.3g} µm"
+    return f"{number_text(1e6 * value, 3)} µm"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from fringedic.errors import number_text
 from fringedic.steps.drift_marker import COMPONENTS, MarkerMotion
 
 
@@ -14,8 +15,8 @@ def drift_sentence(motion: MarkerMotion) -> str:
         )
     if not motion.moved:
         return ""
-    moved = ", ".join(f"{name} {1e6 * getattr(motion, name):+.2g} µm" for name in COMPONENTS)
-    noise = ", ".join(f"{1e6 * getattr(motion, f'sigma_{name}'):.2g}" for name in COMPONENTS)
+    moved = ", ".join(f"{name} {number_text(1e6 * getattr(motion, name), 2, sign=True)} µm" for name in COMPONENTS)
+    noise = ", ".join(number_text(1e6 * getattr(motion, f"sigma_{name}"), 2) for name in COMPONENTS)
     return (
         f"the drift marker has moved since step {motion.reference_step} by {moved} (noise of one point: {noise} µm): "
         "the rig drifts, the projector is warming up, or the frame yields"

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fringedic.errors import number_text
 from fringedic.metadata import FIRST_STEP
 from fringedic.report.data import ReportData
 
@@ -123,8 +124,8 @@ def _texture_entries(data: ReportData) -> list[Entry]:
         Entry(
             "feature size", f"{size:.2f} px{data.length(size)}", "half-height width of the texture's autocorrelation"
         ),
-        Entry("image noise", f"{advice.image_noise:.3g} {level}", f"of the texture, the mean{frames}"),
-        Entry("contrast", f"{advice.contrast:.3g} {level}", "standard deviation of the texture"),
-        Entry("mean gradient", f"{advice.mean_gradient:.3g} {level}/px"),
+        Entry("image noise", f"{number_text(advice.image_noise, 3)} {level}", f"of the texture, the mean{frames}"),
+        Entry("contrast", f"{number_text(advice.contrast, 3)} {level}", "standard deviation of the texture"),
+        Entry("mean gradient", f"{number_text(advice.mean_gradient, 3)} {level}/px"),
         Entry("coverage", f"{100 * advice.coverage:.0f} % dark"),
     ]

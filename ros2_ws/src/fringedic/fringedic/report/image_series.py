@@ -8,9 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 import xarray as xr
 
+from fringedic.errors import number_text
 from fringedic.report.confirmation import confirmation_sentence
 from fringedic.results.image_series import ImageSeries
-from fringedic.results.quantities import number_text, people_unit
+from fringedic.results.quantities import people_unit
 
 _DISPLACEMENTS = (("u", "v"), ("displacement_x", "displacement_y"))
 _STRAINS = ("e_xx", "e_yy", "e_xy")

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
+from fringedic.errors import number_text
 from fringedic.report.embedding import base64_png
 from fringedic.report.templates import render_page
 from fringedic.rig_setup.plan import NoiseSource, Plan
@@ -146,7 +147,7 @@ def plan_warning_sentence(warning: PlanWarning) -> str:
 def _value(name: str, sigma: float) -> str:
     if not math.isfinite(sigma):
         return "-"
-    return f"{1e6 * sigma:.3g} µstrain" if name.startswith("e_") else f"{1e6 * sigma:.3g} µm"
+    return f"{number_text(1e6 * sigma, 3)} µstrain" if name.startswith("e_") else f"{number_text(1e6 * sigma, 3)} µm"
 
 
 _SENTENCES: dict[PlanProblem, Callable[[float, float], str]] = {

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from fringedic.errors import number_text
 from fringedic.metadata import CheckMetadata
 from fringedic.report.data import ReportData
 from fringedic.report.entries import VIRTUAL, Entry, entered, without
@@ -208,17 +209,19 @@ def _calibration_entries(data: ReportData, rig: dict[str, Any]) -> list[Entry]:
 def _residual_entries(data: ReportData, note: str) -> list[Entry]:
     """Return date and residual of the calibration; the note says why they are missing."""
     known = data.metadata.calibration
-    if known.residual_um is None:
+    if known.residual_um is None or known.predicted_um is None:
         return [Entry("date of the calibration", known.created or None, note), Entry("plane residual", None, note)]
-    held_out = "" if known.held_out_um is None else f"; planes kept out of the fit: {known.held_out_um:.3g} µm"
-    noise = f"noise alone would leave {known.predicted_um:.3g} µm{held_out}"
+    held_out = (
+        "" if known.held_out_um is None else f"; planes kept out of the fit: {number_text(known.held_out_um, 3)} µm"
+    )
+    noise = f"noise alone would leave {number_text(known.predicted_um, 3)} µm{held_out}"
     return [
         Entry(
             "date of the calibration",
             f"{datetime.fromisoformat(known.created).astimezone(UTC):%Y-%m-%d %H:%M} UTC",
             _age(data.dataset, known.created),
         ),
-        Entry("plane residual", f"{known.residual_um:.3g} µm RMS", noise),
+        Entry("plane residual", f"{number_text(known.residual_um, 3)} µm RMS", noise),
     ]
 
 
@@ -228,7 +231,9 @@ def _known_distance(checks: list[CheckMetadata]) -> Entry:
         return Entry("known-distance check", None, "none was made; `fringedic check` does it")
     last = checks[-1]
     distance, expected = last.distance_mm, last.expected_mm
-    found = "no distance measured" if distance is None else f"{distance:.4g} mm for {expected:.4g} mm"
+    found = "no distance measured"
+    if distance is not None and expected is not None:
+        found = f"{number_text(distance)} mm for {number_text(expected)} mm"
     return Entry("known-distance check", f"{found}, {last.created}", last.verdict)
 
 

@@ -6,6 +6,7 @@ import math
 
 from fringedic.configuration.conditions import MetCondition, Quantity
 from fringedic.configuration.programme import BlockEnd
+from fringedic.errors import number_text
 
 _UNITS = {Quantity.FORCE: " N", Quantity.STRAIN: " %", Quantity.VALID_FRACTION: ""}
 
@@ -16,7 +17,7 @@ def condition_sentence(condition: MetCondition) -> str:
         return f"the {condition.quantity} is not known"
     unit = _UNITS[condition.quantity]
     reached = "reached" if condition.rising else "fell to"
-    return f"the {condition.quantity} of {condition.value:.4g}{unit} {reached} {condition.limit:g}{unit}"
+    return f"the {condition.quantity} of {number_text(condition.value)}{unit} {reached} {condition.limit:g}{unit}"
 
 
 def block_end_sentence(end: BlockEnd) -> str:

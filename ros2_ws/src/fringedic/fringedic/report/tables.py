@@ -9,12 +9,13 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
+from fringedic.errors import number_text
 from fringedic.frames.region import Region
 from fringedic.metadata import NOISE_QUANTITIES
 from fringedic.results.attributes import seconds
 from fringedic.results.noise_floor import NoiseFloor
 from fringedic.results.probes import region_statistics
-from fringedic.results.quantities import number_text, people_unit
+from fringedic.results.quantities import people_unit
 from fringedic.results.truth import compare_with_truth
 
 MILLI, MICRO = 1e-3, 1e-6

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-import numpy as np
 import xarray as xr
 
 MAP_DIMENSIONS = ("step", "row", "column")
@@ -143,21 +142,6 @@ def people_unit(variable: xr.DataArray) -> PeopleUnit:
     if units == "1":
         return _MICROSTRAIN
     return PeopleUnit(units, units.replace(" ", "_"), 1.0)
-
-
-def number_text(value: float) -> str:
-    """Return a number with four digits and without an exponent, as people write it; "-" for NaN.
-
-    Examples
-    --------
-    >>> [number_text(value) for value in (3.14159, 123456.0, -0.042, 3.191e-05, 0.0, float("nan"))]
-    ['3.142', '123456', '-0.042', '0.00003191', '0', '-']
-    """
-    if not np.isfinite(value):
-        return "-"
-    if abs(value) >= 1e4:
-        return f"{value:.0f}"
-    return np.format_float_positional(value, precision=4, fractional=False, trim="-")
 
 
 def sigma_of(name: str) -> str | None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import CalibrationError, ErrorCode, PatternError
+from fringedic.errors import CalibrationError, ErrorCode, PatternError, number_text
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.rig.geometry import RigGeometry
 
@@ -142,8 +142,8 @@ def check_heights(surface: xr.Dataset, calibration: RigGeometry) -> None:
     height = float(np.median(measured)) if measured.size else 0.0
     if abs(height) > LARGEST_HEIGHT * calibration.camera_distance:
         raise _other_rig(
-            f"{_name(calibration)} places the surface at z = {1e3 * height:.4g} mm, its camera is at "
-            f"{1e3 * calibration.camera_distance:.4g} mm: use the calibration of this rig, and check its units"
+            f"{_name(calibration)} places the surface at z = {number_text(1e3 * height)} mm, its camera is at "
+            f"{number_text(1e3 * calibration.camera_distance)} mm: use the calibration of this rig, and check its units"
         )
 
 
@@ -168,15 +168,15 @@ def _check_lengths(calibration: RigGeometry) -> None:
     view = size / (2 * calibration.camera_distance)
     if not _NARROWEST <= view <= _WIDEST:
         raise _other_rig(
-            f"{_name(calibration)}: a pixel_size of {1e3 * calibration.pixel_size:.4g} mm makes a view of "
-            f"{1e3 * size:.4g} mm, {math.degrees(2 * math.atan(view)):.3g} degree at the camera_distance of "
-            f"{1e3 * calibration.camera_distance:.4g} mm: check the units of both"
+            f"{_name(calibration)}: a pixel_size of {number_text(1e3 * calibration.pixel_size)} mm makes a view of "
+            f"{number_text(1e3 * size)} mm, {math.degrees(2 * math.atan(view)):.3g} degree at the camera_distance of "
+            f"{number_text(1e3 * calibration.camera_distance)} mm: check the units of both"
         )
     away = float(np.linalg.norm(calibration.projector_position))
     if not 1 / _FARTHER <= away / calibration.camera_distance <= _FARTHER:
         raise _other_rig(
-            f"{_name(calibration)}: the projector is {1e3 * away:.4g} mm away from the origin, the camera "
-            f"{1e3 * calibration.camera_distance:.4g} mm: check the units of both"
+            f"{_name(calibration)}: the projector is {number_text(1e3 * away)} mm away from the origin, the camera "
+            f"{number_text(1e3 * calibration.camera_distance)} mm: check the units of both"
         )
 
 

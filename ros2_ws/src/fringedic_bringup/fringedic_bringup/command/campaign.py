@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from fringedic.errors import CampaignError, ConfigurationError
+from fringedic.errors import CampaignError, ConfigurationError, number_text
 from fringedic_bringup.command.app import MANY, Commands, Group, app, begin, console, output_file, say
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ def open_results(
 
 
 def _cell(value: object) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return number_text(value) if isinstance(value, float) else str(value)
 
 
 def _run(
