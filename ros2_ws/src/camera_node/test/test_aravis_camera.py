@@ -106,7 +106,7 @@ def test_each_frame_has_its_exposure_time() -> None:
             taken = opened.expose(Scene(0, (), 0.0, exposure_time=wanted)).exposure_time
             assert taken == pytest.approx(wanted, abs=1e-6)
             assert opened.camera.get_exposure_time() == pytest.approx(1e6 * wanted)
-        with pytest.raises(CameraError, match=r"1e\+08 µs is outside 10 to 1e\+07 µs"):
+        with pytest.raises(CameraError, match=r"100000000 µs is outside 10 to 10000000 µs"):
             opened.expose(Scene(0, (), 0.0, exposure_time=100.0))
         assert opened.expose(SCENE).exposure_time == pytest.approx(0.01)
 

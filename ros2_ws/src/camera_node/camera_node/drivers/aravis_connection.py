@@ -10,7 +10,7 @@ from typing import Any
 
 from camera_node.drivers.aravis_library import Aravis
 from camera_node.drivers.aravis_settings import PIXEL_TYPES, AravisSettings, Trigger
-from fringedic.errors import CameraError
+from fringedic.errors import CameraError, number_text
 from fringedic.recording.clocks import DeviceClock
 
 _BUFFERS = 16  # frames that may wait in this process: half a second at 30 frames/s
@@ -261,4 +261,5 @@ def _set_region(aravis: Aravis, camera: Any, region: tuple[int, int, int, int] |
 def _check_range(bounds: tuple[float, float], value: float, unit: str) -> None:
     lowest, highest = bounds
     if not lowest <= value <= highest:
-        raise CameraError(f"{value:g} {unit} is outside {lowest:g} to {highest:g} {unit}")
+        wanted, low, high = (number_text(each, 6) for each in (value, lowest, highest))
+        raise CameraError(f"{wanted} {unit} is outside {low} to {high} {unit}")

@@ -10,7 +10,7 @@ import reprlib
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ParamSpec, TypeVar
 
-from fringedic.errors import FringedicError
+from fringedic.errors import FringedicError, number_text
 
 # Returns the value that the function uses; raises ValueError with the end of a sentence: "it has to be ..."
 Check = Callable[[Any], Any]
@@ -85,7 +85,9 @@ def excerpt(value: Any) -> str:
 
 def number(low: float = -_LARGEST, high: float = _LARGEST) -> Check:
     """Return the check of a finite number in a range; both ends are included."""
-    words = "a number" if low == -_LARGEST else f"a number from {low:g}" + (f" to {high:g}" if high < _LARGEST else "")
+    words = "a number" if low == -_LARGEST else f"a number from {number_text(low, 6)}"
+    if high < _LARGEST:
+        words += f" to {number_text(high, 6)}"
 
     def check(value: Any) -> Any:
         real = _real(value, words)

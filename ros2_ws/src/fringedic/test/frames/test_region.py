@@ -56,9 +56,9 @@ def test_a_region_without_an_image_size_has_a_mask_for_every_image() -> None:
 
 def test_positions_beyond_any_image_are_refused() -> None:
     """OpenCV draws with 32 bits: a corner of 1e9 px would be drawn elsewhere."""
-    with pytest.raises(ImageError, match=r"it has to be a number from -1e\+06 to 1e\+06"):
+    with pytest.raises(ImageError, match=r"it has to be a number from -1000000 to 1000000"):
         Region.rectangle((0, 0), (1e9, 4))
-    with pytest.raises(ImageError, match=r"it has to be a number from -1e\+06 to 1e\+06"):
+    with pytest.raises(ImageError, match=r"it has to be a number from -1000000 to 1000000"):
         Region.from_text("{width: 8, height: 8, polygons: [{points: [[0, 0], [1000000000, 0], [4, 4]]}]}")
     with pytest.raises(ImageError, match="width: Input should be less than or equal to 32768"):
         Region.from_text("{width: 1000000000, height: 8, polygons: [{points: [[0, 0], [4, 0], [4, 4]]}]}")

@@ -56,7 +56,7 @@ def test_late_frames_do_not_move_stamps_and_the_drift_is_found(drift: float, per
     [
         ({"device_jump_s": -30.0}, "the camera's clock jumped back by 30 s"),
         ({"device_jump_s": 30.0}, "the camera's clock jumped forward by 30 s"),
-        ({"set_by_ns": -3600 * SECOND}, "this computer's clock jumped back by 3.6e[+]03 s"),
+        ({"set_by_ns": -3600 * SECOND}, "this computer's clock jumped back by 3600 s"),
         ({"set_by_ns": 2 * SECOND}, "this computer's clock jumped forward by 2 s"),
     ],
 )
