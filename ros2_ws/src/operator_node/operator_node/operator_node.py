@@ -54,6 +54,7 @@ from operator_node.rig_state import RigState
 
 TOKEN = "FRINGEDIC_OPERATOR_TOKEN"  # an environment variable: parameters are recorded and published
 ANSWER_S = 10.0
+LOOKS_S = 0.1  # between two looks for a service
 PRESENCE_S = 1.0
 MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
 MEASURING = ("run", "by_hand")  # the procedures with a dataset
@@ -172,6 +173,7 @@ class OperatorNode(RigNode):
             code = getattr(ControlProcedure.Request, command.command.upper())
             return await self._called(self._controls, ControlProcedure.Request(command=code))
         if isinstance(command, Hold):
+            await self._discovered(self._holds)
             answer = await self._called(self._holds, Trigger.Request()) or "the machine was requested to hold"
             with suppress(OperatorError):  # no programme runs
                 await self._called(self._controls, ControlProcedure.Request(command=ControlProcedure.Request.PAUSE))
@@ -179,6 +181,13 @@ class OperatorNode(RigNode):
             return answer
         assert isinstance(command, Measure), "there are no other commands"
         return await self._measure_by_hand(command)
+
+    async def _discovered(self, client: Client) -> None:
+        """Wait for a service of a node that has just started: on a busy computer it is known after the button is."""
+        for _ in range(round(ANSWER_S / LOOKS_S)):
+            if client.service_is_ready():
+                return
+            await asyncio.sleep(LOOKS_S)
 
     async def _called(self, client: Client, request: Any) -> str:
         if not client.service_is_ready():
