@@ -126,8 +126,8 @@ class RigCalibration(FitResult):
             A file is missing or has another content, or the figures beside the model are those of another calibration.
         """
         path = Path(path)
-        file = path / MODEL_FILE if path.is_dir() else path
         try:
+            file = path / MODEL_FILE if path.is_dir() else path
             values = read_fit(file.with_name(FIT_FILE))
             model = RigModel.from_yaml(file)
             with xr.open_dataset(file.with_name(RESIDUAL_FILE), engine="h5netcdf") as stored:

@@ -11,6 +11,7 @@ import xarray as xr
 
 from fringedic.calibration import RigCalibration, RigCheck, check_rig
 from fringedic.calibration.history import record_check
+from fringedic.calibration.placement import SMALLEST_MOVE
 from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import CalibrationError, RecordingError
 from fringedic.frames.messages import image_array
@@ -61,6 +62,8 @@ def check(
     ------
     ConfigurationError
         The folder contains a recording already, the rig has no projector, or no calibration that fits it.
+    CalibrationError
+        The stage reports that it did not lift the plane.
     NodeDiedError, WaitTimeoutError, StepFailedError
         The nodes did not start, one of them ended, or a plane could not be placed or measured.
     """
@@ -75,8 +78,13 @@ def check(
             stamps.append(to_nanoseconds(client.measure().stamp))
         client.place(PlaceReferencePlane.Request.SPECIMEN)
         client.wait_until_recorded()
-    calibration = rig_path.parent / str(rig.calibration)
-    known = _known(calibration)
+    lifted_by = reached[1] - reached[0]
+    if abs(lifted_by) < SMALLEST_MOVE:
+        raise CalibrationError(
+            f"the stage did not lift the plane: it reports {1e3 * reached[1]:.3f} mm for {1e3 * distance:g} mm; check "
+            "its driver"
+        )
+    known = _calibration_of(rig, rig_path)
     first, lifted, last = phase_maps(folder / "bag", stamps)
     finest = rig.patterns()[-1]
     result = check_rig(
@@ -85,7 +93,7 @@ def check(
         last.sigma,
         pitch=finest.pitch,
         orientation=finest.orientation,
-        distance=reached[1] - reached[0],
+        distance=lifted_by,
         lifted=lifted,
         earlier=first,
         age=math.nan if known is None else known.age(),
@@ -93,14 +101,16 @@ def check(
     when = datetime.fromtimestamp(1e-9 * stamps[-1], UTC)
     write_check_page(result, folder / CHECK_PAGE, rig=model.identifier, created=when, traceability=traceability_of(rig))
     if known is not None:
-        record_check(calibration.parent, result, when, verdict=check_in_words(result))
+        record_check((rig_path.parent / str(rig.calibration)).parent, result, when, verdict=check_in_words(result))
     return result
 
 
-def _known(calibration: Path) -> RigCalibration | None:
-    """Return the files beside a model; None for the model of a virtual rig or of a rig file, or without such files."""
+def _calibration_of(rig: RigFile, rig_path: Path) -> RigCalibration | None:
+    """Return the calibration that a rig file names; None where it names a model alone, or contains one."""
+    if not isinstance(rig.calibration, str):
+        return None
     try:
-        return RigCalibration.load(calibration)
+        return RigCalibration.load(rig_path.parent / rig.calibration)
     except CalibrationError:
         return None
 
