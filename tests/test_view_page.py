@@ -186,10 +186,10 @@ def test_an_answer_about_earlier_points_that_comes_late_is_not_shown(page: Page,
 def test_a_cloud_of_an_earlier_choice_that_comes_late_is_not_drawn(page: Page) -> None:
     drawn = "() => document.querySelector('#space').toDataURL()"
     page.click("text=3D")
-    expect(page.locator("main p[role=status]")).to_contain_text("points")
+    words = page.locator("main p[role=status]")
+    expect(words).to_contain_text("coloured by w of step")
     page.select_option("#space-quantity", "v")
-    page.wait_for_load_state("networkidle")
-    page.wait_for_timeout(200)
+    expect(words).to_contain_text("coloured by v of step")
     expected = page.evaluate(drawn)
     held = Held(page, "**/cloud/*/w")
     page.select_option("#space-quantity", "w")
@@ -197,6 +197,7 @@ def test_a_cloud_of_an_earlier_choice_that_comes_late_is_not_drawn(page: Page) -
     with page.expect_response("**/cloud/*/v"):
         page.select_option("#space-quantity", "v")
     held.release()
+    expect(words).to_contain_text("coloured by v of step")
     assert page.evaluate(drawn) == expected
 
 

@@ -33,10 +33,11 @@ export function show(place) {
   const chosen = newest();
   const load = async () => {
     if (!step.value || !quantity.value) return;
+    const of = `${quantity.value} of step ${step.value}`;
     const [points, colours] = await tried(chosen(Promise.all([cloud(step.value, quantity.value), palettes()]))) ?? [];
     if (!points) return;
     scene.take(points, colours.viridis);
-    words.textContent = `${points.length / 7} points; drag to turn, wheel to zoom`;
+    words.textContent = `${points.length / 7} points, coloured by ${of}; drag to turn, wheel to zoom`;
   };
   const watch = new ResizeObserver(() => scene.draw());
   watch.observe(canvas);
