@@ -64,8 +64,10 @@ class CalibrationProcedures:
         angles = [0.0, *grid_angles(request)]
         result.experiment = result.identifier = run.experiment.name
         run.feedback.planes = len(angles)
-        for run.feedback.plane, angle in enumerate(angles, start=1):
-            await self._measure_grid(run, angle)
+        # one subscription for all: of two in succession the camera could take the first for the second, and lose images
+        with self._steps.collect({CAMERA_IMAGE: IMAGES}) as images:
+            for run.feedback.plane, angle in enumerate(angles, start=1):
+                await self._measure_grid(run, angle, images)
         orientation = self._steps.parameters.patterns()[-1].orientation
         grid = await self._steps.compute(
             run, result.GRID_REJECTED, session.locate_pin_hole, request.sigma_angle, orientation
@@ -74,19 +76,18 @@ class CalibrationProcedures:
         result.residual, result.go, result.verdict = grid.residual, True, grid_in_words(grid)
         result.folder = str(run.folder)
 
-    async def _measure_grid(self, run: CalibrationRun, angle: float) -> None:
+    async def _measure_grid(self, run: CalibrationRun, angle: float, images: Images) -> None:
         """Measure the grid at one angle [rad]; the first one is at 0 and gives the distortion."""
         request, session = run.goal.goal.request, self._session
         plane = ReferencePlane(
             kind=ReferencePlane.GRID, angle=angle, grid_pitch=request.grid_pitch, sigma_angle=request.sigma_angle
         )
         white = (ProjectedPattern(PatternKind.WHITE),) * (request.frames or GRID_FRAMES)
-        with self._steps.collect({CAMERA_IMAGE: IMAGES}) as images:
-            run.report(place_in_words(plane.kind, angle, 0.0))
-            await self._steps.place(run, plane)
-            step = await self._steps.measure(run, plane, white)
-            await self._steps.await_images(run, images, CAMERA_IMAGE, step.stamps)
-            frames = np.stack([image_array(images[CAMERA_IMAGE][stamp]) for stamp in step.stamps])
+        run.report(place_in_words(plane.kind, angle, 0.0))
+        await self._steps.place(run, plane)
+        step = await self._steps.measure(run, plane, white)
+        await self._steps.await_images(run, images, CAMERA_IMAGE, step.stamps)
+        frames = np.stack([image_array(images[CAMERA_IMAGE].pop(stamp)) for stamp in step.stamps])
         if run.feedback.plane == 1:
             run.report("measuring the distortion")
             await self._steps.compute(run, run.result.GRID_REJECTED, session.measure_grid, frames, request.grid_pitch)

@@ -26,7 +26,7 @@ from fringedic_ros.images import image_message
 from fringedic_ros.matching import offer_reader_counts
 from fringedic_ros.qos import DERIVED, EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY
 from fringedic_ros.stamps import to_msg
-from fringedic_ros.testing import NodeProcess, Peer
+from fringedic_ros.testing import NodeProcess, Peer, await_readers
 
 PITCHES = [100.0, 20.0, 5.0]
 SHIFTS = [3, 3, 3]
@@ -114,6 +114,8 @@ class Rig(Peer):
     def _capture(self, request: CaptureFrame.Request, response: CaptureFrame.Response) -> CaptureFrame.Response:
         if not request.count:
             return response
+        await_readers(self.images, request.image_subscribers)
+        await_readers(self.exposures, request.exposure_subscribers)
         self.clock_ns += 10_000_000
         response.stamp = to_msg(self.clock_ns)
         there = self.placed[-1]

@@ -25,6 +25,7 @@ from fringedic_ros.images import image_message
 from fringedic_ros.qos import IMAGES
 from fringedic_ros.records import exposure_message
 from fringedic_ros.stamps import to_msg
+from fringedic_ros.testing import await_readers
 
 PIXELS = np.arange(12, dtype=np.uint8).reshape(3, 4)
 
@@ -54,6 +55,8 @@ class Rig(Node):
     async def _capture(self, request: CaptureFrame.Request, response: CaptureFrame.Response) -> CaptureFrame.Response:
         await self._lose_first_response("camera/capture")
         if request.count:
+            await_readers(self.images, request.image_subscribers)
+            await_readers(self.exposures, request.exposure_subscribers)
             record = FrameRecord("single frames", 0, 0, 1, WHITE, time.time_ns(), 0.01)
             self.exposures.publish(exposure_message(record, frame_id="camera_optical_frame"))
             self.images.publish(image_message(PIXELS, stamp_ns=record.stamp, frame_id="camera_optical_frame"))

@@ -141,6 +141,14 @@ def white_step(rig: VirtualRig, position: float, experiment: str, step: int) -> 
     return [(record, rig.expose(render_pattern(pattern, columns, rows), position, frame=step))]
 
 
+def await_readers(publisher: Publisher, count: int) -> None:
+    """Wait until a publisher is connected to so many readers, as a camera does before the first frame of a step."""
+    deadline = time.monotonic() + 60.0
+    while publisher.get_subscription_count() < count:
+        assert time.monotonic() < deadline, f"{publisher.topic_name} has less than {count} readers"
+        time.sleep(0.01)
+
+
 class Peer(Node):
     """Counterpart of a tested node: publishes, serves and collects messages; the waiting test spins it."""
 
