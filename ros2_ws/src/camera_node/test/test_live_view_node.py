@@ -51,6 +51,7 @@ class Studio(Peer):
         )
         self.wait(lambda: self.count_publishers("live_view/image"), "its picture")
         self.wait(self._reset.service_is_ready, "its service")
+        self.meet("live_view")
 
     def send(self, *, blur: float = 0.0, free: bool = False, timeout_s: float = 300.0) -> LiveView:
         """Send a frame, with two rows of it saturated, and return its figures."""
@@ -113,7 +114,8 @@ def test_region_is_told_and_one_outside_the_image_is_named(studio: Studio, tmp_p
         studio.set_region([120, 40, 64, 48])
         with pytest.raises(AssertionError, match="figures did not happen"):
             studio.send(timeout_s=1.0)
-        assert "the region of 64x48 px from column 120 and row 40 is not inside the image of 160x120" in node.log
+        named = "the region of 64x48 px from column 120 and row 40 is not inside the image of 160x120"
+        studio.wait(lambda: named in node.log, "the reason")
         studio.set_region([])
         assert studio.send().width == 160, "the next frame works"
     with pytest.raises(ValueError, match="four numbers"):
