@@ -46,8 +46,6 @@ class RigCalibration(FitResult):
         Root mean squares over the fitted planes as heights [m]: of pixels, of their predicted noise and of block means.
     held_out
         Root mean square of the block means of that plane kept out of the fit which deviates most [m]; NaN without one.
-    tested
-        Whether a plane kept out of the fit was at another position than every fitted one.
     height_sigma
         Largest standard deviation of z due to the calibration, over the calibrated volume [m].
     principal_effect
@@ -57,8 +55,9 @@ class RigCalibration(FitResult):
         ``residual`` [m], ``phase`` and ``sigma`` [rad] of block means with the dimensions (plane, row, column).
     warnings
         What should be better, as codes with values; `fringedic.report.calibration_sentences` makes sentences of them.
-    verdict, reason, go
-        Whether the calibration can be used, why, and the same as a bool.
+    verdict, reason, go, tested
+        Whether the calibration can be used, why, the same as a bool, and whether a plane kept out of the fit was at
+        another position than every fitted one.
     bad_images, worst_plane
         Names of the images that contradict the others, and the fitted plane with the largest residual.
     created
