@@ -8,9 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from decimal import Decimal
 from enum import StrEnum
-
-import numpy as np
 
 
 class ErrorCode(StrEnum):
@@ -260,9 +259,6 @@ def number_text(value: float, digits: int = 4, *, sign: bool = False) -> str:
     """
     if not math.isfinite(value):
         return "-"
-    text = (
-        f"{value:.0f}"
-        if abs(value) >= 10**digits
-        else np.format_float_positional(value, digits, fractional=False, trim="-")
-    )
+    rounded = f"{value:.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}"
+    text = format(Decimal(rounded), "f")
     return f"+{text}" if sign and value > 0 else text

@@ -57,8 +57,8 @@ class ShownRigFile:
     def _calibration(self, rig: RigFile) -> list[str]:
         if rig.calibration is None:
             return ["none: only the displacement in the image is measured"]
-        if isinstance(rig.calibration, str) and rig.calibration != VIRTUAL_RIG:
-            return in_force_words(self._path.parent / rig.calibration, datetime.now(UTC))
+        if (file := rig.calibration_file(self._path)) is not None:
+            return in_force_words(file, datetime.now(UTC))
         return ["the values of the virtual rig" if rig.calibration == VIRTUAL_RIG else "values in the rig file"]
 
 

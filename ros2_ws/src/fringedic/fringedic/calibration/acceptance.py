@@ -234,8 +234,8 @@ def find_balls(shape: xr.Dataset, diameter: float, number: int) -> list[np.ndarr
         if abs(sphere.radius - radius) > _NEAR * radius:
             raise CalibrationError(
                 f"no ball of {number_text(1e3 * diameter, 3)} mm was found: the roundest part of the surface has a "
-                f"diameter of {number_text(2e3 * sphere.radius, 3)} mm; check the "
-                "diameter and that every ball is in view and matt"
+                f"diameter of {number_text(2e3 * sphere.radius, 3)} mm; check the diameter and that every "
+                "ball is in view and matt"
             )
         found.append(sphere_points)
         beside = np.linalg.norm(votes - sphere.centre[:, None, None], axis=0) > diameter
@@ -263,8 +263,7 @@ def measure_place(place: Place, shape: xr.Dataset, artefacts: Artefacts) -> Plac
     if place.artefact is Artefact.PLANE:
         points = np.stack([np.asarray(shape[name], float) for name in "xyz"]).reshape(3, -1)
         kept, distances = _without_outliers(points[:, np.isfinite(points[2])], _plane_distances)
-        plane = np.linalg.lstsq(np.stack([np.ones(kept.shape[1]), *kept[:2]], axis=1), kept[2], rcond=None)[0]
-        _check_place(place, _plane_corners(plane, artefacts), artefacts)
+        _check_place(place, _plane_corners(*_fit_plane(kept), artefacts), artefacts)
         return _result(place, {AcceptanceError.FLATNESS: float(np.ptp(distances))}, kept, distances)
     number = 2 if place.artefact is Artefact.BALL_BAR else 1
     caps = [
@@ -304,18 +303,17 @@ def _points_of(place: Place, artefacts: Artefacts) -> np.ndarray:
     """Return the centres of balls, or the corners of a plane in the volume, at an exact place (n, 3) [m]."""
     turn = Rotation.from_rotvec(place.rotation)
     if place.artefact is Artefact.PLANE:
-        normal = turn.apply((0.0, 0.0, 1.0))
-        slope = -normal[:2] / normal[2]
-        return _plane_corners(np.array([place.centre[2] - slope @ place.centre[:2], *slope]), artefacts)
+        return _plane_corners(np.array(place.centre), turn.apply((0.0, 0.0, 1.0)), artefacts)
     half = artefacts.spacing / 2 if place.artefact is Artefact.BALL_BAR else 0.0
     centres: np.ndarray = place.centre + turn.apply([(-half, 0.0, 0.0), (half, 0.0, 0.0)])
     return centres if half else centres[:1]
 
 
-def _plane_corners(plane: np.ndarray, artefacts: Artefacts) -> np.ndarray:
-    """Return where a plane z = a + b x + c y cuts the four edges of the volume along z, (4, 3) [m]."""
+def _plane_corners(middle: np.ndarray, normal: np.ndarray, artefacts: Artefacts) -> np.ndarray:
+    """Return where a plane cuts the four edges of the volume along z, (4, 3) [m]."""
     x, y = (np.array(signs) * each / 2 for signs, each in zip(_CORNERS, artefacts.volume[:2], strict=True))
-    return np.stack([x, y, plane[0] + plane[1] * x + plane[2] * y], axis=1)
+    z = middle[2] - (normal[0] * (x - middle[0]) + normal[1] * (y - middle[1])) / normal[2]
+    return np.stack([x, y, z], axis=1)
 
 
 def _result(
@@ -337,11 +335,18 @@ def _without_outliers(
 
 def _plane_distances(points: np.ndarray) -> np.ndarray:
     """Return the distances of points (3, n) from their plane of least squares [m]."""
+    middle, normal = _fit_plane(points)
+    return np.asarray((points - middle[:, None]).T @ normal)
+
+
+def _fit_plane(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the middle and the unit normal towards the camera of the plane of least squares of points (3, n) [m]."""
     if points.shape[1] < _FEWEST:
         raise CalibrationError(f"{points.shape[1]} points were measured on the plane, at least {_FEWEST} are needed")
-    near = points - points.mean(axis=1, keepdims=True)
+    middle = points.mean(axis=1)
+    near = points - middle[:, None]
     normal = np.linalg.eigh(near @ near.T)[1][:, 0]
-    return np.asarray(near.T @ (normal * math.copysign(1.0, normal[2])))
+    return middle, normal * math.copysign(1.0, normal[2])
 
 
 def _normals(points: np.ndarray, radius: float) -> np.ndarray:

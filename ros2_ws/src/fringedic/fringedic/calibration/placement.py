@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Protocol
 
 import numpy as np
 
@@ -26,16 +25,12 @@ class PlaneKind(IntEnum):
     SPECIMEN = 2
 
 
-class Placed(Protocol):
-    """Anything with the place of a plane, as stated or as a stage reports it."""
+def apart(turn: float, lift: float) -> bool:
+    """Return whether planes are at different positions whose angles [rad] and heights [m] differ by this much.
 
-    @property
-    def angle(self) -> float:
-        """Angle [rad]."""
-
-    @property
-    def height(self) -> float:
-        """Height [m]."""
+    Stages do not reach a position exactly, and report what they reached.
+    """
+    return bool(abs(turn) > SMALLEST_TURN or abs(lift) > SMALLEST_MOVE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +87,7 @@ class Placement:
 
     def apart(self, first: int, second: int) -> bool:
         """Return whether two planes are at different positions."""
-        turn, lift = (abs(values[first] - values[second]) for values in (self.angles, self.heights))
-        return bool(turn > SMALLEST_TURN or lift > SMALLEST_MOVE)
+        return apart(self.angles[first] - self.angles[second], self.heights[first] - self.heights[second])
 
     def turned(self, planes: Sequence[int]) -> bool:
         """Return whether some planes have different angles."""
@@ -120,12 +114,6 @@ class Placement:
                 f"the planes have {different} different positions only: at least {FEWEST_PLANES} angles "
                 f"(more than {math.degrees(SMALLEST_TURN):g} degree apart) or as many heights are needed"
             )
-
-
-def repeats(plane: Placed, earlier: Placed) -> bool:
-    """Return whether a plane stands where an earlier one stood: stages reach no angle exactly, and report it."""
-    both = (earlier, plane)
-    return not Placement(np.array([each.angle for each in both]), np.array([each.height for each in both])).apart(0, 1)
 
 
 def angle_error(index: int) -> str:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Any
 
-from fringedic.calibration.placement import PlaneKind, repeats
+from fringedic.calibration.placement import PlaneKind, apart
 from fringedic.calibration.session import CalibrationSession, Plane, PlaneQuality, Setting
 from fringedic.errors import RecordingError
 from fringedic.frames.collector import FrameCollector, Stack
@@ -149,7 +149,8 @@ def _repeats_first(planes: Sequence[Any]) -> bool:
     """Return whether the last plane repeats the first one, as that of a complete calibration."""
     if len(planes) < 2:
         return False
-    return planes[-1].held_out and repeats(planes[-1], planes[0])
+    first, last = planes[0], planes[-1]
+    return last.held_out and not apart(last.angle - first.angle, last.height - first.height)
 
 
 def _messages(reader: BagReader, name: str) -> Iterator[Any]:

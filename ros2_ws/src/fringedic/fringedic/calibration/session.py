@@ -11,7 +11,7 @@ import numpy as np
 
 from fringedic.calibration.calibrate import calibrate_rig
 from fringedic.calibration.findings import CalibrationWarning
-from fringedic.calibration.placement import Placement, repeats
+from fringedic.calibration.placement import Placement, apart
 from fringedic.calibration.planes import PlaneBlocks, check_different, reduce_plane
 from fringedic.calibration.result import RigCalibration
 from fringedic.camera.findings import Finding
@@ -273,7 +273,7 @@ def _drift(fitted: RigCalibration, first: Plane, last: Plane) -> tuple[float, fl
     surface = fitted.reconstruct(first.phase, first.sigma)
     slope = np.abs(surface.dz_dphi.values.astype(float))
     noise = float(np.nanmedian(slope * first.sigma))
-    if first is last or not repeats(last, first):
+    if first is last or apart(last.angle - first.angle, last.height - first.height):
         return math.nan, noise
     change = slope * (last.phase.astype(float) - first.phase)
     variance = slope**2 * (first.sigma.astype(float) ** 2 + last.sigma.astype(float) ** 2)

@@ -171,11 +171,16 @@ class RigFile(Section):
         absolute = self.nodes.phase.relative_phase == "refuse"
         return RigSetup(self.camera_size(), self.projector_size(), self.patterns() if absolute else ())
 
+    def calibration_file(self, path: str | os.PathLike[str]) -> Path | None:
+        """Return the file of the calibration that this file, at `path`, names; None when it names no file."""
+        if not isinstance(self.calibration, str) or self.calibration == VIRTUAL_RIG:
+            return None
+        return Path(path).parent / self.calibration
+
     def metadata(self, path: str | os.PathLike[str]) -> Metadata:
         """Return the metadata of specimen, hardware, calibration and noise floor; `path` is that of this file."""
-        known = CalibrationMetadata()
-        if isinstance(self.calibration, str) and self.calibration != VIRTUAL_RIG:
-            known = calibration_metadata(Path(path).parent / self.calibration)
+        file = self.calibration_file(path)
+        known = CalibrationMetadata() if file is None else calibration_metadata(file)
         noise = NoiseFloorMetadata()
         if self.noise_floor_file is not None:
             noise = NoiseFloorMetadata.load(Path(path).parent / self.noise_floor_file)

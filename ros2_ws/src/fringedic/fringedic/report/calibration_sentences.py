@@ -21,7 +21,7 @@ from fringedic.camera.carriers import aliasing_text
 from fringedic.camera.findings import Finding, GridFinding
 from fringedic.camera.grid import GridMeasurement
 from fringedic.camera.tilted_grid import contradiction_text
-from fringedic.errors import CalibrationError
+from fringedic.errors import CalibrationError, number_text
 
 CHECK_AFTER = 7 * 86400.0  # [s] after which a change of temperature or an accidental contact is likely
 _MM, _UM, _FRINGE = 1e3, 1e6, 2 * math.pi
@@ -403,7 +403,7 @@ def _noise(noise: float) -> str:
 
 
 def _micro(value: float, digits: int = 2) -> str:
-    return f"{_UM * value:.{digits}g} µm"
+    return f"{number_text(_UM * value, digits)} µm"
 
 
 def _sentence(words: str, *, capital: bool = True) -> str:

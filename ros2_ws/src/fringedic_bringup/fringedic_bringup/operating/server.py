@@ -54,7 +54,8 @@ class ProcedureServer:
         self._live: Request | None = requested("live")
         self._live_from = 0.0  # not before this time [s]
         self._figures: tuple[str, ...] = ()  # of the last live view
-        self._list = CheckList.load(place.own_file("setup.yaml"))
+        self._list_file = place.own_file("setup.yaml")
+        self._list = CheckList.load(self._list_file)
         self._driver_seen = time.monotonic()
         # the result of the last procedure stays there while the live view runs
         self._statuses = {
@@ -178,11 +179,12 @@ class ProcedureServer:
     def _record(self, item: SetupItem, words: tuple[str, ...], folder: str = "", picture: str = "") -> None:
         record = SetupRecord(when=datetime.now(UTC), words=words, folder=folder, picture=picture)
         self._list = self._list.with_record(item, record)
-        file = self._place.own_file("setup.yaml")
         try:
-            self._list.save(file)
+            self._list.save(self._list_file)
         except OSError as error:
-            self._participant.node.get_logger().error(f"{file}: cannot be written: {error.strerror}; make room")
+            self._participant.node.get_logger().error(
+                f"{self._list_file}: cannot be written: {error.strerror}; make room"
+            )
         self._publish_setup()
 
     def _see_driver(self, present: Bool) -> None:

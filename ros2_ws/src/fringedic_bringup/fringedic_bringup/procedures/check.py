@@ -84,7 +84,8 @@ def check(
             f"the stage did not lift the plane: it reports {1e3 * reached[1]:.3f} mm for {1e3 * distance:g} mm; check "
             "its driver"
         )
-    known = _calibration_of(rig, rig_path)
+    file = rig.calibration_file(rig_path)
+    known = None if file is None else _calibration_in(file)
     first, lifted, last = phase_maps(folder / "bag", stamps)
     finest = rig.patterns()[-1]
     result = check_rig(
@@ -100,17 +101,15 @@ def check(
     )
     when = datetime.fromtimestamp(1e-9 * stamps[-1], UTC)
     write_check_page(result, folder / CHECK_PAGE, rig=model.identifier, created=when, traceability=traceability_of(rig))
-    if known is not None:
-        record_check((rig_path.parent / str(rig.calibration)).parent, result, when, verdict=check_in_words(result))
+    if file is not None and known is not None:
+        record_check(file.parent, result, when, verdict=check_in_words(result))
     return result
 
 
-def _calibration_of(rig: RigFile, rig_path: Path) -> RigCalibration | None:
-    """Return the calibration that a rig file names; None where it names a model alone, or contains one."""
-    if not isinstance(rig.calibration, str):
-        return None
+def _calibration_in(file: Path) -> RigCalibration | None:
+    """Return the calibration whose model is in a file; None when the file holds a model alone."""
     try:
-        return RigCalibration.load(rig_path.parent / rig.calibration)
+        return RigCalibration.load(file)
     except CalibrationError:
         return None
 

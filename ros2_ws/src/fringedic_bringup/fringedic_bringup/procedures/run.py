@@ -147,8 +147,8 @@ def run_experiment(
             progress.note(f"{programme.experiment}: {len(before.measured)} steps are measured already")
             _announce(forecast(rig, programme, before.done), programme, folder, progress)
             graph = continued(graph, bag, before)
-        if isinstance(rig.calibration, str) and rig.calibration != VIRTUAL_RIG:
-            for words in in_force_words(rig_path.parent / rig.calibration, datetime.now(UTC)):
+        if (calibration_file := rig.calibration_file(rig_path)) is not None:
+            for words in in_force_words(calibration_file, datetime.now(UTC)):
                 progress.note(words)
         progress.stage(f"{programme.experiment}: starting {len(graph.nodes)} nodes")
         with RunningGraph(graph, folder / "logs", domain=domain) as running:
