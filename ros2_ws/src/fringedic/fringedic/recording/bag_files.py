@@ -10,8 +10,17 @@ from typing import Any, NamedTuple
 
 from fringedic.errors import RecordingError
 from fringedic.recording.bag_metadata import load_yaml
-from fringedic.recording.mcap_file import DAMAGE, MAGIC, McapFile, check_chunks, opened, read_index
-from fringedic.recording.mcap_scan import scan_file
+from fringedic.recording.mcap_file import (
+    DAMAGE,
+    FOREIGN,
+    MAGIC,
+    McapFile,
+    check_chunks,
+    first_and_last_bytes,
+    opened,
+    read_index,
+)
+from fringedic.recording.mcap_scan import has_chunk, scan_file
 
 BAG = "bag"  # of a run
 METADATA = "metadata.yaml"
@@ -114,7 +123,8 @@ def find_files(path: Path) -> BagFiles:
     _refuse_compression(path, metadata)
     listed = metadata.files or []
     found = [path / name for name in listed if (path / name).is_file()]
-    others = sorted(path.glob("*.mcap"), key=lambda file: [int(number) for number in re.findall(r"\d+", file.stem)])
+    others = [file for file in path.glob("*.mcap") if not file.name.startswith("._")]  # what macOS notes of a file
+    others.sort(key=lambda file: [int(number) for number in re.findall(r"\d+", file.stem)])
     present = list(dict.fromkeys([*found, *others]))
     if not present:
         raise RecordingError(f"{path}: holds no .mcap file; convert other storage with 'ros2 bag convert'")
@@ -169,21 +179,29 @@ def open_file(path: Path, *, check: bool) -> McapFile:
     check
         Read every chunk and leave out those that are damaged. A file without an index is always checked.
 
+    Returns
+    -------
+    McapFile
+        The damage of a file of another format is `FOREIGN`.
+
     Raises
     ------
     RecordingError
-        The file cannot be read or is not a file of this format.
+        The file cannot be read, or is written without chunks.
     """
-    with opened(path) as data:
-        damage = [] if data[: len(MAGIC)] == MAGIC[: len(data)] else ["its first bytes are damaged"]
-        file = None
-        try:
-            file = read_index(path, data)
-        except DAMAGE:
-            damage.append("its index is damaged and was rebuilt from the chunks")
-        if file is None:
+    first, last = first_and_last_bytes(path)
+    damage = [] if MAGIC.startswith(first) else ["its first bytes are damaged"]
+    file = None
+    try:
+        file = read_index(path)
+    except DAMAGE:
+        damage.append("its index is damaged and was rebuilt from the chunks")
+    if file is None:
+        with opened(path) as data:
+            if not MAGIC.startswith(first) and last != MAGIC and not has_chunk(path, data):
+                return McapFile(path, damage=[FOREIGN])
             file = scan_file(path, data)
-        elif check:
-            file = check_chunks(file, data)
-        file.damage[:0] = damage
-        return file
+    elif check:
+        file = check_chunks(file)
+    file.damage[:0] = damage
+    return file

@@ -18,7 +18,7 @@ from fringedic.errors import RecordingError
 from fringedic.recording.bag_files import METADATA, find_files, recording_of
 from fringedic.recording.mcap_file import DAMAGE, MAGIC, RECORD_HEADER, McapFile, chunk_records, index_bytes
 from fringedic.recording.reader import REORDER_WINDOW, BagReader, decode, topic_of
-from fringedic.recording.topics import RawMessage, Topic
+from fringedic.recording.topics import RawMessage, Topic, is_named
 
 STEP = "experiment/step"
 PATIENCE_S = 120.0  # attributes of files on a file server are up to 60 s old
@@ -138,8 +138,8 @@ class GrowingRecording:
         waiting: list[tuple[int, int, str, Any]] = []
         logged, passed = 0, (0, -1)
         for order, raw in enumerate(self._until_complete(wanted)):
-            name = _relative(raw.topic, wanted)
-            message = decode(self._topics[raw.topic], raw.data, self.path)
+            topic = self._topics[raw.topic]
+            name, message = _relative(topic, wanted), decode(topic, raw.data, self.path)
             if raw.log_time < logged or (raw.publish_time, order) < passed:
                 raise FollowError(f"{self.path}: its messages are not in the order of their times")
             logged = raw.log_time
@@ -172,7 +172,7 @@ class GrowingRecording:
                 self._topics |= {topic.name: topic for topic in topics.values()}
                 for each in messages:
                     name = topics[each.channel_id].name
-                    if _relative(name, wanted):
+                    if _relative(topics[each.channel_id], wanted):
                         yield RawMessage(name, each.data, each.log_time, each.publish_time, each.sequence)
 
     def _pause(self) -> bool:
@@ -261,6 +261,6 @@ class _Tail:
         return [each for each in records if isinstance(each, Message) and each.channel_id in self.file.channels]
 
 
-def _relative(topic: str, names: set[str]) -> str:
+def _relative(topic: Topic, names: set[str]) -> str:
     """Return which of some names relative to the rig's namespace a topic has; empty for none."""
-    return next((name for name in names if topic == name or topic.endswith(f"/{name}")), "")
+    return next((name for name in names if is_named(topic.name, topic.type_name, name)), "")

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from io import SEEK_END, BytesIO
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -22,12 +22,15 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from fringedic.errors import RecordingError
 
 MAGIC = b"\x89MCAP0\r\n"
+FOREIGN = "is not an MCAP file"
 RECORD_HEADER = struct.Struct("<BQ")  # opcode, length of the rest
 # Raised by the parsing of damaged bytes: lengths beyond the file or the memory, wrong text, wrong checksums.
 DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, RuntimeError, MemoryError, OverflowError)
 _ZSTD = b"\x28\xb5\x2f\xfd"  # begin of compressed data
 _CHECKSUM = RECORD_HEADER.size + 24  # place of its four bytes in a chunk, after two times and the size
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, start of its offsets, checksum
+
+_READ_BYTES = 1 << 20
 
 Bytes = bytes | mmap.mmap
 
@@ -112,51 +115,74 @@ def refuse_compressed_messages(path: Path, records: Iterable[McapRecord]) -> Non
 
 @contextmanager
 def opened(path: Path) -> Iterator[Bytes]:
-    """Map a file into memory.
+    """Map a file into memory after it was read once: the process would not survive a page that the disk cannot read.
 
     Raises
     ------
     RecordingError
-        The file cannot be read or is not a file of this format.
+        The file cannot be read.
     """
+    with _stream(path) as stream:
+        position = 0
+        try:
+            while part := stream.read(_READ_BYTES):
+                position += len(part)
+        except OSError as error:
+            raise RecordingError(
+                f"{path}: cannot be read behind byte {position} ({error.strerror}); copy it with a program that skips "
+                "what the disk cannot read, such as ddrescue, and recover the copy"
+            ) from error
+        if not position:
+            yield b""
+            return
+        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            yield data
+
+
+@contextmanager
+def _stream(path: Path) -> Iterator[BinaryIO]:
     try:
         with open(path, "rb") as stream:
-            if not path.stat().st_size:
-                yield b""
-                return
-            with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-                if data[: len(MAGIC)] != MAGIC[: len(data)] and data[-len(MAGIC) :] != MAGIC:
-                    raise RecordingError(f"{path}: is not an MCAP file")
-                yield data
+            yield stream
     except RecordingError:
         raise
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def read_index(path: Path, data: Bytes) -> McapFile | None:
-    """Return a file by its index; None for a file without an index that lists all its messages.
+def first_and_last_bytes(path: Path) -> tuple[bytes, bytes]:
+    """Return the bytes of a file where `MAGIC` belongs, fewer of a shorter file.
 
-    Parameters
-    ----------
-    path, data
-        The file and its content.
+    Raises
+    ------
+    RecordingError
+        The file cannot be read.
+    """
+    with _stream(path) as stream:
+        first = stream.read(len(MAGIC))
+        stream.seek(max(0, stream.seek(0, SEEK_END) - len(MAGIC)))
+        return first, stream.read()
+
+
+def read_index(path: Path) -> McapFile | None:
+    """Return a file by its index; None for a file without an index that lists all its messages.
 
     Raises
     ------
     DAMAGE
-        The index does not fit its checksum or cannot be read.
+        The index does not fit its checksum, or its content is damaged.
+    RecordingError
+        The file cannot be read.
     """
-    end = len(data) - len(MAGIC)
-    if end < _FOOTER.size or data[end:] != MAGIC:
+    index = index_bytes(path)
+    if index is None:
         return None
-    _, _, start, _, checksum = _FOOTER.unpack(data[end - _FOOTER.size : end])
-    if not start:
-        return None
-    if checksum and zlib.crc32(data[start : end - 4]) != checksum:
+    end = len(index) - len(MAGIC)
+    checksum = _FOOTER.unpack(index[end - _FOOTER.size : end])[-1]
+    if checksum and zlib.crc32(index[: end - 4]) != checksum:
         raise McapError("the index does not fit its checksum")
     file, statistics, indices = McapFile(path), None, []
-    for record in StreamReader(BytesIO(data[start:]), skip_magic=True).records:
+    for record in StreamReader(BytesIO(index), skip_magic=True).records:
         if isinstance(record, Statistics):
             statistics = record
         elif isinstance(record, Schema):
@@ -187,17 +213,14 @@ def index_bytes(path: Path) -> bytes | None:
     RecordingError
         The file cannot be read.
     """
-    try:
-        with open(path, "rb") as stream:
-            size = stream.seek(0, SEEK_END)
-            stream.seek(max(0, size - _FOOTER.size - len(MAGIC)))
-            start = index_start(stream.read(), size)
-            if start is None:
-                return None
-            stream.seek(start)
-            return stream.read()
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+    with _stream(path) as stream:
+        size = stream.seek(0, SEEK_END)
+        stream.seek(max(0, size - _FOOTER.size - len(MAGIC)))
+        start = index_start(stream.read(), size)
+        if start is None:
+            return None
+        stream.seek(start)
+        return stream.read()
 
 
 def index_start(tail: bytes, size: int) -> int | None:
@@ -219,18 +242,32 @@ def _place(index: ChunkIndex, file: McapFile) -> ChunkPlace:
     )
 
 
-def check_chunks(indexed: McapFile, data: Bytes) -> McapFile:
-    """Return a file with an index without its damaged chunks; its damage says how many there are."""
+def check_chunks(indexed: McapFile) -> McapFile:
+    """Return a file with an index without its damaged chunks; its damage says how many there are.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be opened, or see `refuse_compressed_messages`.
+    """
     file = McapFile(indexed.path, indexed.channels, indexed.schemas, indexed=indexed.indexed)
-    broken = 0
-    for place in indexed.chunks:
-        try:
-            records = _records_at(place, data[place.offset : place.offset + place.length])
-            file.add_chunk(place.offset, place.length, records)
-        except DAMAGE:
-            broken += 1
+    broken, unreadable = 0, 0
+    with _stream(indexed.path) as stream:
+        for place in indexed.chunks:
+            try:
+                stream.seek(place.offset)
+                data = stream.read(place.length)
+            except OSError:
+                unreadable += 1
+                continue
+            try:
+                file.add_chunk(place.offset, place.length, _records_at(place, data))
+            except DAMAGE:
+                broken += 1
     if broken:
         file.damage.append(left_out(broken))
+    if unreadable:
+        file.damage.append(f"{unreadable} chunk{'s' if unreadable > 1 else ''} left out that the disk cannot read")
     return file
 
 
@@ -242,9 +279,12 @@ def count_without_checksum(file: McapFile) -> int:
     RecordingError
         The file cannot be read.
     """
-    with opened(file.path) as data:
-        places = (chunk.offset + _CHECKSUM for chunk in file.chunks)
-        return sum(not any(data[place : place + 4]) for place in places)
+    without = 0
+    with _stream(file.path) as stream:
+        for chunk in file.chunks:
+            stream.seek(chunk.offset + _CHECKSUM)
+            without += not any(stream.read(4))
+    return without
 
 
 def left_out(chunks: int) -> str:

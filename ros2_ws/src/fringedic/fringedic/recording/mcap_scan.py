@@ -69,6 +69,11 @@ def scan_file(path: Path, data: Bytes) -> McapFile:
     return scan.file
 
 
+def has_chunk(path: Path, data: Bytes) -> bool:
+    """Return whether there is a chunk anywhere in a file, by the lengths in its header."""
+    return _Scan(path, data).next_chunk(0) is not None
+
+
 class _Scan:
     """A scan of one file: its readable chunks, and how much was left out."""
 
@@ -90,7 +95,7 @@ class _Scan:
                 return None if closed else end
             end = end or self._chunk(position)
             if end is None:
-                end = self._next_chunk(position + 1)
+                end = self.next_chunk(position + 1)
                 if end is None:
                     break
                 self._leave_out(position, end)
@@ -153,7 +158,7 @@ class _Scan:
         fits = header[1][0] == Opcode.CHUNK and stated_end == end
         return _ChunkHeader(end, fits, any(header[3])) if end <= len(self._data) else None
 
-    def _next_chunk(self, position: int) -> int | None:
+    def next_chunk(self, position: int) -> int | None:
         """Return the position of the next chunk whose lengths agree."""
         for candidate in _CHUNK_START.finditer(self._data, position):
             header = self._chunk_header(candidate.start())

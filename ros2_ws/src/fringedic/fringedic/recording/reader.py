@@ -18,8 +18,8 @@ from rosbags.typesys.store import Typestore
 
 from fringedic.errors import ErrorCode, RecordingError
 from fringedic.recording.bag_files import BagFiles, find_files, open_file, parts_of_run, recording_of
-from fringedic.recording.mcap_file import McapFile, count_without_checksum, read_messages
-from fringedic.recording.topics import RawMessage, Topic
+from fringedic.recording.mcap_file import FOREIGN, McapFile, count_without_checksum, read_messages
+from fringedic.recording.topics import RawMessage, Topic, is_named
 
 _SET_BACK_NS = 1_000_000_000  # chunks of messages that were received one after the other overlap by less
 REORDER_WINDOW = 64  # messages by which topics may overtake each other on their way into the recording
@@ -61,7 +61,7 @@ class BagReader:
     Raises
     ------
     RecordingError
-        There is no such recording, or it has another format.
+        There is no such recording, it has another format, or its files define a topic differently.
 
     Examples
     --------
@@ -81,12 +81,19 @@ class BagReader:
         found = find_files(self.path)
         self.files, self.unlisted = tuple(found.present), tuple(found.unlisted)
         self._files = [open_file(file, check=check) for file in found.present]
+        if all(FOREIGN in file.damage for file in self._files):
+            raise RecordingError(f"{self._files[0].path}: {FOREIGN}")
         self.topics: dict[str, Topic] = {}
         self.counts: dict[str, int] = {}
         indexed: Counter[str] = Counter()
         for file in self._files:
             for number, channel in file.channels.items():
-                self.topics[channel.topic] = topic_of(channel, file.schemas.get(channel.schema_id))
+                topic = topic_of(channel, file.schemas.get(channel.schema_id))
+                if not self.topics.setdefault(topic.name, topic).has_messages_of(topic):
+                    raise RecordingError(
+                        f"{file.path}: defines the messages of {topic.name} differently from the files before it; "
+                        "recordings of different versions belong in folders of their own"
+                    )
                 self.counts[channel.topic] = self.counts.get(channel.topic, 0) + file.counts[number]
                 indexed[channel.topic] += file.indexed[number]
         missing = (indexed | Counter(found.counts)) - Counter(self.counts)
@@ -135,9 +142,9 @@ class BagReader:
         missing = [name for name, full in found.items() if not full]
         if missing:
             present = ", ".join(sorted(topic for topic, count in self.counts.items() if count)) or "no message at all"
-            raise RecordingError(
-                f"{self.path} has no {', '.join(missing)}; it holds {present}", code=ErrorCode.MISSING_TOPIC
-            )
+            others = (f"{topic.name} is a {topic.type_name}" for topic in self._of_other_types(missing))
+            words = "; ".join([f"{self.path} has no {', '.join(missing)}", *others, f"it holds {present}"])
+            raise RecordingError(words, code=ErrorCode.MISSING_TOPIC)
         for name, full in found.items():
             if len(full) > 1:
                 raise RecordingError(f"{self.path} contains {name} of several rigs: {', '.join(full)}")
@@ -256,9 +263,15 @@ class BagReader:
         """
         return decode(self.topics[topic], data, self.path)
 
+    def _of_other_types(self, names: Iterable[str]) -> list[Topic]:
+        """Return the topics that have one of these names and the type of another program."""
+        return [topic for topic in self.topics.values() if any(is_named(topic.name, "", name) for name in names)]
+
     def _full_names(self, name: str) -> list[str]:
         return sorted(
-            topic for topic, count in self.counts.items() if count and (topic == name or topic.endswith(f"/{name}"))
+            topic
+            for topic, count in self.counts.items()
+            if count and is_named(topic, self.topics[topic].type_name, name)
         )
 
 

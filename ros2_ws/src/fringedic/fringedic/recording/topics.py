@@ -2,8 +2,42 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple
+
+_BEFORE_COMMENT = re.compile(r"""(?:[^#'"]|'[^']*'|"[^"]*")*""")
+_NODES = ("phase", "dic", "coupling")
+_TYPES = {
+    "calibration": "fringedic_msgs/msg/RigCalibration",
+    "camera/clock": "fringedic_msgs/msg/ClockDrift",
+    "camera/exposure": "fringedic_msgs/msg/Exposure",
+    "camera/image_raw": "sensor_msgs/msg/Image",
+    "experiment/plane": "fringedic_msgs/msg/ReferencePlane",
+    "experiment/reference": "fringedic_msgs/msg/Reference",
+    "experiment/step": "fringedic_msgs/msg/StepStatus",
+    "load_frame/clock": "fringedic_msgs/msg/ClockDrift",
+    "load_frame/state": "fringedic_msgs/msg/LoadState",
+    "node_parameters": "fringedic_msgs/msg/NodeParameters",
+} | {f"{node}/status": "fringedic_msgs/msg/NodeStatus" for node in _NODES}
+
+
+def is_named(topic: str, type_name: str, name: str) -> bool:
+    """Return whether a topic has a name relative to some rig's namespace, and is not of another program's type.
+
+    Parameters
+    ----------
+    topic, type_name
+        ``/rig/camera/exposure``, ``fringedic_msgs/msg/Exposure``; an empty type is not known.
+    name
+        ``camera/exposure``.
+
+    Examples
+    --------
+    >>> is_named("/driver/camera/exposure", "std_msgs/msg/Float64", "camera/exposure")
+    False
+    """
+    return f"/{topic}".endswith(f"/{name}") and type_name in ("", _TYPES.get(name, type_name))
 
 
 @dataclass(frozen=True)
@@ -59,6 +93,18 @@ class Topic:
     encoding: str
     hash: str
     qos: str
+
+    def has_messages_of(self, other: Topic) -> bool:
+        """Return whether messages of both have the same fields; comments of their definitions may differ."""
+        if self.type_name != other.type_name:
+            return False
+        return bool(self.hash and self.hash == other.hash) or _fields(self.definition) == _fields(other.definition)
+
+
+def _fields(definition: str) -> list[list[str]]:
+    """Return the words of each line of a definition without comments; texts among the values may contain their sign."""
+    lines = map(_BEFORE_COMMENT.match, definition.splitlines())
+    return [line[0].split() for line in lines if line and line[0].strip()]
 
 
 class RawMessage(NamedTuple):

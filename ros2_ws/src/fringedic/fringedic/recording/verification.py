@@ -14,7 +14,7 @@ from fringedic.recording.bag_metadata import offered_profiles
 from fringedic.recording.frames import EXPOSURE, IMAGE, newly_dropped, repeated_steps
 from fringedic.recording.manifest import ManifestCheck, check_manifest
 from fringedic.recording.reader import BagReader, describe_set_back
-from fringedic.recording.topics import RawMessage, Topic
+from fringedic.recording.topics import RawMessage, Topic, is_named
 
 STEP = "experiment/step"
 _END = 3  # stage of a step that succeeded, in fringedic_msgs/StepStatus
@@ -146,8 +146,12 @@ class _Frames:
     def __init__(self, reader: BagReader) -> None:
         self._reader = reader
         known = reader.topics.keys() | reader.missing.keys()  # no message of a counted topic may be readable
+        types = {full: topic.type_name for full, topic in reader.topics.items()}
         self._topics = {
-            full: name for full in known for name in (IMAGE, EXPOSURE, STEP) if f"/{full}".endswith(f"/{name}")
+            full: name
+            for full in known
+            for name in (IMAGE, EXPOSURE, STEP)
+            if is_named(full, types.get(full, ""), name)
         }
         self._dropped: list[int] = []  # by the count of the camera at each record
         self._images: set[int] = set()
@@ -174,7 +178,9 @@ class _Frames:
                 self._sizes[step] = message.count
             self._dropped.append(message.dropped)
         elif message.stage == _END:
-            self._finished.add((message.experiment, message.step))
+            step = message.experiment, message.step
+            self._finished.add(step)
+            self._sizes.setdefault(step, message.frames)  # all records of the step may be lost
 
     @property
     def dropped(self) -> int:

@@ -164,7 +164,7 @@ class BagWriter:
         """
         known = self._topics.get(topic.name)
         if known is not None:
-            if (known.type_name, known.definition) != (topic.type_name, topic.definition):
+            if not known.has_messages_of(topic):
                 raise RecordingError(
                     f"{self.path}: topic {topic.name} has two definitions of its type {topic.type_name}; recordings of "
                     "different versions cannot be joined"

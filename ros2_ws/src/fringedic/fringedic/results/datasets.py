@@ -216,7 +216,7 @@ def process_into(
         yield from (row_of(each, pipeline.settings) for each in pipeline.finish())
 
     exposed = [step for step in timeline.exposed if wanted is None or step in wanted]
-    measured = with_lost_steps(in_order_of_steps(rows()), exposed)
+    measured = with_lost_steps(in_order_of_steps(rows()), exposed, "the recording contains no image of this step")
     if segment is not None:
         measured = (row for row in measured if row.step in segment.steps)
     _write(target, timeline, measured, lambda: pipeline.settings, progress)
@@ -351,7 +351,9 @@ def dataset_from_derived(
             yield from collected.take(event.topic, event.message)
         yield from collected.finish()
 
-    _write(target, timeline, in_order_of_steps(rows()), collected.settings, None)
+    lost = "the recording contains no result of this step; measure it with fringedic process"
+    measured = with_lost_steps(in_order_of_steps(rows()), timeline.exposed, lost)
+    _write(target, timeline, measured, collected.settings, None)
     return target
 
 

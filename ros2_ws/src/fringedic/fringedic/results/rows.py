@@ -89,8 +89,8 @@ def in_order_of_steps(rows: Iterator[Row]) -> Iterator[Row]:
         yield early
 
 
-def with_lost_steps(rows: Iterable[Row], exposed: Iterable[int]) -> Iterator[Row]:
-    """Return rows with a row of each exposed step of which no image was recorded.
+def with_lost_steps(rows: Iterable[Row], exposed: Iterable[int], error: str) -> Iterator[Row]:
+    """Return rows with a row of each exposed step that is not among them, with this error.
 
     It has its place among them if the steps were exposed in their order, and not after a clock that was set back.
     """
@@ -101,10 +101,6 @@ def with_lost_steps(rows: Iterable[Row], exposed: Iterable[int]) -> Iterator[Row
         lost.pop(row.step, None)
         while in_order and lost and (step := next(iter(lost))) < row.step:
             del lost[step]
-            yield _lost(step)
+            yield Row(step, error=error)
         yield row
-    yield from map(_lost, lost)
-
-
-def _lost(step: int) -> Row:
-    return Row(step, error="the recording contains no image of this step")
+    yield from (Row(step, error=error) for step in lost)

@@ -16,12 +16,13 @@ from fringedic.metadata import FIRST_STEP, SpecimenMetadata
 from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.bag_files import recorded_bytes
 from fringedic.recording.frames import records, repeated_steps
-from fringedic.recording.load_samples import samples_over
+from fringedic.recording.load_samples import samples_over, summarise_load
 from fringedic.recording.reader import BagReader
 from fringedic.results.rows import Row
 from fringedic.steps.recorded_parameters import recorded_metadata
 
-_PROCESS, _ERROR = 2, 4  # stages of fringedic_msgs/StepStatus; at PROCESS the hold during the exposures is proven
+# Stages of fringedic_msgs/StepStatus; at PROCESS the hold during the exposures is proven.
+_PROCESS, _END, _ERROR = 2, 3, 4
 _OF_PROCESSING = {108, 109, 110, 111, 115}  # errors of fringedic_msgs/MeasureStep that another processing may not have
 _NO_LOAD = (float("nan"), float("nan"))
 
@@ -45,8 +46,9 @@ class _LoadSamples:
         within = samples_over(self.stamps, begin, end)
         if not within.any():
             return _NO_LOAD
-        force, position = self.values[within].mean(axis=0)
-        return float(force), float(position)
+        stamps = self.stamps[within].tolist()
+        force, position = (summarise_load(stamps, values).mean for values in self.values[within].T)
+        return force, position
 
 
 class Timeline:
@@ -98,9 +100,9 @@ class Timeline:
         self.source, self.source_bytes = reader.path.name, recorded_bytes(reader.path)
         self.damage = reader.lost
         exposed = [record for record in exposed if record.experiment == self.experiment]
-        self._exposed = _exposure_times(exposed)
-        self._load = _LoadSamples.of(messages("load_frame/state"))
         stages = [each for each in messages("experiment/step") if each.experiment == self.experiment]
+        self._exposed = _exposure_times(exposed, [each for each in stages if each.stage == _END])
+        self._load = _LoadSamples.of(messages("load_frame/state"))
         self.rejected = self._interrupted(stages) | {
             each.step: each.error_message
             for each in stages
@@ -192,11 +194,17 @@ def refuse_repeated_steps(exposed: Iterable[FrameRecord], path: Path) -> None:
         )
 
 
-def _exposure_times(exposed: Iterable[FrameRecord]) -> dict[int, tuple[float, float]]:
-    """Return the begin of the first and the end of the last exposure of each step [ns]."""
+def _exposure_times(exposed: Iterable[FrameRecord], ends: Iterable[Any]) -> dict[int, tuple[float, float]]:
+    """Return begin of the first and end of the last exposure of each step [ns], in the order of the ends.
+
+    Of a step whose frames are all lost only the stamp of its last exposure is known, from ``StepStatus`` at its end.
+    """
     times: dict[int, tuple[float, float]] = {}
     for record in exposed:
         begin, end = times.get(record.step, (np.inf, -np.inf))
         half = 0.5e9 * record.exposure_time
         times[record.step] = min(begin, record.stamp - half), max(end, record.stamp + half)
-    return times
+    for end_of_step in ends:
+        if end_of_step.frames:
+            times.setdefault(end_of_step.step, (stamp_of(end_of_step), stamp_of(end_of_step)))
+    return dict(sorted(times.items(), key=lambda item: item[1][1]))

@@ -10,6 +10,7 @@ from mcap.reader import make_reader
 
 from fringedic.errors import RecordingError
 from fringedic.recording import BagReader, BagWriter, Topic, recover
+from fringedic.recording.mcap_file import check_chunks, read_index
 
 IMAGE, FORCE, STEP = "/rig/camera/image_raw", "/rig/load_frame/state", "/rig/experiment/step"
 FLIPS = 100  # the long form is benchmarks/damaged_recordings.py
@@ -208,6 +209,35 @@ def test_file_that_a_power_failure_left_empty_is_reported(recording):
     (recording.bag / "bag_1.mcap").write_bytes(b"")
     assert "bag_1.mcap: not closed" in BagReader(recording.bag).lost
     assert recording.read() == (True, True)
+
+
+@pytest.mark.parametrize("erased", [1, 8, 40])
+def test_damaged_beginning_of_an_unclosed_file_costs_no_other_file(recording, erased):
+    """A power cut leaves a sector of zeros."""
+    (recording.bag / "bag_1.mcap").write_bytes(recording.data)
+    recording.without_index()
+    recording.put(0, bytes(erased))
+    reader = BagReader(recording.bag, check=True)
+    assert "bag_0.mcap: its first bytes are damaged" in reader.damage
+    assert reader.counts[FORCE] == 120
+
+
+def test_file_of_another_format_costs_nothing_and_is_named(recording):
+    (recording.bag / "bag_1.mcap").write_bytes(bytes(range(256)) * 9)
+    (recording.bag / "._bag_0.mcap").write_bytes(b"attributes that macOS stores beside a file")
+    reader = BagReader(recording.bag)
+    assert reader.damage == "bag_1.mcap: is not an MCAP file"
+    assert list(reader.raw()) == recording.messages
+    with pytest.raises(RecordingError, match=r"bag_1\.mcap: is not an MCAP file"):
+        BagReader(recording.bag / "bag_1.mcap")
+
+
+def test_file_that_gets_shorter_while_its_chunks_are_checked(recording):
+    indexed = read_index(recording.file)
+    recording.file.write_bytes(recording.data[: recording.chunks[2] + 9])
+    checked = check_chunks(indexed)
+    assert checked.damage == ["2 chunks left out because of a wrong checksum"]
+    assert len(checked.chunks) == 2
 
 
 @pytest.mark.parametrize("check", [False, True])

@@ -91,15 +91,13 @@ def force(store, number):
 def write_bag(path, store, pictures=8, **options):
     """Ten force samples between two pictures, the log time in steps of 10 ms."""
     with BagWriter(path, **options) as writer:
-        writer.add_topic("/rig/camera/image_raw", PICTURE)
-        writer.add_topic(
-            "/rig/load_frame/state", FORCE, [Qos(depth=1000, durability="transient_local", history="keep_last")]
-        )
+        writer.add_topic("/rig/bench/image", PICTURE)
+        writer.add_topic("/rig/bench/load", FORCE, [Qos(depth=1000, durability="transient_local", history="keep_last")])
         for number in range(10 * pictures):
             when = 10**18 + number * 10**7
             if number % 10 == 0:
-                writer.write("/rig/camera/image_raw", picture(store, number // 10), when, when - 5)
-            writer.write("/rig/load_frame/state", force(store, number), when, when - 3)
+                writer.write("/rig/bench/image", picture(store, number // 10), when, when - 5)
+            writer.write("/rig/bench/load", force(store, number), when, when - 3)
             if number % 30 == 0:
                 writer.flush()
     return path
@@ -133,14 +131,14 @@ def test_unknown_types_are_refused_by_name(tmp_path):
 def test_everything_written_is_read_again_in_order(typestore, tmp_path, compression):
     reader = BagReader(write_bag(tmp_path / "bag", typestore, compression=compression))
     assert reader.lost == ""
-    assert reader.counts == {"/rig/camera/image_raw": 8, "/rig/load_frame/state": 80}
+    assert reader.counts == {"/rig/bench/image": 8, "/rig/bench/load": 80}
     raw = list(reader.raw())
     assert [each.log_time for each in raw] == sorted(each.log_time for each in raw)
-    pictures = [each for each in raw if each.topic == "/rig/camera/image_raw"]
+    pictures = [each for each in raw if each.topic == "/rig/bench/image"]
     assert [each.data for each in pictures] == [picture(typestore, number) for number in range(8)]
     assert [each.log_time - each.publish_time for each in pictures] == [5] * 8
     assert (reader.start_time, reader.end_time) == (10**18, 10**18 + 79 * 10**7)
-    _, message, _ = list(reader.messages(["/rig/load_frame/state"]))[79]
+    _, message, _ = list(reader.messages(["/rig/bench/load"]))[79]
     assert message.newton == 2.5 * 79
     assert stamp_of(message) == 79 * 10**7
     assert message.history.tolist() == [0.0]
@@ -150,7 +148,7 @@ def test_other_readers_read_it(typestore, tmp_path):
     path = write_bag(tmp_path / "bag", typestore)
     with AnyReader([path]) as reader:
         assert reader.message_count == 88
-        connection = next(each for each in reader.connections if each.topic == "/rig/load_frame/state")
+        connection = next(each for each in reader.connections if each.topic == "/rig/bench/load")
         assert connection.digest == type_hash(FORCE)
         assert connection.ext.offered_qos_profiles[0].durability.name == "TRANSIENT_LOCAL"
         assert (
@@ -161,8 +159,8 @@ def test_other_readers_read_it(typestore, tmp_path):
         mcap = make_reader(stream, validate_crcs=True)
         assert mcap.get_header().profile == "ros2"
         channels = {channel.topic: channel for channel in mcap.get_summary().channels.values()}
-        assert channels["/rig/camera/image_raw"].metadata["topic_type_hash"] == type_hash(PICTURE)
-        assert yaml.safe_load(channels["/rig/camera/image_raw"].metadata["offered_qos_profiles"])[0]["depth"] == 10
+        assert channels["/rig/bench/image"].metadata["topic_type_hash"] == type_hash(PICTURE)
+        assert yaml.safe_load(channels["/rig/bench/image"].metadata["offered_qos_profiles"])[0]["depth"] == 10
         assert [each.name for each in mcap.iter_metadata()] == ["rosbag2"]
         assert sum(1 for _ in mcap.iter_messages()) == 88
     metadata = yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
@@ -195,19 +193,19 @@ def test_an_unwritable_place_is_named(tmp_path):
 
 def test_missing_topics_are_named_with_what_is_there(typestore, tmp_path):
     reader = BagReader(write_bag(tmp_path / "bag", typestore))
-    assert reader.find("camera/image_raw") == {"camera/image_raw": "/rig/camera/image_raw"}
-    with pytest.raises(RecordingError, match=r"has no camera/exposure, calibration; it holds /rig/camera/image_raw"):
-        reader.find("camera/image_raw", "camera/exposure", "calibration")
-    assert reader.find_optional("camera/exposure", "load_frame/state") == {"load_frame/state": "/rig/load_frame/state"}
+    assert reader.find("bench/image") == {"bench/image": "/rig/bench/image"}
+    with pytest.raises(RecordingError, match=r"has no camera/exposure, calibration; it holds /rig/bench/image"):
+        reader.find("bench/image", "camera/exposure", "calibration")
+    assert reader.find_optional("camera/exposure", "bench/load") == {"bench/load": "/rig/bench/load"}
 
 
 def test_two_rigs_in_one_recording_are_not_mixed(typestore, tmp_path):
     with BagWriter(tmp_path / "bag") as writer:
         for rig in ("left", "right"):
-            writer.add_topic(f"/{rig}/camera/image_raw", PICTURE)
-            writer.write(f"/{rig}/camera/image_raw", picture(typestore, 1), 1, 1)
-    with pytest.raises(RecordingError, match="several rigs: /left/camera/image_raw, /right/camera/image_raw"):
-        BagReader(tmp_path / "bag").find("camera/image_raw")
+            writer.add_topic(f"/{rig}/bench/image", PICTURE)
+            writer.write(f"/{rig}/bench/image", picture(typestore, 1), 1, 1)
+    with pytest.raises(RecordingError, match="several rigs: /left/bench/image, /right/bench/image"):
+        BagReader(tmp_path / "bag").find("bench/image")
 
 
 def test_no_recording_and_no_mcap_are_distinguished(tmp_path):
@@ -254,7 +252,7 @@ def test_recover_writes_a_whole_recording_beside_the_damaged_one(typestore, tmp_
     with AnyReader([recovered]) as reader:
         assert reader.message_count == len(found)
     summary = info(recovered)
-    assert summary.types["/rig/camera/image_raw"] == PICTURE
+    assert summary.types["/rig/bench/image"] == PICTURE
     assert summary.counts == again.counts
 
 
@@ -347,7 +345,7 @@ def test_a_flipped_byte_is_detected_and_costs_one_chunk(typestore, tmp_path):
     with pytest.raises(RecordingError, match=r"bag_0\.mcap: damaged at byte \d+ .*fringedic recover"):
         list(BagReader(path).raw())
     assert "1 chunk left out" in BagReader(path, check=True).lost
-    numbers = {each.data for each in BagReader(recover(path).path).raw(["/rig/camera/image_raw"])}
+    numbers = {each.data for each in BagReader(recover(path).path).raw(["/rig/bench/image"])}
     assert not numbers & {picture(typestore, number) for number in (4, 5, 6)}
     assert numbers == {picture(typestore, number) for number in (0, 1, 2, 3, 7)}
 
@@ -378,14 +376,14 @@ WRITER = """
     from fringedic.recording import BagWriter
     image, sample = (open(name, "rb").read() for name in sys.argv[2:4])
     writer = BagWriter(sys.argv[1])
-    writer.add_topic("/rig/camera/image_raw", "bench_msgs/msg/Picture")
-    writer.add_topic("/rig/load_frame/state", "bench_msgs/msg/Force")
+    writer.add_topic("/rig/bench/image", "bench_msgs/msg/Picture")
+    writer.add_topic("/rig/bench/load", "bench_msgs/msg/Force")
     start = time.monotonic()
     for number in range(10**6):
         if number % 7 == 0:
-            writer.write("/rig/camera/image_raw", image, time.time_ns(), number)
+            writer.write("/rig/bench/image", image, time.time_ns(), number)
             print("image", number, time.monotonic(), flush=True)
-        writer.write("/rig/load_frame/state", sample, time.time_ns(), number)
+        writer.write("/rig/bench/load", sample, time.time_ns(), number)
         print("force", number, time.monotonic(), flush=True)
         time.sleep(max(0.0, start + (number + 1) / 100 - time.monotonic()))
 """
@@ -416,7 +414,7 @@ def test_a_killed_recorder_loses_no_image_and_half_a_second_of_force(typestore, 
     assert "not closed" in reader.lost
     read = {topic: {each.publish_time for each in reader.raw([topic])} for topic in reader.topics}
     safe = killed_at - 0.5 - 0.1
-    for kind, topic in (("image", "/rig/camera/image_raw"), ("force", "/rig/load_frame/state")):
+    for kind, topic in (("image", "/rig/bench/image"), ("force", "/rig/bench/load")):
         kept = {int(number) for what, number, when in written if what == kind and float(when) < safe}
         total = sum(what == kind for what, _, _ in written)
         assert kept
@@ -436,11 +434,11 @@ def test_a_full_disk_is_named_and_what_was_written_stays(typestore, tmp_path):
         image = open(sys.argv[2], "rb").read()
         resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))
         writer = BagWriter(sys.argv[1], compression="none")
-        writer.add_topic("/rig/camera/image_raw", "bench_msgs/msg/Picture")
+        writer.add_topic("/rig/bench/image", "bench_msgs/msg/Picture")
         errors = []
         for number in range(40):
             try:
-                writer.write("/rig/camera/image_raw", image, number, number)
+                writer.write("/rig/bench/image", image, number, number)
                 writer.flush()
             except RecordingError as error:
                 errors.append(str(error))
@@ -459,7 +457,7 @@ def test_a_full_disk_is_named_and_what_was_written_stays(typestore, tmp_path):
     assert int(number) == 40 - 19
     assert "the disk is full" in message
     reader = BagReader(tmp_path / "bag")
-    assert reader.counts == {"/rig/camera/image_raw": 19}
+    assert reader.counts == {"/rig/bench/image": 19}
     assert {each.data for each in reader.raw()} == {picture(typestore, 1, (200, 250))}
 
 
@@ -571,8 +569,8 @@ def test_joined_parts_have_one_channel_per_topic(typestore, tmp_path):
     assert joined.messages == 66
     with (tmp_path / "bag" / "bag_0.mcap").open("rb") as stream:
         assert sorted(each.topic for each in make_reader(stream).get_summary().channels.values()) == [
-            "/rig/camera/image_raw",
-            "/rig/load_frame/state",
+            "/rig/bench/image",
+            "/rig/bench/load",
         ]
     with AnyReader([tmp_path / "bag"]) as reader:
         for connection in reader.connections:
@@ -589,6 +587,24 @@ def test_parts_with_different_definitions_are_not_joined(tmp_path):
             writer.add_recorded_topic(Topic("/force", FORCE, definition, "ros2msg", "", ""))
     with pytest.raises(RecordingError, match=f"/force has two definitions of its type {FORCE}"):
         join([tmp_path / "bag-1", tmp_path / "bag-2"], tmp_path / "bag")
+    (tmp_path / "bag-2" / "bag-2_0.mcap").rename(tmp_path / "bag-1" / "bag-2_0.mcap")
+    with pytest.raises(RecordingError, match=r"bag-2_0\.mcap: defines the messages of /force differently"):
+        recover(tmp_path / "bag-1")
+
+
+def test_parts_whose_definitions_differ_in_comments_are_joined(tmp_path):
+    definitions = (
+        "uint8 newton # what's pulled",
+        'uint8  newton\n# of "it"\n',
+        "uint16 other # same hash",
+        "uint8 newton",
+    )
+    for number, (definition, hash_) in enumerate(zip(definitions, ("RIHS01", "", "RIHS01", "other"), strict=True)):
+        with BagWriter(tmp_path / f"bag-{number}") as writer:
+            writer.add_recorded_topic(Topic("/force", FORCE, definition, "ros2msg", hash_, ""))
+            writer.write("/force", bytes([0, 1, 0, 0, number]), number, number)
+    join([tmp_path / f"bag-{number}" for number in range(4)], tmp_path / "bag")
+    assert [message.newton for _, message, _ in BagReader(tmp_path / "bag").messages()] == [0, 1, 2, 3]
 
 
 def test_an_unknown_depth_is_not_recorded_as_zero(typestore, tmp_path):

@@ -10,8 +10,10 @@ import yaml
 from mcap.writer import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from fringedic.errors import RecordingError
 from fringedic.frames.records import stamp_of
-from fringedic.recording import BagReader, BagWriter, Split, recover, verify
+from fringedic.recording import BagReader, BagWriter, Split, Topic, recover, verify
+from fringedic.recording.frames import records
 from fringedic.recording.manifest import write_manifest
 from fringedic.recording.repair import info
 from fringedic.report.recordings import content_sentences, verification_sentences
@@ -112,6 +114,36 @@ def test_frame_that_was_lost_with_its_record_is_found_by_its_step(tmp_path):
     found = verify(bag)
     assert (found.frames, found.lost_frames, found.gaps) == (FRAMES - 1, 1, {})
     assert not found.complete
+
+
+@pytest.mark.parametrize("step", [1, 2])
+def test_step_of_which_no_frame_is_left_is_found_by_its_end(tmp_path, step):
+    stamps = {stamp_of(record) for _, record, _ in BagReader(RECORDED).messages([EXPOSURE]) if record.step == step}
+    messages = {topic: enumerate(BagReader(RECORDED).messages([topic])) for topic in (IMAGE, EXPOSURE)}
+    lost = {(topic, i) for topic, each in messages.items() for i, (_, m, _) in each if stamp_of(m) in stamps}
+    found = verify(copy(tmp_path / "bag", without=lost, sequence=lambda *_: 0))
+    assert not found.complete
+    assert (found.frames, found.lost_frames) == (FRAMES - 12, 12)
+
+
+def test_topic_of_another_program_is_no_exposure_record(tmp_path):
+    reader = BagReader(RECORDED)
+    other = Topic("/driver/camera/exposure", "std_msgs/msg/Float64", "float64 data", "ros2msg", "", "")
+    with BagWriter(tmp_path / "bag") as writer:
+        for topic in (*reader.topics.values(), other):
+            writer.add_recorded_topic(topic)
+        for message in reader.stored():
+            writer.write(*message)
+            if message.topic == IMAGE:
+                writer.write(other.name, bytes(12), message.log_time, message.publish_time)
+    assert verify(tmp_path / "bag").complete
+    assert len([*records(BagReader(tmp_path / "bag"))]) == FRAMES
+    with BagWriter(tmp_path / "other") as writer:
+        writer.add_recorded_topic(other)
+        writer.write(other.name, bytes(12), 1, 1)
+    words = r"has no camera/exposure; /driver/camera/exposure is a std_msgs/msg/Float64; it holds /driver"
+    with pytest.raises(RecordingError, match=words):
+        BagReader(tmp_path / "other").find("camera/exposure")
 
 
 def test_lost_samples_are_counted_and_cost_no_frame(tmp_path):
