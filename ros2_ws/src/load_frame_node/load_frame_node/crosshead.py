@@ -14,7 +14,8 @@ from fringedic_ros.waiting import Condition
 from load_frame_node.machines import LoadMode, Machine, Sample
 
 _STANDSTILL = (LoadMode.IDLE, LoadMode.HOLD)
-_AGAIN_S = 0.2  # between two requests of a hold
+_AGAIN_S = 0.2  # between two requests of a hold to a machine that does not answer
+REPEAT_S = 1.0  # after which a hold that the machine accepted is requested again while it moves
 
 
 class Crosshead:
@@ -42,11 +43,14 @@ class Crosshead:
         self.reached: Sample | None = None
         self._ends_move: Callable[[Sample], bool] = _never
         self._hold_is_owed_until: Container[LoadMode] | None = None  # a mode among these is reported; None: no hold
+        self._accepted_s: float | None = None  # when the machine accepted the hold that is owed; None before
+        self._log = node.get_logger()
         self._in_use = threading.Lock()
 
     def open(self, machine: Machine) -> None:
         """Use a machine from now on. A hold is owed unless it stands still: an earlier node may have left it moving."""
-        self.machine, self._hold_is_owed_until = machine, _STANDSTILL
+        self.machine = machine
+        self._owe_hold(_STANDSTILL)
 
     def close(self) -> None:
         """Release the machine."""
@@ -72,8 +76,9 @@ class Crosshead:
             if self._hold_is_owed_until is not None and sample.mode in self._hold_is_owed_until:
                 self._hold_is_owed_until = None
             if self._ends_move(sample):
-                self.reached, self._ends_move, self._hold_is_owed_until = sample, _never, ()
-            if self._hold_is_owed_until is not None:
+                self.reached, self._ends_move = sample, _never
+                self._owe_hold()
+            if self._hold_is_due():
                 with suppress(MachineError):  # requested again at the next sample
                     self._request_hold()
         self.changed.notify()
@@ -97,7 +102,7 @@ class Crosshead:
             try:
                 self._open_machine().move_to(position, speed)
             except MachineGoneError:  # it may have begun the move
-                self._hold_is_owed_until = ()
+                self._owe_hold()
                 raise
             self.reached, self._ends_move, self._hold_is_owed_until = None, ends_move, None
 
@@ -106,7 +111,10 @@ class Crosshead:
         self._ends_move = _never
 
     def hold(self) -> None:
-        """Request a hold. Until the machine accepts it, or is moved again, it is requested with every sample.
+        """Request a hold, which is owed until a sample shows standstill or the machine is moved again.
+
+        It is requested with every sample until the machine accepts it, and once a second while the machine then moves:
+        a request may be lost with the connection.
 
         Raises
         ------
@@ -114,7 +122,7 @@ class Crosshead:
             The machine does not accept the request now.
         """
         with self._in_use:
-            self._hold_is_owed_until = ()
+            self._owe_hold()
             self._request_hold()
 
     def hold_at_last(self, timeout_s: float) -> None:
@@ -134,9 +142,23 @@ class Crosshead:
                     raise
             time.sleep(_AGAIN_S)
 
+    def _owe_hold(self, until: Container[LoadMode] = ()) -> None:
+        self._hold_is_owed_until, self._accepted_s = until, None
+
+    def _hold_is_due(self) -> bool:
+        if self._hold_is_owed_until is None or self._accepted_s is None:
+            return self._hold_is_owed_until is not None
+        return self.sample.mode is LoadMode.MOVING and time.monotonic() >= self._accepted_s + REPEAT_S
+
     def _request_hold(self) -> None:
+        if self._accepted_s is not None:
+            self._log.error(
+                f"the machine still moves {REPEAT_S:g} s after it accepted a hold, which is requested again; if it "
+                "does not stop, stop it at its own controls",
+                throttle_duration_sec=REPEAT_S,
+            )
         self._open_machine().hold()
-        self._hold_is_owed_until = None
+        self._hold_is_owed_until, self._accepted_s = _STANDSTILL, time.monotonic()
 
     def _open_machine(self) -> Machine:
         if self.machine is None:

@@ -12,7 +12,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from fringedic.errors import CrossheadRangeError, FringedicError, MachineError, WaitTimeoutError
 from fringedic_msgs.action import MoveCrosshead
 from fringedic_ros.lifecycle import HardwareNode
-from load_frame_node.crosshead import Crosshead
+from load_frame_node.crosshead import REPEAT_S, Crosshead
 from load_frame_node.machines import LoadMode, Sample
 from load_frame_node.parameters import LoadFrameParameters
 
@@ -20,7 +20,8 @@ Result = MoveCrosshead.Result
 _FEEDBACK_PERIOD_S = 0.1
 _STATE_TIMEOUT_S = 10.0  # of a machine that was lost: longer than the longest pause before it is connected again
 _START_TIMEOUT_S = 5.0  # from the request to the first motion
-_STOP_TIMEOUT_S = 30.0
+_RAMPS_S = 30.0  # allowance for the speed ramps of a move
+_STOPPING_S = 15.0  # from a hold to standstill; more than the longest span from which a motion is derived
 _ENDS_OF_MOTION = (LoadMode.IDLE, LoadMode.HOLD, LoadMode.FAULT)
 _LOST_MODES = (LoadMode.FAULT, LoadMode.UNKNOWN)  # the machine does not follow the move any more
 
@@ -120,11 +121,10 @@ class MoveServer:
             if math.isnan(begin):
                 begin = crosshead.sample.position  # it could not be read before
             distance = 0.0 if math.isnan(begin) else abs(goal.request.position - begin)
-            # twice the time at constant speed, and an allowance for the speed ramps
-            timeout_s = 2 * distance / goal.request.speed + _STOP_TIMEOUT_S
+            timeout_s = 2 * distance / goal.request.speed + _RAMPS_S  # twice the time at constant speed
             passed = time.monotonic() - started
             if passed > timeout_s or (not moved and passed > _START_TIMEOUT_S):
-                await self._stop()
+                await self._stop(goal)
                 done = f"arrive within {timeout_s:g} s" if moved else f"begin to move within {_START_TIMEOUT_S:g} s"
                 return self._end(goal, Result.TIMEOUT, f"the crosshead did not {done}; a hold was requested")
             sample = crosshead.sample
@@ -138,14 +138,16 @@ class MoveServer:
     async def _outcome(self, goal: ServerGoalHandle) -> MoveCrosshead.Result:
         crosshead = self._crosshead
         if goal.is_cancel_requested:
-            await self._stop()
-            return self._end(goal, Result.CANCELLED, f"cancelled; holding at {1e3 * crosshead.sample.position:.4f} mm")
+            await self._stop(goal)
+            how = "arrived" if self._has_arrived(goal) else "holding"
+            return self._end(goal, Result.CANCELLED, f"cancelled; {how} at {1e3 * crosshead.sample.position:.4f} mm")
         if crosshead.hold_requested:
-            await self._wait_until_still()
-            stopped = f"load_frame/hold stopped the move at {1e3 * crosshead.sample.position:.4f} mm"
+            await self._wait_until_still(goal)
+            how = "was requested when the crosshead arrived" if self._has_arrived(goal) else "stopped the move"
+            stopped = f"load_frame/hold {how} at {1e3 * crosshead.sample.position:.4f} mm"
             return self._end(goal, Result.CANCELLED, stopped)
         if crosshead.reached is not None and crosshead.reached.mode not in _LOST_MODES:
-            await self._wait_until_still()
+            await self._wait_until_still(goal)
             return self._end(goal, Result.NONE, "", crosshead.reached)
         if not self._node.active or crosshead.sample.mode in _LOST_MODES:
             # an unreadable answer does not stop a move
@@ -176,31 +178,42 @@ class MoveServer:
             "position_tolerance_mm"
         )
 
-    async def _stop(self) -> None:
+    async def _stop(self, goal: ServerGoalHandle) -> None:
         """Request a hold and wait until the crosshead stands still."""
         if self._crosshead.machine is not None:
             self._crosshead.hold()
-            await self._wait_until_still()
+            await self._wait_until_still(goal)
 
-    async def _wait_until_still(self) -> None:
-        """Wait until a sample reports standstill.
+    async def _wait_until_still(self, goal: ServerGoalHandle) -> None:
+        """Wait until a sample reports standstill after a hold was requested.
 
         Raises
         ------
         MachineError
-            The machine reports a fault.
-        WaitTimeoutError
-            No sample reports standstill in time.
+            The machine reports a fault, does not stop in time, or has completed the move instead of the hold.
         """
-        requested, crosshead = time.time_ns(), self._crosshead
+        requested, begun, crosshead = time.time_ns(), time.monotonic(), self._crosshead
+        had_arrived = self._has_arrived(goal)
 
         def is_over() -> bool:
             sample = crosshead.sample
             return not self._node.active or (sample.stamp_ns > requested and sample.mode in _ENDS_OF_MOTION)
 
-        await crosshead.changed.wait(is_over, _STOP_TIMEOUT_S, "a sample that reports the standstill of the crosshead")
+        try:
+            await crosshead.changed.wait(is_over, _STOPPING_S)
+        except WaitTimeoutError:
+            state = "still moves" if crosshead.sample.mode is LoadMode.MOVING else "reports no standstill"
+            raise MachineError(
+                f"the machine {state} {_STOPPING_S:g} s after a hold was requested; stop it at its own controls"
+            ) from None
         if crosshead.sample.mode is LoadMode.FAULT:
             raise MachineError("the machine reports a fault")
+        passed = time.monotonic() - begun
+        if passed > REPEAT_S and self._has_arrived(goal) and not had_arrived:  # earlier, its ramp may have ended there
+            raise MachineError(
+                f"the machine did not follow a hold: it moved on for {passed:.1f} s, to the target of the move; check "
+                "the hold in the machine file and at the machine before the next move"
+            )
 
     def _end(
         self, goal: ServerGoalHandle, code: int, message: str, reached: Sample | None = None
@@ -225,8 +238,17 @@ class MoveServer:
 
 
 def _limits_of(request: MoveCrosshead.Goal) -> Callable[[Sample], bool]:
-    """Return whether a sample reaches a limit of the force; an unknown force does."""
+    """Return a function that returns whether a sample reaches a limit of the force; an unknown force does.
+
+    Raises
+    ------
+    CrossheadRangeError
+        A limit is not a finite number, so that no force or every force reaches it.
+    """
     above, below = list(request.force_above), list(request.force_below)
+    for limit in (*above, *below):
+        if not math.isfinite(limit):
+            raise CrossheadRangeError(f"a limit of the force is {limit:g} N; give a finite number, or no limit")
 
     def are_reached(sample: Sample) -> bool:
         if not above and not below:

@@ -2,7 +2,7 @@
 
 Registers, as the machine file of the tests names them: 0 force [N], 2 position [mm], 4 status, 6 time since the start
 [ms] by a clock that is 1 % too fast, 10 target [mm], 12 speed [mm/s]; coils: 0 starts a move, 1 holds, 2 breaks the
-load cell, 3 reports a fault.
+load cell, 3 reports a fault, 4 makes it accept holds without following them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Registers:
         configuration = VirtualRigConfiguration.from_dict({"preset": "plate"})
         self.machine = SimulatedMachine(SimulatedLoadFrame(configuration.load_frame, seed=1))
         self.holding: list[int] = []
-        self.broken = self.fault = False
+        self.broken = self.fault = self.deaf = False
         self.started = time.monotonic()
 
     async def access(
@@ -62,12 +62,14 @@ class Registers:
                 self.machine.move_to(1e-3 * number(self.holding[10:12]), 1e-3 * number(self.holding[12:14]))
             except CrossheadRangeError:
                 return ExcCodes.ILLEGAL_VALUE
-        elif coil == 1 and on:
+        elif coil == 1 and on and not self.deaf:
             self.machine.hold()
         elif coil == 2:
             self.broken = on
         elif coil == 3:
             self.fault = on
+        elif coil == 4:
+            self.deaf = on
         return None
 
 

@@ -172,6 +172,17 @@ def test_impossible_goal_is_refused_in_words(operator: Operator, position: float
     assert operator.now().position == before
 
 
+@pytest.mark.parametrize("limit", [float("nan"), float("inf"), float("-inf")])
+@pytest.mark.parametrize("kind", ["force_above", "force_below"])
+def test_limit_that_is_no_number_is_refused(operator: Operator, kind: str, limit: float) -> None:
+    """A comparison with NaN is always false: the move had no limit."""
+    before = operator.now().position
+    answer = operator.end(operator.start(before + 0.01 * MM, 1.0 * MM, **{kind: [limit]}))
+    assert (answer.status, answer.result.error_code) == (GoalStatus.STATUS_ABORTED, Result.INVALID_GOAL)
+    assert f"a limit of the force is {limit:g} N; give a finite number" in answer.result.error_message
+    assert operator.now().position == before
+
+
 def test_page_is_up_to_date() -> None:
     text = PAGE.read_text()
     assert "<!-- parameters: load_frame_node.load_frame_node:LoadFrameParameters -->" in text

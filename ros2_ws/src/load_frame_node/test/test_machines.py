@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import signal
 import subprocess
 import sys
@@ -37,6 +38,7 @@ from load_frame_node.machines.machine import Motion
 
 HERE = Path(__file__).parent
 MM = 1e-3
+DEAF = 4  # coil of the Modbus machine
 LIMITS = {"lowest_mm": 0.0, "highest_mm": 1.0, "fastest_mm_per_s": 5.0}
 MODBUS: dict[str, Any] = {
     "protocol": "modbus",
@@ -416,6 +418,106 @@ def test_a_hold_that_was_not_accepted_is_requested_again(operator: Operator, tmp
         assert result.error_code == MoveCrosshead.Result.MACHINE_FAULT
         assert "a hold was not accepted and is requested again with every sample" in result.error_message
         assert operator.until(LoadState.HOLD).force < 500
+
+
+def switch(port: int, coil: int, *, on: bool) -> None:
+    with ModbusTcpClient("127.0.0.1", port=port) as technician:
+        technician.write_coil(coil, on, device_id=1)
+
+
+def test_a_hold_that_was_lost_is_requested_again_while_the_machine_moves(operator: Operator, tmp_path: Path) -> None:
+    """It was accepted, so that it was never requested again, and the move went on to its end."""
+    with (
+        modbus(tmp_path) as (_, port, parameters),
+        NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters),
+    ):
+        switch(port, DEAF, on=True)
+        goal = operator.start(1.0 * MM, 0.02 * MM, force_above=[100.0])
+        operator.wait(lambda: operator.states and operator.states[-1].force > 120.0, "a motion beyond the limit")
+        switch(port, DEAF, on=False)
+        result = operator.end(goal)
+        assert (result.error_code, result.force_reached) == (MoveCrosshead.Result.NONE, True)
+        assert result.force < 500
+        operator.until(LoadState.HOLD)
+
+
+@pytest.mark.parametrize("how", ["limit", "cancel", "hold"])
+def test_a_hold_that_the_machine_does_not_follow_is_a_fault(how: str, operator: Operator, tmp_path: Path) -> None:
+    """The move to its farthest position was reported as ended by its limit, as cancelled, or as stopped."""
+    with (
+        modbus(tmp_path) as (_, port, parameters),
+        NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters),
+    ):
+        switch(port, DEAF, on=True)
+        goal = operator.start(0.2 * MM, 0.05 * MM, **({"force_above": [20.0]} if how == "limit" else {}))
+        operator.until(LoadState.MOVING)
+        if how == "cancel":
+            goal.cancel_goal_async()
+        if how == "hold":
+            assert operator.hold().success
+        result = operator.end(goal)
+    assert (result.error_code, result.force_reached) == (MoveCrosshead.Result.MACHINE_FAULT, False)
+    assert "the machine did not follow a hold: it moved on for" in result.error_message
+
+
+@pytest.mark.parametrize("how", ["cancel", "hold"])
+def test_a_move_that_was_completed_is_not_said_to_be_stopped(how: str, operator: Operator, tmp_path: Path) -> None:
+    with (
+        modbus(tmp_path) as (_, port, parameters),
+        NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters),
+    ):
+        switch(port, DEAF, on=True)
+        operator.until(LoadState.IDLE)
+        operator.states.clear()
+        goal = operator.start(0.25 * MM, 0.5 * MM)
+        operator.wait(lambda: any(state.mode == LoadState.MOVING for state in operator.states), "a motion")
+        if how == "cancel":
+            goal.cancel_goal_async()
+        else:
+            assert operator.hold().success
+        result = operator.end(goal)
+    assert result.position == pytest.approx(0.25 * MM, abs=0.01 * MM)
+    assert not re.search("holding|stopped", result.error_message), "on a slow computer it did not follow the hold"
+
+
+def test_a_machine_that_still_moves_after_a_hold_is_named(operator: Operator, tmp_path: Path) -> None:
+    with (
+        modbus(tmp_path) as (_, port, parameters),
+        NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters),
+    ):
+        switch(port, DEAF, on=True)
+        result = operator.end(operator.start(1.0 * MM, 0.02 * MM, force_above=[20.0]))
+    assert (result.error_code, result.force_reached) == (MoveCrosshead.Result.MACHINE_FAULT, False)
+    assert result.error_message == (
+        "the machine still moves 15 s after a hold was requested; stop it at its own controls"
+    )
+
+
+@pytest.mark.parametrize("last", [LoadMode.HOLD, LoadMode.IDLE])
+def test_an_accepted_hold_is_owed_until_standstill(
+    last: LoadMode, operator: Operator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also when the connection was lost meanwhile; later motions are those of an operator."""
+
+    class Deaf(SimulatedMachine):
+        holds = 0
+
+        def __init__(self) -> None:
+            pass
+
+        def hold(self) -> None:
+            self.holds += 1
+
+    monkeypatch.setattr("load_frame_node.crosshead.REPEAT_S", 0.0)
+    crosshead, deaf = Crosshead(operator), Deaf()
+    crosshead.open(deaf)
+    crosshead.take(Sample(0, LoadMode.IDLE, 0.0, 0.0))
+    crosshead.hold()
+    counts = []
+    for mode in (LoadMode.MOVING, LoadMode.UNKNOWN, LoadMode.MOVING, last, LoadMode.MOVING):
+        crosshead.take(Sample(0, mode, 0.0, 0.0))
+        counts.append(deaf.holds)
+    assert counts == [2, 2, 3, 3, 3]
 
 
 def test_a_node_that_ends_requests_the_hold_until_it_is_accepted(operator: Operator, tmp_path: Path) -> None:
