@@ -114,8 +114,10 @@ class StepRunner:
         finally:
             self._begin_step(step)
         await self._take_frames(step, parameters)
-        if not step.failed_node:
+        if step.taken == len(step.patterns):  # fewer when a node has failed meanwhile
             await self._load.check_exposures(step, parameters)  # before the results, which take longer
+            self._publish_stage(step, StepStatus.PROCESS)  # in a recording, this proves the hold of the step
+            step.report(Feedback.PROCESS)
         await self._await_results(step, parameters)
 
     def _accept(self, step: RunningStep) -> None:
@@ -183,9 +185,6 @@ class StepRunner:
         step.experiment.ready = True
 
     async def _await_results(self, step: RunningStep, parameters: ExperimentParameters) -> None:
-        self._publish_stage(step, StepStatus.PROCESS)
-        step.report(Feedback.PROCESS)
-
         def open_nodes() -> list[str]:
             return [name for name in step.nodes if name not in step.statuses]
 

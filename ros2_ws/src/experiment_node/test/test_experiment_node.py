@@ -494,6 +494,7 @@ def test_a_failed_node_ends_the_sequence_early(rig: Rig) -> None:
     rig.capture.callback = doubled
     assert rig.step().error_code == Result.PHASE_FAILED
     assert 3 <= len(rig.captured) < FRAMES
+    assert StepStatus.PROCESS not in rig.stages_of(0)
     rig.capture.callback = capture
     rig.behave()
     assert rig.step().error_code == Result.NONE
@@ -616,6 +617,19 @@ def test_a_hold_lasts_until_the_camera_has_answered(rig: Rig) -> None:
     not_held = rig.step()
     assert not_held.error_code == Result.LOAD_NOT_HELD
     assert "whether the machine holds is unknown" in not_held.error_message
+
+
+def test_a_failed_node_does_not_replace_the_proof_of_the_hold(rig: Rig) -> None:
+    """The frames are recorded, and a later measurement of them takes the stage PROCESS as the proof."""
+    rig.say_load(LoadState.HOLD)
+    rig.answers, rig.last_sampled_frame = {"phase": NodeStatus.PATTERN_NOT_SEEN}, FRAMES - 1
+    assert rig.step().error_code == Result.LOAD_NOT_HELD
+    assert StepStatus.PROCESS not in rig.stages_of(0)
+    rig.behave()
+    rig.answers = {"phase": NodeStatus.PATTERN_NOT_SEEN}
+    rig.say_load(LoadState.HOLD)
+    assert rig.step().error_code == Result.PATTERN_NOT_SEEN
+    assert StepStatus.PROCESS in rig.stages_of(1)
 
 
 def test_a_hold_that_is_published_late_counts(rig: Rig) -> None:
