@@ -11,11 +11,13 @@ from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import load_rig_file
 from fringedic.errors import ConfigurationError
 from fringedic.frames.region import Region
+from fringedic.recording import BagWriter
 from fringedic_bringup.launch.graph import Graph, rig_graph
 from fringedic_bringup.procedures.continuing import (
     folder_of_one_command,
     recorded_steps,
     require_same_calibration,
+    require_same_messages,
     require_same_settings,
 )
 
@@ -103,6 +105,15 @@ def test_the_namespace_is_that_of_the_first_steps() -> None:
     for other in ("rig2", "", "laboratory/rig"):
         with pytest.raises(ConfigurationError, match=f"named /rig/experiment/step, .* namespace .* is '{other}'"):
             recorded_steps(RECORDED, programme, other)
+
+
+def test_messages_are_those_of_the_first_steps(tmp_path: Path) -> None:
+    """The parts of the recording could not be joined after the test."""
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.add_topic("/rig/experiment/step", "fringedic_msgs/msg/StepStatus")
+    require_same_messages(tmp_path / "bag")
+    with pytest.raises(ConfigurationError, match=r"other messages \(fringedic_msgs/msg/\w+\); start a new run"):
+        require_same_messages(RECORDED)
 
 
 def test_another_calibration_is_refused_and_the_first_one_stays(tmp_path: Path) -> None:

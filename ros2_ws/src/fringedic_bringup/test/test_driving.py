@@ -254,6 +254,23 @@ def test_a_node_that_dies_again_and_again_ends_the_programme(tmp_path: Path, mon
     assert rig.held > driving.MOST_DEATHS
 
 
+@pytest.mark.parametrize(
+    ("source", "ended"), [("files", "the camera ended (see camera.log) and would"), ("virtual", "")]
+)
+def test_a_camera_that_would_begin_again_with_its_images_ends_the_programme(
+    source: str, ended: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The steps succeeded with the images of other steps."""
+    rig = Rig(tmp_path, ["", "camera", ""])
+    parameters = {"source": source} | ({"files": "images"} if source == "files" else {})
+    rig.graph = Graph("rig", (*rig.graph.nodes, NodeEntry("camera", "camera_node", "camera", parameters)))
+    driven = drive(rig, monkeypatch, steps=2)
+    assert driven.ended_early.startswith(ended)
+    assert bool(driven.ended_early) is (source == "files")
+    assert len(driven.steps) == 2 - bool(ended)
+    assert rig.held
+
+
 def test_a_hold_that_was_not_accepted_is_not_said_to_be_requested(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

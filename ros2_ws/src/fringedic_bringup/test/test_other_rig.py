@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 import yaml
 from typer.testing import CliRunner
@@ -81,6 +83,29 @@ def test_run_refuses_fringes_that_repeat_in_view(tmp_path: Path) -> None:
     assert error.code is ErrorCode.INVALID_SEQUENCE
     assert "50 px repeat in the camera's view" in str(error)
     assert "at least 60 px" in str(error)
+
+
+@pytest.mark.parametrize("load_frame", [None, {"source": "external"}])
+def test_run_refuses_positions_that_nothing_moves_to(tmp_path: Path, load_frame: dict[str, str] | None) -> None:
+    """All steps were measured at the same load, and the command succeeded."""
+    programme = {"experiment": "pull", "steps": [{}, {"position_mm": 0.5}, {"position_mm": 1.0}]}
+    rig = rig_with(tmp_path, load_frame=load_frame, programme=programme)
+    error = refusal("run", rig, "--output", tmp_path / "run")
+    assert isinstance(error, ConfigurationError)
+    assert "step 2 of 3 of pull moves the crosshead to 0.5 mm, but this rig moves no machine" in str(error)
+    assert not (tmp_path / "run").exists(), "nothing was started"
+
+
+def test_run_does_not_continue_a_series_of_images(tmp_path: Path) -> None:
+    """They began again at the first one, so that later steps were measured from images of earlier ones."""
+    for name in "ab":
+        cv2.imwrite(str(tmp_path / f"{name}.png"), np.zeros((32, 32), np.uint8))
+    rig, run = tmp_path / "rig.yaml", tmp_path / "run"
+    rig.write_text(yaml.safe_dump({"camera": {"source": "files", "files": "*.png"}}))
+    (run / "bag").mkdir(parents=True)
+    error = refusal("run", rig, "--output", run, "--continue")
+    assert isinstance(error, ConfigurationError)
+    assert "run cannot be continued, because the camera would read its files from the first image" in str(error)
 
 
 @pytest.mark.parametrize("command", ["process", "replay"])

@@ -219,7 +219,7 @@ def _bits(rig: RigFile) -> int:
 
 def _moving_time(rig: RigFile, steps: list[ProgrammeStep]) -> float:
     """Return the time of all moves [s] that the rig makes by itself."""
-    if rig.load_frame is None or rig.load_frame.source == "external":
+    if not rig.has_load_frame_node:
         return 0.0
     time, position = 0.0, 0.0
     for step in steps:

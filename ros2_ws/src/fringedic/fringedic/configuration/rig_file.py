@@ -166,6 +166,11 @@ class RigFile(Section):
         )
         return [pattern for pattern in shown.patterns for _ in sequence.exposures_ms or [0]]
 
+    @property
+    def has_load_frame_node(self) -> bool:
+        """Whether a load frame node of this rig moves the machine."""
+        return self.load_frame is not None and self.load_frame.source != "external"
+
     def setup(self) -> RigSetup:
         """Return the parts of the rig that its calibration has to fit."""
         absolute = self.nodes.phase.relative_phase == "refuse"

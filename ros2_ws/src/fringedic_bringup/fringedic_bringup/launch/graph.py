@@ -112,7 +112,7 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
     nodes = [NodeEntry("recorder", "experiment_node", "recorder", _recorder(rig, folder))]
     if rig.recording.process:
         nodes += _processing_nodes(processing)
-    if rig.load_frame is not None and rig.load_frame.source != "external":
+    if rig.has_load_frame_node:
         # the machine, which may be moving, is requested to hold as soon as it answers
         again = {"machine_required": False}
         nodes.append(NodeEntry("load_frame", "load_frame_node", "load_frame", _load_frame(rig, rig_path), again))

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from fringedic.configuration.programme import Programme, ProgrammeStep
 from fringedic.errors import ConfigurationError
+from fringedic.recording.definitions import type_hash
 from fringedic.recording.manifest import write_whole
 from fringedic.recording.reader import BagReader
 from fringedic_bringup.launch.graph import Graph, NodeEntry
@@ -69,6 +70,24 @@ def folder_of_one_command(folder: Path) -> Iterator[None]:
         if is_new:
             with suppress(OSError):  # only a folder that is empty, because nothing was started, is removed
                 folder.rmdir()
+
+
+def require_same_messages(bag: Path) -> None:
+    """Check that the messages of the first steps are those of today: the parts of the recording will be joined.
+
+    Raises
+    ------
+    ConfigurationError
+        The definition of a type has changed.
+    RecordingError
+        A type is not installed.
+    """
+    for topic in BagReader(bag).topics.values():
+        if topic.hash and topic.hash != type_hash(topic.type_name):
+            raise ConfigurationError(
+                f"{bag.parent}: its first steps were recorded by a version of fringedic with other messages "
+                f"({topic.type_name}); start a new run"
+            )
 
 
 def recorded_steps(bag: Path, programme: Programme, namespace: str) -> RecordedSteps:

@@ -1,7 +1,7 @@
 """Drives a programme: moves, holds and measures step by step, as the controller of a load frame would.
 
 A node that ends does not end the test: the machine is requested to hold, the node is started again, and the step is
-repeated.
+repeated. Only a camera that reads files ends it, because the images would begin again at the first one.
 """
 
 from __future__ import annotations
@@ -196,7 +196,7 @@ class _Driver:
     def _move_and_measure(self, step: ProgrammeStep) -> Reading | None:
         moved = ""
         try:
-            if step.position is not None and self._has_load_frame():
+            if step.position is not None:
                 moved = self._move(step)
             if step.hold_s:
                 self._tell("hold")
@@ -407,7 +407,13 @@ class _Driver:
         self._rig.wait_until_started(self._awaited, RESTART_S)
 
     def _changes(self, name: str) -> dict[str, Any]:
-        """Return the parameters with which a restarted node continues where it ended."""
+        """Return the parameters with which a restarted node continues where it ended.
+
+        Raises
+        ------
+        StepFailedError
+            It cannot continue there.
+        """
         entry = next(each for each in self._running.graph.nodes if each.name == name)
         if name == "recorder" and entry.parameters["bag_path"]:
             return {"bag_path": str(next_part(Path(entry.parameters["bag_path"]).with_name(BAG)))}
@@ -415,6 +421,11 @@ class _Driver:
             # the interrupted step has a number already, which may not have been published
             number = max(self._rig.highest_step(entry.parameters["experiment"]), self._rig.last_step + 1)
             return {"first_step": number + 1, "reference_step": self._rig.reference}
+        if name == "camera" and entry.parameters.get("files"):
+            raise StepFailedError(
+                f"the camera ended (see {self._running.log(name)}) and would read its files from the first image "
+                "again; start a new run"
+            )
         if name == "camera" and entry.parameters.get("truth_folder"):
             return {"truth_folder": ""}  # a new file would start with another reference
         return {}

@@ -35,6 +35,7 @@ from fringedic_bringup.procedures.continuing import (
     folder_of_one_command,
     recorded_steps,
     require_same_calibration,
+    require_same_messages,
     require_same_settings,
 )
 from fringedic_bringup.procedures.driving import drive
@@ -118,18 +119,24 @@ def run_experiment(
     Raises
     ------
     ConfigurationError
-        The folder contains a recording already, or another command uses it; or, with `resume`, it contains none, or
-        the programme or the settings do not continue it.
+        The programme moves a machine that the rig does not move; the folder contains a recording already, or another
+        command uses it; or, with `resume`, it contains none, or programme, settings or camera do not continue it.
     RecordingError
         The disk has less space than the programme needs; nothing was started.
     NodeDiedError, WaitTimeoutError, StepFailedError
         The nodes did not start, or one of them ended repeatedly.
     """
+    _require_moves(rig, programme)
     if (folder / "bag").exists() != resume:
         raise ConfigurationError(
             f"{folder} contains no recording to continue; give the folder of the run as --output"
             if resume
             else f"{folder} contains a recording already; choose another --output, or go on with it by --continue"
+        )
+    if resume and rig.camera.files is not None:
+        raise ConfigurationError(
+            f"{folder} cannot be continued, because the camera would read its files from the first image again; start "
+            "a new run"
         )
     if not resume:
         _announce(forecast(rig, programme), programme, folder, progress)
@@ -141,6 +148,7 @@ def run_experiment(
             require_same_calibration(calibration, first_calibration)
             # a recorder may still be writing what it has received
             require_no_nodes(domain_of(node_environment(domain)), graph)
+            require_same_messages(bag)
             join_parts(bag, progress, rig.recording.split)  # of a command that was killed before it joined them
             before = recorded_steps(bag, programme, rig.namespace)
             require_same_settings(graph, folder / "logs")
@@ -161,6 +169,19 @@ def run_experiment(
         )
         report.ended_early, report.interrupted = driven.ended_early, driven.interrupted
         return report
+
+
+def _require_moves(rig: RigFile, programme: Programme) -> None:
+    """Refuse positions that nothing would move to: all steps would be measured at the same load."""
+    if rig.has_load_frame_node:
+        return
+    for number, step in enumerate(steps := programme.load_steps(), start=1):
+        if step.position_mm is not None:
+            raise ConfigurationError(
+                f"step {number} of {len(steps)} of {programme.experiment} moves the crosshead to {step.position_mm:g} "
+                "mm, but this rig moves no machine; remove the positions from the programme, or describe the machine "
+                "in a machine file (load_frame: {source: machine, file: ...})"
+            )
 
 
 def _announce(expected: Forecast, programme: Programme, folder: Path, progress: Progress) -> None:
