@@ -5,14 +5,16 @@ from __future__ import annotations
 import threading
 import time
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import pytest
 
-from fringedic.errors import FringedicError, OperatorError
+from fringedic.errors import FringedicError, NodeDiedError, OperatorError, RecordingError
+from fringedic_bringup.operating import procedures
 from fringedic_bringup.operating.options import CheckOptions, TimingOptions
 from fringedic_bringup.operating.procedures import Place, Request, execute, requested
-from fringedic_bringup.operating.status import Job, State, StoppedError
-from fringedic_bringup.procedures.outcome import StepReport
+from fringedic_bringup.operating.status import Job, Outcome, State, StoppedError
+from fringedic_bringup.procedures.outcome import RunReport, StepReport
 
 
 def job(name: str = "run", *, controlled: bool = True) -> Job:
@@ -52,6 +54,15 @@ def test_stop_ends_another_procedure_at_its_next_progress() -> None:
     timing.stop()
     with pytest.raises(StoppedError):
         timing.part(2, 3, "white")
+
+
+@pytest.mark.parametrize("good", [True, False])
+def test_stop_after_the_end_leaves_the_result(good: bool) -> None:
+    """Its thread has ended, and the server has not taken the result yet: the page would show "stopping" for ever."""
+    ended = job("check", controlled=False)
+    ended.ended(Outcome(["checked"], good=good))
+    ended.stop()
+    assert ended.status.state == (State.DONE if good else State.FAILED)
 
 
 @pytest.mark.parametrize(("answer", "expected"), [(True, True), (False, False), (None, False)])
@@ -139,3 +150,27 @@ def test_wrong_options_are_refused_before_anything_starts(procedure: str, option
         requested(procedure, options=options)
     assert str(refused.value).startswith(words)
     assert len(str(refused.value)) <= 500
+
+
+@pytest.mark.parametrize(("died", "told"), [("load_frame", True), ("dic", False)])
+def test_a_session_by_hand_whose_node_ends_has_its_results(
+    died: str, told: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "rig.yaml").write_text("{camera: {source: virtual}, virtual_rig: {preset: plate, size: tiny}}")
+    nodes, client = MagicMock(), MagicMock()
+    nodes.__enter__.return_value.dead.return_value = {died: "was ended by SIGKILL"}
+    client.__enter__.return_value.sleep.side_effect = NodeDiedError(f"{died} was ended by SIGKILL.")
+    written = MagicMock(return_value=RunReport("by_hand", tmp_path, [], []))
+    monkeypatch.setattr(procedures, "RunningGraph", lambda *_, **__: nodes)
+    monkeypatch.setattr(procedures, "ExposingClient", lambda *_, **__: client)
+    monkeypatch.setattr(procedures, "write_results", written)
+    for broken in (None, RecordingError("the recording has no image")):
+        written.side_effect = broken
+        by_hand = job("by_hand")
+        execute(Place(tmp_path / "rig.yaml"), by_hand, requested("by_hand"))
+        assert by_hand.status.state == State.FAILED
+        *problems, result = by_hand.status.outcome.words
+        assert f"{died} was ended by SIGKILL." in problems
+        assert any("no hold could be requested" in each for each in problems) is told
+        assert result.startswith("dataset and report in by_hand" if broken is None else "no dataset: the recording")
+    assert written.call_count == 2

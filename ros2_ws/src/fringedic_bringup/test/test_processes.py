@@ -92,6 +92,57 @@ def test_a_rig_whose_nodes_run_already_is_not_started(tmp_path: Path, monkeypatc
             pass
 
 
+def ending_graph(name: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> RunningGraph:
+    """Return the graph of one node that ends by SIGKILL alone, with short waits before."""
+    executable = folder / "stubborn"
+    executable.write_text("#!/bin/sh\ntrap '' INT TERM\ntouch \"$0.ready\"\nwhile true; do sleep 0.1; done\n")
+    executable.chmod(0o755)
+    monkeypatch.setattr(processes, "_executable", lambda _: executable)
+    monkeypatch.setattr(processes, "GRACE_S", {signal.SIGINT: 0.2, signal.SIGTERM: 0.2, signal.SIGKILL: 5.0})
+    monkeypatch.setattr(processes, "RECORDER_GRACE_S", processes.GRACE_S | {signal.SIGINT: 1.5})
+    return RunningGraph(Graph("rig", (NodeEntry(name, "package", name),)), folder, owner=False)
+
+
+def await_ready(folder: Path) -> None:
+    end = time.monotonic() + 60
+    while not (folder / "stubborn.ready").exists():
+        assert time.monotonic() < end, "the node does not start"
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(("name", "long"), [("recorder", True), ("live_view", False)])
+def test_only_a_recorder_has_the_time_to_close_a_recording(
+    name: str, long: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with ending_graph(name, tmp_path, monkeypatch):
+        await_ready(tmp_path)
+        begun = time.monotonic()
+    assert (time.monotonic() - begun > 1.5) == long
+
+
+def test_repeated_interruptions_do_not_prolong_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    interruptions = 0
+
+    def interrupt(*_: object) -> None:
+        nonlocal interruptions
+        with suppress(KeyError):  # the node has ended
+            if running.exit_code("recorder") is None and interruptions < 30:
+                interruptions += 1
+                raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGALRM, interrupt)
+    try:
+        running = ending_graph("recorder", tmp_path, monkeypatch).__enter__()
+        await_ready(tmp_path)
+        signal.setitimer(signal.ITIMER_REAL, 0.3, 0.3)
+        with pytest.raises(KeyboardInterrupt):
+            running.__exit__(None, None, None)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    assert 1 < interruptions < 30, "the node ended while the interruptions went on"
+
+
 def udp_addresses(pid: int, ports: range) -> set[str]:
     """Addresses at which a process has bound one of these ports."""
     sockets = set()

@@ -37,5 +37,7 @@ def next_sentence(item: ListedItem) -> str:
         return _FIRST[item.item]
     if item.state is ItemState.DONE:
         return "Nothing to do."
+    if item.state is ItemState.FAILED:
+        return "The calibration did not pass it: calibrate again, and then repeat it."
     later = " and ".join(TITLES[each].lower() for each in item.superseded_by)
     return f"Repeat it, because {later} was done later."

@@ -37,6 +37,7 @@ class ItemState(Enum):
     NOT_DONE = 0
     DONE = 1
     OUT_OF_DATE = 2
+    FAILED = 3
 
 
 _GEOMETRY = (SetupItem.AXES, SetupItem.CAMERA_FOCUS, SetupItem.PROJECTOR_FOCUS)
@@ -63,6 +64,8 @@ class SetupRecord(BaseModel):
         The result in sentences.
     folder, picture
         Folder of its files, and a picture in it; empty without.
+    good
+        False for a check that the calibration did not pass.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -70,6 +73,7 @@ class SetupRecord(BaseModel):
     words: tuple[str, ...] = ()
     folder: str = ""
     picture: str = ""
+    good: bool = True
 
 
 @dataclass(frozen=True)
@@ -93,7 +97,9 @@ class ListedItem:
         """State of the item."""
         if self.record is None:
             return ItemState.NOT_DONE
-        return ItemState.OUT_OF_DATE if self.superseded_by else ItemState.DONE
+        if self.superseded_by:
+            return ItemState.OUT_OF_DATE
+        return ItemState.DONE if self.record.good else ItemState.FAILED
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,14 @@ def test_a_lens_that_is_turned_makes_what_depends_on_it_out_of_date() -> None:
     assert next_sentence(calibrate) == "Repeat it, because focus and exposure of the camera was done later."
 
 
+def test_a_check_that_was_not_passed_is_not_done() -> None:
+    failed = SetupRecord(when=START + timedelta(hours=1), words=("The rig does not hold its calibration.",), good=False)
+    found = done(SetupItem.CALIBRATE, SetupItem.CHECK).with_record(SetupItem.CHECK, failed)
+    [check] = [each for each in found.items() if each.item is SetupItem.CHECK]
+    assert check.state is ItemState.FAILED
+    assert "repeat it" in next_sentence(check)
+
+
 def test_saved_list_is_read_again(tmp_path: Path) -> None:
     found = done(SetupItem.TIMING, SetupItem.NOISE)
     found.save(tmp_path / "setup.yaml")

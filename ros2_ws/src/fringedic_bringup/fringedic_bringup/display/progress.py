@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import termios
+from contextlib import suppress
 from types import TracebackType
 
 from rich.console import Console
@@ -80,18 +82,29 @@ class LiveProgress:
         self._bars.stop()
         if sys.stdin.isatty():
             termios.tcflush(sys.stdin, termios.TCIFLUSH)  # what was typed before the question is no answer to it
+        self._console.print(f"{escape(words)}, then press Enter (any other text stops): ", end="")
         try:
-            answer = self._console.input(f"{escape(words)}, then press Enter (any other text stops): ")
-        except EOFError:
-            return False
+            answer = _read_line()
         finally:
             self._bars.start()
-        return not answer.strip()
+        return answer.endswith(b"\n") and not answer.strip()
 
     def _plain(self, text: str) -> None:
         if not self._console.is_terminal and text != self._last:
             self.note(text)
         self._last = text
+
+
+def _read_line() -> bytes:
+    """Read a line of the standard input; without a line feed at its end, the input has ended.
+
+    A thread that waits in `input` holds a lock of the buffer, without which Python cannot end after Ctrl-C.
+    """
+    line = b""
+    with suppress(OSError):  # of a terminal that was closed
+        while not line.endswith(b"\n") and (read := os.read(sys.stdin.fileno(), 1)):
+            line += read
+    return line
 
 
 def report_table(report: RunReport) -> Table:

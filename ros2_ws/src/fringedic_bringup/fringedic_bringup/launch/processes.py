@@ -7,7 +7,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -22,6 +23,7 @@ from fringedic_bringup.launch.graph import PROCESSING_NODES, Graph, NodeEntry
 from fringedic_bringup.launch.lease import RigLease
 from fringedic_ros.presence import is_announced
 
+RECORDER = "recorder"
 # Wait after each signal, in which a node finishes its current work.
 GRACE_S = {signal.SIGINT: 15.0, signal.SIGTERM: 5.0, signal.SIGKILL: 5.0}
 # The recorder writes its backlog and closes the recording: half a gigabyte takes a slow disk two minutes.
@@ -35,8 +37,8 @@ class RunningGraph:
     Parameters
     ----------
     graph
-        The nodes, started in this order. The first one (the recorder) is ended last, so that it receives everything
-        that the others publish.
+        The nodes, started in this order. The recorder is ended last, so that it receives everything that the others
+        publish.
     logs
         Folder for the files ``<node>.log`` and ``<node>.yaml`` (parameters) of each node.
     domain
@@ -70,6 +72,7 @@ class RunningGraph:
         self._lease = RigLease(self._domain, graph.namespace, self.logs.parent)
         self._processes: dict[str, subprocess.Popen[bytes]] = {}
         self._may_end: set[str] = set()
+        self._ending_since: dict[str, float] = {}
 
     def __enter__(self) -> RunningGraph:
         executables = {entry.name: _executable(entry) for entry in self.graph.nodes}
@@ -162,17 +165,31 @@ class RunningGraph:
     def stop(self, names: Iterable[str] | None = None) -> None:
         """End the named nodes, or all of them, by SIGINT, then SIGTERM, then SIGKILL.
 
-        The first node of the graph is ended last, after the others.
+        The recorder is ended after the others. When an interruption ends this wait, the next call goes on with it: each
+        node has its grace once.
         """
-        chosen = [entry.name for entry in self.graph.nodes if names is None or entry.name in set(names)]
-        running = {name: self._processes[name] for name in chosen if name in self._processes}
-        first = self.graph.nodes[0].name
-        _end([process for name, process in running.items() if name != first], GRACE_S)
-        _end([process for name, process in running.items() if name == first], RECORDER_GRACE_S)
+        chosen = self.graph.names if names is None else set(names)
+        running = [name for name in self._processes if name in chosen]
+        self._end([name for name in running if name != RECORDER], GRACE_S)
+        self._end([name for name in running if name == RECORDER], RECORDER_GRACE_S)
         for name in running:  # not earlier: this may have been interrupted
-            del self._processes[name]
+            del self._processes[name], self._ending_since[name]
         if running:
             remove_stale_segments()
+
+    def _end(self, names: Sequence[str], grace_s: Mapping[signal.Signals, float]) -> None:
+        processes = [self._processes[name] for name in names]
+        end = max((self._ending_since.setdefault(name, time.monotonic()) for name in names), default=0.0)
+        for number, grace in grace_s.items():
+            end += grace
+            for process in processes:
+                if process.poll() is None:
+                    process.send_signal(number)
+            for process in processes:
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(max(0.0, end - time.monotonic()))
+            if all(process.poll() is not None for process in processes):
+                return
 
     def _start(self, entry: NodeEntry, executable: Path) -> None:
         parameters = entry.write_parameters(self.logs)
@@ -221,21 +238,6 @@ def _executable(entry: NodeEntry) -> Path:
             "`colcon build` and source it"
         )
     return path
-
-
-def _end(processes: list[subprocess.Popen[bytes]], grace_s: Mapping[signal.Signals, float]) -> None:
-    for number, grace in grace_s.items():
-        for process in processes:
-            if process.poll() is None:
-                process.send_signal(number)
-        end = time.monotonic() + grace
-        for process in processes:
-            try:
-                process.wait(max(0.0, end - time.monotonic()))
-            except subprocess.TimeoutExpired:
-                continue
-        if all(process.poll() is not None for process in processes):
-            return
 
 
 def _ending(code: int) -> str:

@@ -17,7 +17,7 @@ from fringedic.configuration.changes import change_rig_file
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_rig_file
 from fringedic.configuration.yaml_section import Section, validate
-from fringedic.errors import ConfigurationError, OperatorError
+from fringedic.errors import ConfigurationError, FringedicError, NodeDiedError, OperatorError, WaitTimeoutError
 from fringedic.frames.region import Region
 from fringedic.inputs.yaml_text import load_yaml
 from fringedic.report.acceptance import acceptance_text
@@ -35,7 +35,7 @@ from fringedic_bringup.operating.options import (
     NoiseOptions,
     TimingOptions,
 )
-from fringedic_bringup.operating.status import Job, Outcome, StoppedError
+from fringedic_bringup.operating.status import STOPPED, Job, Outcome, StoppedError
 from fringedic_bringup.procedures.accept import accept
 from fringedic_bringup.procedures.calibrate import calibrate, with_angles
 from fringedic_bringup.procedures.check import check
@@ -132,7 +132,7 @@ def _response(place: Place, job: Job, *_: object) -> Outcome:
 def _calibrate(place: Place, job: Job, _: Request, options: CalibrateOptions) -> Outcome:
     rig = with_angles(place.rig, options.angles_deg) if options.angles_deg else place.rig
     folder = place.new_folder(job, "calibration")
-    report = calibrate(rig, place.rig_path, folder, job, ask=job.ask, domain=place.domain)
+    report = calibrate(rig, place.rig_path, folder, job, ask=job.ask, watch=job.raise_when_stopped, domain=place.domain)
     settings = f"calibration: {place.relative(report.file)}" if report.go else ""
     return Outcome(report.words, settings, good=report.go)
 
@@ -142,8 +142,16 @@ def _check(place: Place, job: Job, _: Request, options: CheckOptions) -> Outcome
     if options.vdi:
         tested = accept(place.rig, place.rig_path, folder, job, ask=job.ask, domain=place.domain)
         return Outcome(acceptance_text(tested).splitlines(), good=tested.passed)
-    distance = 1e-3 * options.distance_mm
-    result = check(place.rig, place.rig_path, folder, job, distance=distance, ask=job.ask, domain=place.domain)
+    result = check(
+        place.rig,
+        place.rig_path,
+        folder,
+        job,
+        distance=1e-3 * options.distance_mm,
+        ask=job.ask,
+        watch=job.raise_when_stopped,
+        domain=place.domain,
+    )
     return Outcome([check_sentence(result), *check_warning_sentences(result)], good=result.holds)
 
 
@@ -217,11 +225,15 @@ def _run(place: Place, job: Job, request: Request, _: Section) -> Outcome:
 
 
 def _by_hand(place: Place, job: Job, *_: object) -> Outcome:
-    """Start the nodes, and keep them until the operator stops; steps are measured by the action of the rig."""
+    """Start the nodes, and keep them until the operator stops; steps are measured by the action of the rig.
+
+    When a node ends, the session ends with the results of what was recorded.
+    """
     rig = place.rig
     folder = _recording_folder(place, job, rig, "by_hand")
     graph = rig_graph(rig, place.rig_path, folder, experiment="by_hand")
     job.controlled = True
+    problems: list[str] = []
     job.stage(f"starting {len(graph.nodes)} nodes")
     with (
         RunningGraph(graph, folder / "logs", domain=place.domain) as running,
@@ -229,13 +241,23 @@ def _by_hand(place: Place, job: Job, *_: object) -> Outcome:
     ):
         client.wait_until_ready(graph.names)
         job.stage("ready to measure")
-        while not job.is_stopping:
-            client.sleep(0.2)
-        client.wait_until_recorded()
+        try:
+            while not job.is_stopping:
+                client.sleep(0.2)
+            client.wait_until_recorded()
+        except (NodeDiedError, WaitTimeoutError) as error:
+            if "load_frame" in running.dead():
+                problems.append(
+                    "load_frame ended, so that no hold could be requested: stop the machine at its own controls"
+                )
+            problems.append(str(error))
     job.stage("writing dataset, pictures and report")
-    report = write_results("by_hand", folder, [])
-    words = [report.unmeasured] if report.unmeasured else [f"dataset and report in {folder.name}"]
-    return Outcome(words, good=not report.unmeasured)
+    try:
+        unmeasured = write_results("by_hand", folder, []).unmeasured
+    except FringedicError as error:
+        unmeasured = f"no dataset: {error}"
+    words = [*problems, unmeasured or f"dataset and report in {folder.name}"]
+    return Outcome(words, good=not problems and not unmeasured)
 
 
 def _programme(place: Place, text: str) -> tuple[RigFile, Programme]:
@@ -306,7 +328,7 @@ def execute(place: Place, job: Job, request: Request) -> None:
     try:
         job.ended(PROCEDURES[request.procedure].carry_out(place, job, request, request.options))
     except StoppedError:
-        job.ended(Outcome(["stopped by the operator"], good=False))
+        job.ended(STOPPED)
     except Exception as error:
         # the thread must not end without a word, whatever it was
         job.failed(str(error) or type(error).__name__)

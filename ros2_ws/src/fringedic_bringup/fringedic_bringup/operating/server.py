@@ -16,7 +16,7 @@ from fringedic.errors import FringedicError, OperatorError
 from fringedic.report.check_list import next_sentence
 from fringedic.rig_setup.check_list import CheckList, ListedItem, SetupItem, SetupRecord
 from fringedic_bringup.operating.procedures import Place, Request, execute, requested
-from fringedic_bringup.operating.status import Job, State, Status
+from fringedic_bringup.operating.status import STOPPED, Job, State, Status
 from fringedic_bringup.participant import Participant
 from fringedic_msgs.msg import ProcedureStatus, SetupState, StepReport
 from fringedic_msgs.msg import SetupItem as SetupItemMessage
@@ -165,19 +165,27 @@ class ProcedureServer:
             self._figures = job.figures
             if status.state == State.FAILED:
                 self._live_from = time.monotonic() + AGAIN_S
-        elif status.procedure in set(SetupItem) and status.state == State.DONE:
+        elif _is_listed(status):
+            outcome = status.outcome
             self._record(
-                SetupItem(status.procedure), tuple(status.outcome.words), status.folder, status.outcome.picture
+                SetupItem(status.procedure),
+                SetupRecord(
+                    when=datetime.now(UTC),
+                    words=tuple(outcome.words),
+                    folder=status.folder,
+                    picture=outcome.picture,
+                    good=outcome.good,
+                ),
             )
 
     def _confirm(self, item: str) -> None:
         if item not in LIVE_ITEMS:
             raise OperatorError(f"{item}: has to be measured; it cannot be confirmed")
         live = self._running if self._running is not None and self._running.is_live else None
-        self._record(SetupItem(item), self._figures if live is None else live.figures)
+        words = self._figures if live is None else live.figures
+        self._record(SetupItem(item), SetupRecord(when=datetime.now(UTC), words=words))
 
-    def _record(self, item: SetupItem, words: tuple[str, ...], folder: str = "", picture: str = "") -> None:
-        record = SetupRecord(when=datetime.now(UTC), words=words, folder=folder, picture=picture)
+    def _record(self, item: SetupItem, record: SetupRecord) -> None:
         self._list = self._list.with_record(item, record)
         try:
             self._list.save(self._list_file)
@@ -208,6 +216,17 @@ class ProcedureServer:
         message = SetupState(rig_file=str(self._place.rig_path), items=items)
         message.header.stamp = to_msg(time.time_ns())
         self._setups.publish(message)
+
+
+def _is_listed(status: Status) -> bool:
+    """Return whether the check list keeps the result of a procedure that has ended: a bad one only of a check.
+
+    A calibration that is NO-GO leaves the one before in use, and its item as it was.
+    """
+    if status.procedure not in set(SetupItem):
+        return False
+    is_measured = bool(status.outcome.words) and status.outcome != STOPPED
+    return status.state == State.DONE or (status.procedure == SetupItem.CHECK and is_measured)
 
 
 @contextmanager

@@ -36,6 +36,9 @@ class Outcome:
     good: bool = True
 
 
+STOPPED = Outcome(["stopped by the operator"], good=False)
+
+
 @dataclass(frozen=True)
 class Status:
     """What the page shows of a procedure; fields as of ``fringedic_msgs/ProcedureStatus``, times in [s]."""
@@ -127,9 +130,12 @@ class Job(RunControl):
         self._change(state=State.RUNNING)
 
     def stop(self) -> None:
-        """End the procedure as soon as possible."""
-        self._stopping = True
-        self._change(state=State.STOPPING, question="")
+        """End the procedure as soon as possible; one that has ended keeps its result."""
+        with self._lock:
+            if self._status.state in (State.DONE, State.FAILED):
+                return
+            self._stopping = True
+            self._change(state=State.STOPPING, question="")
 
     def answer(self, confirmed: bool) -> None:
         """Answer the question of the procedure.
@@ -159,12 +165,12 @@ class Job(RunControl):
 
     def stage(self, text: str) -> None:
         """Take a text about what is being done now."""
-        self._raise_when_stopped()
+        self.raise_when_stopped()
         self._change(activity=text, step=-1, steps=0, frame=0, frames=0)
 
     def step(self, number: int, last: int, text: str, frame: int = 0, frames: int = 0) -> None:
         """Take the progress of a load step."""
-        self._raise_when_stopped()
+        self.raise_when_stopped()
         self._change(activity=text, step=number, steps=last + 1, frame=frame, frames=frames)
 
     def part(self, number: int, parts: int, text: str, frame: int = 0, frames: int = 0) -> None:
@@ -195,7 +201,14 @@ class Job(RunControl):
         """Take the reason why there is no result."""
         self._change(state=State.FAILED, error=error, activity="", question="")
 
-    def _raise_when_stopped(self) -> None:
+    def raise_when_stopped(self) -> None:
+        """End a procedure other than a programme by an error, when the operator has stopped it.
+
+        Raises
+        ------
+        StoppedError
+            It is stopped.
+        """
         if self._stopping and not self.controlled:
             raise StoppedError("stopped by the operator")
 

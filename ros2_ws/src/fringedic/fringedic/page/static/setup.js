@@ -29,7 +29,7 @@ const OPTIONS = {
   ],
 };
 const entered = {}; // values of the operator, which outlast every change of the list
-const STATES = [["", "not done"], ["good", "done"], ["care", "out of date"]];
+const STATES = [["", "not done"], ["good", "done"], ["care", "out of date"], ["bad", "failed"]];
 const MEASURED = ["timing", "response", "calibrate", "check", "region", "noise", "advise", "settings"];
 let open = "";
 
