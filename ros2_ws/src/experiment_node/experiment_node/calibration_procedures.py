@@ -108,12 +108,12 @@ class CalibrationProcedures:
         request, result, parameters = run.goal.goal.request, run.result, self._steps.parameters
         if not parameters.projector:
             raise StepFailure(result.INVALID_GOAL, "a rig without projector needs no calibration beside its distortion")
-        planes = plane_sequence(request)
+        planes, patterns = plane_sequence(request), parameters.patterns()
         result.experiment = result.identifier = run.experiment.name
         setting = Setting(
             run.experiment.name,
             (parameters.projector_width_px, parameters.projector_height_px),
-            parameters.patterns()[-1],
+            patterns[-1],
             request.sigma_angle,
             request.sigma_height,
         )
@@ -122,7 +122,7 @@ class CalibrationProcedures:
         with self._steps.collect(PHASE_MAPS) as images:
             await self._steps.reach_readers(run, "phase")
             for run.feedback.plane, plane in enumerate(planes, start=1):
-                stamp = await self._measure_plane(run, plane, images)
+                stamp = await self._measure_plane(run, plane, patterns, images)
         run.report("fitting the model of the rig")
         calibrated = await self._fit(run, datetime.fromtimestamp(1e-9 * stamp, UTC))
         if not calibrated.go:
@@ -130,11 +130,16 @@ class CalibrationProcedures:
         result.go = True
         self._publish_calibration(calibrated.model, str(run.folder))
 
-    async def _measure_plane(self, run: CalibrationRun, plane: ReferencePlane, images: Images) -> int:
-        """Measure the phase of one plane and return the stamp of its step [ns]."""
+    async def _measure_plane(
+        self, run: CalibrationRun, plane: ReferencePlane, patterns: tuple[ProjectedPattern, ...], images: Images
+    ) -> int:
+        """Measure the phase of one plane and return the stamp of its step [ns].
+
+        The patterns are those of the begin: the fit takes all phases as those of one pitch.
+        """
         run.report(place_in_words(plane.kind, plane.angle, plane.height))
         await self._steps.place(run, plane)
-        step = await self._steps.measure(run, plane, self._steps.parameters.patterns(), ("phase",))
+        step = await self._steps.measure(run, plane, patterns, ("phase",))
         for topic in PHASE_MAPS:
             await self._steps.await_images(run, images, topic, [step.stamp])
         phase, sigma = (image_array(images[topic].pop(step.stamp)) for topic in PHASE_MAPS)

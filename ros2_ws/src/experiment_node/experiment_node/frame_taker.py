@@ -13,15 +13,13 @@ from experiment_node.load_watch import LoadWatch
 from experiment_node.running_step import RunningStep
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic_msgs.action import MeasureStep
-from fringedic_msgs.msg import ReferencePlane
 from fringedic_msgs.srv import CaptureFrame, ShowPattern
-from fringedic_ros.qos import LATCHED
+from fringedic_ros.placing import STATE, PlaceWatch
 from fringedic_ros.stamps import to_nanoseconds
 
 Result = MeasureStep.Result
 AGAIN_S = 1.0
 PLACED_S = 2.0  # longest wait for the state of a stage, which an inactive one does not publish
-PLACE = "reference_plane/state"
 CAPTURE_ERRORS = {
     CaptureFrame.Request.CAMERA_TIMEOUT: Result.CAMERA_TIMEOUT,
     CaptureFrame.Request.CAMERA_FAILED: Result.CAMERA_FAILED,
@@ -41,25 +39,20 @@ class FrameTaker:
 
     Attributes
     ----------
-    placed
-        Stamp of the latest `reference_plane/state`, of the object in front of the camera: the camera waits for that
-        message, which it may receive later than this node.
+    place
+        State of the stage: the camera waits for the latest message of it, which it may receive later than this node.
     """
 
     def __init__(self, node: Node, load: LoadWatch) -> None:
-        self.placed = Time()
         self._node = node
         self._load = load
         self._show = node.create_client(ShowPattern, "projector/show")
         self._capture = node.create_client(CaptureFrame, "camera/capture")
-        node.create_subscription(ReferencePlane, PLACE, self._take_place, LATCHED)
+        self.place = PlaceWatch(node)
 
     def servers(self) -> list[int]:
         """Return how many servers of each service are known."""
         return [self._node.count_services(client.srv_name) for client in (self._show, self._capture)]
-
-    def _take_place(self, message: ReferencePlane) -> None:
-        self.placed = message.header.stamp
 
     async def await_responses(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         """Wait until projector and camera have discovered this node, and this node the stage: nothing is lost then.
@@ -78,7 +71,7 @@ class FrameTaker:
                 client, request, parameters.start_timeout_s, code, "before the first frame", again_s=AGAIN_S
             )
         end = time.monotonic() + PLACED_S
-        while self._node.count_publishers(PLACE) and not to_nanoseconds(self.placed) and time.monotonic() < end:
+        while self._node.count_publishers(STATE) and not to_nanoseconds(self.place.placed) and time.monotonic() < end:
             await step.goal.pause(0.05)
 
     async def show(self, step: RunningStep, pattern: ProjectedPattern, parameters: ExperimentParameters) -> Time:
@@ -159,7 +152,7 @@ class FrameTaker:
             shifts=pattern.shifts,
             exposure_time=parameters.exposure_time(index, pattern),
             shown=shown,
-            placed=self.placed,
+            placed=self.place.placed,
             image_subscribers=images,
             exposure_subscribers=exposures,
         )

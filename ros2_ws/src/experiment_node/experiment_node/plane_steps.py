@@ -22,10 +22,11 @@ from fringedic.report.plane_instructions import place_in_words
 from fringedic_msgs.msg import ReferencePlane
 from fringedic_msgs.srv import PlaceReferencePlane
 from fringedic_ros.parameters import Parameters
+from fringedic_ros.placing import placing_problem
 from fringedic_ros.qos import LATCHED_BY_MANY
 from fringedic_ros.rig_node import RIG_FRAME, frame_id
 from fringedic_ros.stamps import to_msg, to_nanoseconds
-from fringedic_ros.waiting import Condition, call, wait_for
+from fringedic_ros.waiting import Condition, LongRequest, call, wait_for
 from fringedic_ros.work import Worker
 
 RETURN_TIMEOUT = 10.0  # [s] for the specimen to be put back
@@ -93,10 +94,21 @@ class PlaneSteps:
             ),
         )
         what = place_in_words(plane.kind, plane.angle, plane.height)
-        placed = await run.goal.call(self._place, request, parameters.placing_timeout_s, result.PLACING_TIMEOUT, what)
-        if not placed.success:
-            raise StepFailure(result.PLACING_FAILED, f"{what}: {placed.message or 'refused without a reason'}")
-        self._runner.frames.placed = placed.placed
+        with LongRequest(self._node, self._place, request) as sent:
+            await run.goal.wait_polling(
+                lambda: sent.is_answered() or bool(sent.loss),
+                parameters.placing_timeout_s,
+                lambda: (
+                    result.PLACING_TIMEOUT,
+                    f"{what}: {self._place.srv_name} did not answer in {parameters.placing_timeout_s:g} s",
+                ),
+            )
+            if sent.loss:
+                raise StepFailure(result.PLACING_FAILED, f"{what}: {sent.loss}")
+            placed = sent.response
+        if problem := placing_problem(request, placed):
+            raise StepFailure(result.PLACING_FAILED, f"{what}: {problem}")
+        self._runner.frames.place.take_response(plane.kind, placed)
         if plane.kind == ReferencePlane.PLANE or plane.angle:
             plane.angle, plane.height = placed.angle, placed.height
 
@@ -106,7 +118,7 @@ class PlaneSteps:
             request = PlaceReferencePlane.Request(kind=PlaceReferencePlane.Request.SPECIMEN)
             with suppress(WaitTimeoutError):
                 placed = await call(self._node, self._place, request, RETURN_TIMEOUT)
-                self._runner.frames.placed = placed.placed
+                self._runner.frames.place.take_response(request.kind, placed)
 
     async def measure(
         self,
@@ -132,6 +144,8 @@ class PlaneSteps:
         failure = await self._runner.measure(step, self.parameters)
         if failure is not None:
             raise StepFailure(run.result.STEP_FAILED, str(failure))
+        if problem := self._runner.frames.place.problem():
+            raise StepFailure(run.result.STEP_FAILED, problem)
         return step
 
     @contextmanager

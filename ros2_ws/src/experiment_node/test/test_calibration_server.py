@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,8 +13,11 @@ import numpy as np
 import pytest
 import rclpy
 from action_msgs.msg import GoalStatus
+from builtin_interfaces.msg import Time
+from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.parameter import Parameter
 from rclpy.task import Future
 from sensor_msgs.msg import Image
 
@@ -26,7 +31,7 @@ from fringedic_ros.images import image_message
 from fringedic_ros.matching import offer_reader_counts
 from fringedic_ros.qos import DERIVED, EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY
 from fringedic_ros.stamps import to_msg
-from fringedic_ros.testing import NodeProcess, Peer, await_readers
+from fringedic_ros.testing import NodeProcess, Peer, await_readers, killed_stage
 
 PITCHES = [100.0, 20.0, 5.0]
 SHIFTS = [3, 3, 3]
@@ -71,8 +76,12 @@ class Rig(Peer):
         self.blank = np.full_like(self.grid, 100)
         self.placed: list[PlaceReferencePlane.Request] = []
         self.turn = 1.0  # -1: the stage turns the other way
-        self.refusal, self.hang = "", None
+        self.refusal, self.hang, self.zero = "", None, 0.0
         self.grid_there, self.stuck, self.silent_map = True, False, False
+        self.patterns: list[tuple[int, ...]] = []
+        self.states: Any = None  # publisher of the stage
+        self.goes_to_zero = False  # after the first frame of a plane
+        self.set_parameters = self.create_client(SetParameters, "experiment/set_parameters")
         self.steps = self.listen(StepStatus, "experiment/step", EVENTS)
         self.planes = self.listen(ReferencePlane, "experiment/plane", EVENTS)
         self.calibrations = self.listen(RigCalibration, "calibration", LATCHED)
@@ -108,17 +117,36 @@ class Rig(Peer):
         if self.hang is not None and request.kind != ReferencePlane.SPECIMEN:
             await self.hang
         response.success, response.message = not self.refusal, self.refusal
-        response.angle, response.height = request.angle, request.height
+        response.angle, response.height = request.angle, request.height + self.zero
+        if self.states is not None:
+            response.placed = self.report_place(request.kind, request.angle)
         return response
+
+    def report_place(self, kind: int, angle: float) -> Time:
+        """Publish the state of the stage and return its stamp."""
+        state = ReferencePlane(kind=kind, angle=angle)
+        state.header.stamp = to_msg(time.time_ns())
+        self.states.publish(state)
+        return state.header.stamp
+
+    def change(self, **values: Any) -> None:
+        """Change parameters of the experiment node."""
+        changes = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        request = SetParameters.Request(parameters=changes)
+        response = self.ask(self.set_parameters, request, "the change of parameters")
+        assert all(result.successful for result in response.results), response
 
     def _capture(self, request: CaptureFrame.Request, response: CaptureFrame.Response) -> CaptureFrame.Response:
         if not request.count:
             return response
         await_readers(self.images, request.image_subscribers)
         await_readers(self.exposures, request.exposure_subscribers)
+        self.patterns.append((request.kind, request.index, request.count, request.pitch))
         self.clock_ns += 10_000_000
         response.stamp = to_msg(self.clock_ns)
         there = self.placed[-1]
+        if self.goes_to_zero and request.index == 0:
+            self.report_place(there.kind, 0.0)
         shown = self.grid if there.kind == ReferencePlane.GRID and self.grid_there else self.blank
         self.images.publish(image_message(shown, stamp_ns=self.clock_ns, frame_id="camera_optical_frame"))
         exposure = Exposure(experiment=request.experiment, step=request.step, index=request.index, count=request.count)
@@ -155,9 +183,9 @@ class Rig(Peer):
     def behave(self) -> None:
         """Do everything right from now on, and clear the journals."""
         self.serve(0.1)
-        for heard in (self.steps, self.planes, self.feedback, self.placed):
+        for heard in (self.steps, self.planes, self.feedback, self.placed, self.patterns):
             heard.clear()
-        self.turn, self.refusal, self.hang = 1.0, "", None
+        self.turn, self.refusal, self.hang, self.zero = 1.0, "", None, 0.0
         self.grid_there, self.stuck, self.silent_map = True, False, False
         if self.stage is None:
             self.install_stage()
@@ -313,6 +341,50 @@ def test_a_stage_that_refuses_or_hangs(rig: Rig, tmp_path: Path) -> None:
     assert "did not answer" in result.error_message
 
 
+@pytest.mark.parametrize(("zero", "words"), [(5e-3, "+5.000 mm; the grid defines the scale"), (math.nan, "no number")])
+def test_a_stage_whose_zero_is_not_that_of_the_grid(rig: Rig, tmp_path: Path, zero: float, words: str) -> None:
+    """The scale would be wrong without a sign of it."""
+    rig.zero = zero
+    result = rig.calibrate_distortion(tmp_path)
+    assert result.error_code == CalibrateDistortion.Result.PLACING_FAILED
+    assert words in result.error_message
+
+
+def test_a_height_that_is_no_number_ends_the_calibration_at_once(rig: Rig, tmp_path: Path) -> None:
+    rig.zero = math.nan
+    result = rig.calibrate(tmp_path)
+    assert result.error_code == CalibrateRig.Result.PLACING_FAILED
+    assert "no number" in result.error_message
+    assert len(rig.planes) == 0
+
+
+def test_pitches_that_are_changed_meanwhile_are_those_of_the_next_calibration(rig: Rig, tmp_path: Path) -> None:
+    """The fit takes all phases as those of one pitch, and finds a wrong projector that fits them."""
+    rig.hang = Future()
+    handle = rig.request(rig.rig, CalibrateRig.Goal(angles=list(ANGLES), folder=str(tmp_path)))
+    rig.wait(lambda: len(rig.placed) == 1, "the first plane")
+    rig.change(pitches_px=[4 * each for each in PARAMETERS["pitches_px"]])
+    released, rig.hang = rig.hang, None
+    released.set_result(None)
+    assert rig.result(handle)[1].go
+    rig.change(pitches_px=PARAMETERS["pitches_px"])
+    assert max(pitch for *_, pitch in rig.patterns) == max(PARAMETERS["pitches_px"])
+
+
+def test_a_stage_that_leaves_its_place_during_the_frames(rig: Rig, tmp_path: Path) -> None:
+    """Its driver was started again, and moves it to its zero."""
+    rig.states = rig.create_publisher(ReferencePlane, "reference_plane/state", LATCHED)
+    rig.wait(rig.states.get_subscription_count, "the experiment node")
+    rig.goes_to_zero = True
+    result = rig.calibrate(tmp_path, angles=[0.1, *ANGLES[1:]])
+    rig.goes_to_zero = False
+    rig.destroy_publisher(rig.states)
+    rig.states = None
+    assert result.error_code == CalibrateRig.Result.STEP_FAILED
+    assert "it reports the plane at +0.00 degree and +0.000 mm instead of the plane at +5.73" in result.error_message
+    assert len(rig.planes) == 1
+
+
 def test_a_map_that_does_not_come(rig: Rig, tmp_path: Path) -> None:
     rig.silent_map = True
     result = rig.calibrate(tmp_path)
@@ -341,3 +413,26 @@ def test_a_folder_that_cannot_be_written(rig: Rig, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     result = rig.calibrate_distortion(tmp_path / "file")
     assert result.error_code == CalibrateDistortion.Result.FILES_FAILED, result
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_a_stage_that_was_killed(rig: Rig, tmp_path: Path, again: bool) -> None:
+    """Without it the plane fails long before the time of a slow stage; started again, it gets the request again."""
+    rig.change(placing_timeout_s=90.0)
+    rig.destroy_service(rig.stage)
+    rig.stage = None
+    killed = threading.Event()
+    with killed_stage("", then=killed.set):
+        rig.wait(lambda: rig.count_services("reference_plane/place"), "the stage")
+        goal = CalibrateDistortion.Goal(grid_pitch=GRID_PITCH, frames=2, folder=str(tmp_path))
+        handle = rig.request(rig.distortion, goal)
+        rig.wait(killed.is_set, "the request to the stage")
+        if again:
+            rig.install_stage()
+        result = rig.result(handle)[1]
+    rig.change(placing_timeout_s=2.0)
+    if again:
+        assert (result.error_code, result.error_message) == (0, "")
+    else:
+        assert result.error_code == CalibrateDistortion.Result.PLACING_FAILED
+        assert "the service reference_plane/place is missing" in result.error_message

@@ -39,8 +39,9 @@ from fringedic_msgs.action import CalibrateDistortion, CalibrateRig, MeasureStep
 from fringedic_msgs.msg import LoadState, RecorderStatus, Reference, StepStatus
 from fringedic_msgs.srv import PlaceReferencePlane, SetReference, StartExperiment
 from fringedic_ros.goals import RepeatedGoal
+from fringedic_ros.placing import PlaceWatch, placing_problem
 from fringedic_ros.qos import EVENTS, LATCHED, STATE
-from fringedic_ros.waiting import RepeatedRequest
+from fringedic_ros.waiting import LOST_S, LongRequest, RepeatedRequest
 
 MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
 START_TIMEOUT_S = 60.0
@@ -48,9 +49,9 @@ START_TIMEOUT_S = 60.0
 HEARTBEATS_S = 0.5
 # Without feedback. The nodes end every step and move by themselves; this ends the wait for a node that stands still.
 STEP_TIMEOUT_S = 3600.0
+PERSON_S = 86_400.0  # for a person to place a plane, who may go home before
 CANCEL_AGAIN_S = 0.5  # between two requests to end a move
 STRAIN_S, MISSED = 2.0, 3  # without a new strain, and in periods of the strain, after which it is not known
-LOST_S = 10.0  # without its server, after which an action fails; a node that is started again is back earlier
 
 
 class RigClient:
@@ -107,6 +108,8 @@ class RigClient:
         self._start = self.node.create_client(StartExperiment, "experiment/start")
         self._set_reference = self.node.create_client(SetReference, "experiment/set_reference")
         self._hold = self.node.create_client(Trigger, "load_frame/hold")
+        self._stage = PlaceWatch(self.node)
+        self._placing_s = STEP_TIMEOUT_S
         self._reference = -1
         self.node.create_subscription(Reference, "experiment/reference", self._take_reference, LATCHED)
         self._highest: defaultdict[str, int] = defaultdict(lambda: -1)
@@ -462,16 +465,51 @@ class RigClient:
         Raises
         ------
         StepFailedError
-            The experiment node refuses it.
+            The stage or the person refuses it, or the stage reports that it is not in its place.
+        WaitTimeoutError
+            There is no server of ``reference_plane/place`` any more, or it does not answer.
         """
+        what = place_in_words(kind, angle, height)
         request = PlaceReferencePlane.Request(kind=kind, angle=angle, height=height)
-        response = self._await(self._place.call_async(request), STEP_TIMEOUT_S, self._place.srv_name)
-        if not response.success:
-            raise StepFailedError(f"{place_in_words(kind, angle, height)}: {response.message}")
+        with LongRequest(self.node, self._place, request) as sent:
+            self.wait_for(
+                lambda: sent.is_answered() or bool(sent.loss),
+                self._placing_s,
+                lambda: f"{what}: {self._place.srv_name}: no answer",
+            )
+            if sent.loss:
+                raise WaitTimeoutError(f"{what}: {sent.loss}")
+            response = sent.response
+        if problem := placing_problem(request, response):
+            raise StepFailedError(f"{what}: {problem}")
+        self._stage.take_response(kind, response)
         return response
 
+    def require_place(self) -> None:
+        """Check that the stage has not left the place that it reached; without a stage nothing is known about it.
+
+        Raises
+        ------
+        StepFailedError
+            The stage reports another place.
+        """
+        if problem := self._stage.problem():
+            raise StepFailedError(problem)
+
+    def abandon_planes(self, timeout_s: float) -> None:
+        """After a failure, request the end of a calibration and the specimen in front of the camera again.
+
+        `watch`, which may have caused the failure, is not called.
+        """
+        self.request_cancel()  # before it places another plane
+        request = PlaceReferencePlane.Request(kind=PlaceReferencePlane.Request.SPECIMEN)
+        end = time.monotonic() + timeout_s
+        with LongRequest(self.node, self._place, request) as sent:
+            while self._place.service_is_ready() and not sent.is_answered() and time.monotonic() < end:
+                self._participant.spin_once(0.1)
+
     def serve_placing(self, place: Callable[[int, float, float], str]) -> None:
-        """Serve ``reference_plane/place`` as a stage would.
+        """Serve ``reference_plane/place`` as a stage would; this client then waits a day for a plane to be placed.
 
         Parameters
         ----------
@@ -479,6 +517,7 @@ class RigClient:
             Called in a thread of its own with kind, angle [rad] and height [m]; returns when it is placed: an empty
             text, or the reason why it is not.
         """
+        self._placing_s = PERSON_S
 
         async def serve(
             request: PlaceReferencePlane.Request, response: PlaceReferencePlane.Response
@@ -596,7 +635,9 @@ class RigClient:
         StepFailedError
             The node ended the goal without a result.
         """
-        self._await_server(sent.client, over, STEP_TIMEOUT_S, what, lambda: sent.last_sign_s)
+        places = sent.client in (self._calibrate_distortion, self._calibrate_rig)
+        timeout_s = self._placing_s if places else STEP_TIMEOUT_S
+        self._await_server(sent.client, over, timeout_s, what, lambda: sent.last_sign_s)
         self._running = None
         if sent.result is None:
             node = self._servers[sent.client]

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -118,6 +119,41 @@ class NodeProcess:
         else:
             assert alive, f"the process ended by itself with {code}:\n{self.log}"
             assert code == 0, f"the process ended with {code}:\n{self.log}"
+
+
+_SILENT_STAGE = """
+import sys, time, rclpy
+from fringedic_msgs.srv import PlaceReferencePlane
+rclpy.init()
+node = rclpy.create_node("stage", namespace=sys.argv[1])
+def place(*_):
+    print("requested", flush=True)
+    time.sleep(600)
+node.create_service(PlaceReferencePlane, "reference_plane/place", place)
+rclpy.spin(node)
+"""
+
+
+@contextmanager
+def killed_stage(namespace: str, then: Callable[[], object] = lambda: None) -> Iterator[None]:
+    """Run a stage that never answers and is killed at its first request; `then` is called after that, in a thread.
+
+    For the last tests of a module: its shared memory stays, in which nodes of the same domain may not hear each other.
+    """
+    command = [sys.executable, "-c", _SILENT_STAGE, namespace]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+
+        def kill() -> None:
+            assert process.stdout is not None
+            process.stdout.readline()
+            process.kill()
+            then()
+
+        killing = threading.Thread(target=kill)
+        killing.start()
+        yield
+        process.kill()
+        killing.join()
 
 
 def fringe_step(rig: VirtualRig, position: float, experiment: str, step: int) -> list[Frame]:

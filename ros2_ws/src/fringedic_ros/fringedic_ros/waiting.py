@@ -23,6 +23,7 @@ from fringedic.errors import WaitTimeoutError
 _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 _POLL_S = 0.01
 AGAIN_S = 2.0  # after which a request without response is sent again
+LOST_S = 10.0  # without its server, after which a request fails; a node that is started again is back earlier
 
 
 async def wait_for(node: Node, future: Future, timeout_s: float, what: str = "an answer") -> Any:
@@ -134,6 +135,47 @@ class RepeatedRequest:
     def response(self) -> Any:
         """The response, once there is one."""
         return next(future.result() for future in self._sent if future.done())
+
+
+class LongRequest(RepeatedRequest):
+    """A request that a stage or a person needs long for: sent once, and again when a server of it has ended.
+
+    Parameters
+    ----------
+    node
+        Owner of the client.
+    client, request
+        As of `RepeatedRequest`.
+
+    Attributes
+    ----------
+    loss
+        Why there will be no response, in words; empty while there may be one.
+    """
+
+    def __init__(self, node: Node, client: Client, request: Any) -> None:
+        super().__init__(client, request)
+        self._node = node
+        self._servers, self._seen_s = 0, time.monotonic()
+        self._left = 1
+        self.loss = ""
+
+    def is_answered(self) -> bool:
+        """Return whether there is a response; send the request when it is due. Call it while the node is spun."""
+        now, servers = time.monotonic(), self._node.count_services(self._client.srv_name)
+        if servers < self._servers:
+            # twice: a server that was started again may not know the reader of its responses yet
+            self._left, self._next_s = 2, 0.0
+        self._servers = servers
+        if servers:
+            self._seen_s = now
+        elif now - self._seen_s > LOST_S:
+            name = self._client.srv_name
+            self.loss = f"the service {name} is missing: start its node again, and repeat the measurement"
+        if self._left and self._client.service_is_ready() and now >= self._next_s:
+            self._sent.append(self._client.call_async(self._request))
+            self._left, self._next_s = self._left - 1, now + AGAIN_S
+        return any(future.done() for future in self._sent)
 
 
 class Condition:

@@ -6,6 +6,15 @@ import math
 
 from fringedic.calibration.placement import PlaneKind
 
+_NAMES = {PlaneKind.GRID: "the grid", PlaneKind.PLANE: "the plane", PlaneKind.SPECIMEN: "the specimen"}
+
+
+def position_in_words(kind: int, angle: float, height: float) -> str:
+    """Return the position of an object that a stage has placed; angle [rad], height [m]."""
+    if kind == PlaneKind.SPECIMEN:
+        return _NAMES[PlaneKind.SPECIMEN]
+    return f"{_NAMES[PlaneKind(kind)]} at {math.degrees(angle) + 0.0:+.2f} degree and {1e3 * height + 0.0:+.3f} mm"
+
 
 def place_in_words(kind: int, angle: float, height: float) -> str:
     """Return the instruction to put something in front of the camera; angle [rad], height [m]."""

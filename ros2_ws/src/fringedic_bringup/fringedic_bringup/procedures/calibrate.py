@@ -7,6 +7,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+
 from fringedic.calibration.placement import PlaneKind
 from fringedic.calibration.result import RigCalibration
 from fringedic.configuration.rig_file import RigFile
@@ -15,10 +18,12 @@ from fringedic.configuration.yaml_section import validate
 from fringedic.errors import ConfigurationError
 from fringedic.report.calibration import CALIBRATION_REPORT, Traceability, write_calibration_report
 from fringedic.report.plane_instructions import place_in_words
-from fringedic_bringup.client import RigClient
+from fringedic_bringup.client import PERSON_S, START_TIMEOUT_S, RigClient
 from fringedic_bringup.launch.graph import calibration_graph
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.outcome import CalibrationReport, Progress
+
+SPECIMEN_S = 5.0  # for a stage to put the specimen back after an error
 
 
 def calibrate(
@@ -28,6 +33,7 @@ def calibrate(
     progress: Progress,
     *,
     ask: Callable[[str], bool],
+    watch: Callable[[], None] = lambda: None,
     domain: int | None = None,
 ) -> CalibrationReport:
     """Calibrate a rig and write recording, calibration and report into a folder.
@@ -42,6 +48,8 @@ def calibrate(
         Receives the progress.
     ask
         Asks an operator to place grid or plane where there is no stage; returns False when the operator stops.
+    watch
+        Called about ten times a second while waiting; an exception that it raises ends the calibration.
     domain
         ROS_DOMAIN_ID; None takes the one of the environment.
 
@@ -60,7 +68,7 @@ def calibrate(
     if rig.projector is None:
         raise ConfigurationError(f"{rig_path}: has no projector; there is nothing to calibrate but the camera")
     plane = rig.reference_plane
-    with calibration_client(rig, rig_path, folder, progress, ask=ask, domain=domain) as client:
+    with calibration_client(rig, rig_path, folder, progress, ask=ask, watch=watch, domain=domain) as client:
         camera = client.calibrate_distortion(
             grid_pitch,
             angles=plane.grid_angles,
@@ -111,9 +119,12 @@ def calibration_client(
     progress: Progress,
     *,
     ask: Callable[[str], bool],
+    watch: Callable[[], None] = lambda: None,
     domain: int | None,
 ) -> Iterator[RigClient]:
     """Start the nodes that measure the reference plane and yield their client; parameters as of `calibrate`.
+
+    After an error a stage is requested to put the specimen back.
 
     Raises
     ------
@@ -127,15 +138,32 @@ def calibration_client(
     folder.mkdir(parents=True, exist_ok=True)
     graph = calibration_graph(rig, rig_path, folder)
     progress.stage(f"starting {len(graph.nodes)} nodes")
-    with (
-        RunningGraph(graph, folder / "logs", domain=domain) as running,
-        RigClient(graph.namespace, domain=domain, watch=running.check) as client,
-    ):
-        client.wait_until_ready(graph.names)
-        place = client.node.resolve_service_name("reference_plane/place")
-        if "stage" not in graph.names and not client.node.count_services(place):  # no driver of a real stage serves it
-            client.serve_placing(placing_by(ask))
-        yield client
+    with RunningGraph(graph, folder / "logs", domain=domain) as running:
+
+        def check() -> None:
+            running.check()
+            watch()
+
+        with RigClient(graph.namespace, domain=domain, watch=check) as client:
+            client.wait_until_ready(graph.names)
+            place = client.node.resolve_service_name("reference_plane/place")
+            has_stage = "stage" in graph.names or bool(client.node.count_services(place))  # or a driver of a real one
+            if not has_stage:
+                client.serve_placing(placing_by(ask))
+                _wait_for_a_person(client)
+            try:
+                yield client
+            except BaseException:
+                if has_stage:
+                    client.abandon_planes(SPECIMEN_S)
+                raise
+
+
+def _wait_for_a_person(client: RigClient) -> None:
+    """Let the experiment node wait for a plane as long as the client does; its default is the time of a stage."""
+    patience = Parameter("placing_timeout_s", value=PERSON_S)
+    setting = client.node.create_client(SetParameters, "experiment/set_parameters")
+    client.call_again(setting, SetParameters.Request(parameters=[patience.to_parameter_msg()]), START_TIMEOUT_S)
 
 
 def with_angles(rig: RigFile, angles_degree: str) -> RigFile:

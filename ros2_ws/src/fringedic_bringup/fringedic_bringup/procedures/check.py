@@ -11,7 +11,7 @@ import xarray as xr
 
 from fringedic.calibration import RigCalibration, RigCheck, check_rig
 from fringedic.calibration.history import record_check
-from fringedic.calibration.placement import SMALLEST_MOVE
+from fringedic.calibration.placement import apart
 from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import CalibrationError, RecordingError
 from fringedic.frames.messages import image_array
@@ -36,6 +36,7 @@ def check(
     *,
     distance: float,
     ask: Callable[[str], bool],
+    watch: Callable[[], None] = lambda: None,
     domain: int | None = None,
 ) -> RigCheck:
     """Measure the reference plane in its place, lifted by a known distance, and in its place again.
@@ -55,6 +56,8 @@ def check(
         Distance by which the plane is lifted towards the camera [m].
     ask
         Asks an operator to place the plane where there is no stage; returns False when the operator stops.
+    watch
+        Called about ten times a second while waiting; an exception that it raises ends the check.
     domain
         ROS_DOMAIN_ID; None takes the one of the environment.
 
@@ -63,26 +66,32 @@ def check(
     ConfigurationError
         The folder contains a recording already, the rig has no projector, or no calibration that fits it.
     CalibrationError
-        The stage reports that it did not lift the plane.
+        The stage reports that it did not lift the plane, or did not put it back.
     NodeDiedError, WaitTimeoutError, StepFailedError
-        The nodes did not start, one of them ended, or a plane could not be placed or measured.
+        The nodes did not start, one of them ended, or a plane could not be placed or measured, or left its place.
     """
     model = calibration_to_check(rig, rig_path)
     rig = rig.model_copy(update={"recording": rig.recording.model_copy(update={"derived": True})})
     heights = [0.0, distance, 0.0]
     stamps, reached = [], []
-    with calibration_client(rig, rig_path, folder, progress, ask=ask, domain=domain) as client:
+    with calibration_client(rig, rig_path, folder, progress, ask=ask, watch=watch, domain=domain) as client:
         for number, height in enumerate(heights, start=1):
             progress.part(number, len(heights), f"plane {1e3 * height:g} mm above its place")
             reached.append(client.place(PLANE, height=height).height)
             stamps.append(to_nanoseconds(client.measure().stamp))
+            client.require_place()
         client.place(PlaceReferencePlane.Request.SPECIMEN)
         client.wait_until_recorded()
-    lifted_by = reached[1] - reached[0]
-    if abs(lifted_by) < SMALLEST_MOVE:
+    lifted_by = reached[1] - reached[2]  # the last plane is compared with the lifted one
+    if not apart(0.0, lifted_by):
         raise CalibrationError(
             f"the stage did not lift the plane: it reports {1e3 * reached[1]:.3f} mm for {1e3 * distance:g} mm; check "
             "its driver"
+        )
+    if apart(0.0, reached[2] - reached[0]):
+        raise CalibrationError(
+            f"the stage did not put the plane back: it reports {1e3 * reached[2]:.3f} mm instead of "
+            f"{1e3 * reached[0]:.3f} mm; check its play and its driver"
         )
     file = rig.calibration_file(rig_path)
     known = None if file is None else _calibration_in(file)
