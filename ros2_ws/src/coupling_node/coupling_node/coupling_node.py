@@ -19,7 +19,7 @@ from fringedic.steps.parameters import CouplingParameters
 from fringedic.steps.shape_tracker import ShapeTracker, StepSurface
 from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult, displacement_field
 from fringedic.warm_up.rehearsal import rehearse_coupling
-from fringedic_msgs.msg import Exposure, NodeStatus, Reference, RigCalibration
+from fringedic_msgs.msg import Exposure, NodeStatus, RigCalibration
 from fringedic_ros.clouds import cloud_message
 from fringedic_ros.images import image_array
 from fringedic_ros.main import run
@@ -54,7 +54,6 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         self._begun = 0  # stamp of the latest surface in the queue
         self._surface: tuple[int, StepSurface | None] = (0, None)  # latest surface, made in the worker's thread
         self.create_subscription(RigCalibration, "calibration", self._take_calibration, LATCHED)
-        self.create_subscription(Reference, "experiment/reference", self._take_reference, LATCHED)
         self.subscribe_to_steps()
         self.create_subscription(Exposure, "camera/exposure", self._take_exposure, IMAGES)
         for name in ("phase", "dic"):
@@ -74,9 +73,6 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
             return
         # through the queue, so that it does not apply to steps that arrived before it
         self.worker.submit(self._tracker.set_calibration, rig)
-
-    def _take_reference(self, message: Reference) -> None:
-        self.worker.submit(self._tracker.set_reference, message.experiment, message.step)
 
     def _take_exposure(self, message: Exposure) -> None:
         if message.index != message.count - 1:
@@ -153,6 +149,7 @@ def _phase_result(parts: dict[str, Any]) -> PhaseResult:
         valid_fraction=status.valid_fraction,
         rms=status.rms,
         relative=status.relative,
+        corrections=status.method,
     )
 
 

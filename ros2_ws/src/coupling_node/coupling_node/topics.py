@@ -2,7 +2,6 @@
 
 INPUTS = (
     "calibration",
-    "experiment/reference",
     "experiment/step",
     "camera/exposure",
     "phase/status",

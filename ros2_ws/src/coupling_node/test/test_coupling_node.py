@@ -22,7 +22,7 @@ from fringedic.steps.phase import phase_step
 from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult
 from fringedic.virtual_rig import VirtualRig
-from fringedic_msgs.msg import Exposure, NodeStatus, Reference, RigCalibration
+from fringedic_msgs.msg import Exposure, NodeStatus, RigCalibration
 from fringedic_ros.clouds import cloud_arrays
 from fringedic_ros.images import image_message
 from fringedic_ros.qos import DERIVED, EVENTS, LATCHED
@@ -65,6 +65,7 @@ class CouplingBench(Bench):
         rig = VirtualRig.from_preset("plate", size="tiny")
         self.calibration = RigModel(**rig.optics())
         self.window_known = True  # whether the dic node states how it measured
+        self.reference = 0  # of the dic node
         self.measured = measure(rig)
         self.images = {
             topic: self.create_publisher(Image, topic, DERIVED)
@@ -73,7 +74,6 @@ class CouplingBench(Bench):
         self.grid = self.create_publisher(CameraInfo, "dic/camera_info", DERIVED)
         self.inputs = {name: self.create_publisher(NodeStatus, f"{name}/status", EVENTS) for name in ("phase", "dic")}
         self.calibrations = self.create_publisher(RigCalibration, "calibration", LATCHED)
-        self.references = self.create_publisher(Reference, "experiment/reference", LATCHED)
         self.shape = self.listen(PointCloud2, "coupling/shape", DERIVED)
         self.displacement = self.listen(PointCloud2, "coupling/displacement", DERIVED)
 
@@ -88,6 +88,8 @@ class CouplingBench(Bench):
         status = NodeStatus(node=name, experiment=experiment, step=step, error_code=error_code, frames=16)
         status.error_message = "scripted" if error_code else ""
         status.header.stamp = to_msg(self.stamp(step))
+        if name == "dic":
+            status.reference_step = self.reference
         if name == "dic" and self.window_known:
             status.window, status.method = DicParameters().window, DicParameters().method
         self.inputs[name].publish(status)
@@ -145,13 +147,14 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[CouplingBench]:
 def name(bench: CouplingBench, request: pytest.FixtureRequest) -> str:
     """An experiment of its own for every test."""
     bench.forget()
+    bench.reference = 0
     return request.node.name
 
 
 def expected(bench: CouplingBench, tracker: ShapeTracker, experiment: str, step: int) -> CouplingResult:
     measured = bench.measured[step]
     phase = replace(measured.phase, experiment=experiment)
-    displacement = replace(measured.dic, experiment=experiment)
+    displacement = replace(measured.dic, experiment=experiment, reference_step=bench.reference)
     return tracker.step(phase, displacement)
 
 
@@ -166,6 +169,7 @@ def test_calibration_is_needed(bench: CouplingBench, name: str) -> None:
     assert status.error_code == NodeStatus.NO_CALIBRATION
     assert "calibration" in status.error_message
     bench.publish_calibration()
+    bench.reference = 1
     assert bench.send_step(name, 1).error_code == NodeStatus.NONE
 
 
@@ -261,19 +265,16 @@ def test_fields_that_nobody_asks_for_are_left_out(bench: CouplingBench, name: st
         bench.change(**{each: getattr(CouplingParameters(), each) for each in changed})
 
 
-def test_reference_of_the_following_steps(bench: CouplingBench, name: str) -> None:
+def test_reference_is_that_of_the_displacement(bench: CouplingBench, name: str) -> None:
     bench.publish_calibration()
     tracker = tracker_of(bench)
-    bench.send_step(name, 0)
-    expected(bench, tracker, name, 0)
-    bench.references.publish(Reference(experiment=name, step=1))
-    tracker.set_reference(name, 1)
-    bench.taken()
-    for step in (1, 2):
+    for step, bench.reference in ((0, 0), (1, 1), (2, 1)):
         bench.send_step(name, step)
         result = expected(bench, tracker, name, step)
-        assert result.reference_step == 1
+        assert result.reference_step == bench.reference
         bench.assert_identical(result)
+    bench.reference = 7
+    assert bench.send_step(f"{name}_later", 2).error_code == NodeStatus.NO_REFERENCE
 
 
 @pytest.mark.parametrize("failed", ["phase", "dic"])
@@ -293,6 +294,7 @@ def test_failed_input_fails_the_step(bench: CouplingBench, name: str, failed: st
     assert (status.error_code, status.error_message) == (code, f"{failed}: scripted")
     bench.send_status("dic" if failed == "phase" else "phase", name, 0)
     assert bench.status_of(name, 0) is status
+    bench.reference = 1
     assert bench.send_step(name, 1).error_code == NodeStatus.NONE
 
 
@@ -314,6 +316,7 @@ def test_abort_answers_a_step_that_waits(bench: CouplingBench, name: str) -> Non
     assert "the camera stopped (here: waiting for dic/status)" in status.error_message
     bench.send_status("dic", name, 0)
     assert bench.status_of(name, 0).error_code == NodeStatus.STEP_ABORTED
+    bench.reference = 1
     assert bench.send_step(name, 1).error_code == NodeStatus.NONE
 
 
@@ -335,4 +338,5 @@ def test_calibration_of_another_rig_fails_the_step(
     assert status.error_code == NodeStatus.NO_CALIBRATION
     assert words in status.error_message
     bench.publish_calibration()
+    bench.reference = 1
     assert bench.send_step(name, 1).error_code == NodeStatus.NONE

@@ -123,12 +123,15 @@ class PlayerNode(RigNode):
         ------
         RecordingError
             The recording lacks frames, exposures or steps.
+        ConfigurationError
+            The recording has no such step, or a reference is asked for and it contains several experiments.
         WaitTimeoutError
             A node did not appear, or did not answer a step, in time.
         """
         bag = BagReader(Path(self.parameters.value.bag_path))
         bag.find(IMAGE, EXPOSURE, STEP)
         chosen = self._chosen_steps(bag)
+        experiment = _only_experiment(bag) if self._reference is not None else ""
         calibration = self._calibration()
         names = {full: name for name, full in bag.find_optional(*RAW_TOPICS).items()}
         if calibration is not None:
@@ -138,7 +141,7 @@ class PlayerNode(RigNode):
         if calibration is not None:
             self._announce(CALIBRATION, calibration)
         if self._reference is not None:
-            self._announce(REFERENCE, Reference(experiment=_experiment(bag), step=self._reference))
+            self._announce(REFERENCE, Reference(experiment=experiment, step=self._reference))
         steps = frames = 0
         for step, wanted in self._sequence(bag, names, chosen):
             frames += self._play_step(step, wanted)
@@ -308,11 +311,15 @@ class PlayerNode(RigNode):
         self._statuses.publish(status)
 
 
-def _experiment(bag: BagReader) -> str:
-    """Return the name of the first experiment of a recording."""
-    topic = bag.find(STEP)[STEP]
-    name: str = next(message.experiment for _, message, _ in bag.messages([topic]))
-    return name
+def _only_experiment(bag: BagReader) -> str:
+    """Return the name of the experiment of a recording; of several, each may have a step of the reference's number."""
+    names = {str(message.experiment) for _, message, _ in bag.messages([bag.find(STEP)[STEP]])}
+    if len(names) > 1:
+        raise ConfigurationError(
+            f"{bag.path} holds the experiments {', '.join(sorted(names))}: replay it without a reference, or measure "
+            "one with fringedic process --experiment NAME --reference STEP"
+        )
+    return names.pop()
 
 
 def main() -> None:

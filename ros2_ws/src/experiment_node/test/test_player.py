@@ -183,7 +183,7 @@ def test_steps_follow_each_other_and_no_frame_is_lost(graph: Callable[..., Any],
     assert played.returncode == 0, played.stderr
     assert f"2 steps, {2 * FRAMES} frames, 0 problems" in played.stdout
     assert of(journal, "phase", "image") == 2 * [("image", index) for index in range(FRAMES)]
-    assert of(journal, "coupling", "reference", "answer") == [
+    assert of(journal, "dic", "reference", "answer") == [
         ("reference", 0),
         ("answer", 0),
         ("reference", 1),
@@ -282,6 +282,16 @@ def test_a_bag_without_frames_is_refused_with_words(tmp_path: Path) -> None:
     assert played.returncode == 1
     assert "camera/image_raw" in played.stderr
     assert "Traceback" not in played.stderr
+
+
+def test_a_reference_is_that_of_one_experiment(tmp_path: Path) -> None:
+    """The second experiment would be measured against a step of its own."""
+    with Bag(tmp_path / "bag") as bag:
+        bag.step(0)
+        bag.add(STEP, StepStatus(experiment="later", step=0, stage=StepStatus.BEGIN))
+    played = play(tmp_path / "bag", reference_step=0)
+    assert played.returncode == 1
+    assert "holds the experiments later, test: replay it without a reference" in played.stderr
 
 
 def test_messages_are_cut_into_steps_at_each_begin() -> None:

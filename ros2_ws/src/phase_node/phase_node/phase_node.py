@@ -72,6 +72,7 @@ class PhaseNode(ProcessingNode[PhaseParameters]):
             len(stack.records),
             "; ".join(map(describe, result.remarks)),
             result.relative,
+            method=result.corrections,
         )
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import xarray as xr
+from scipy.ndimage import distance_transform_edt
 
 from fringedic.correlation import Reference, measure_displacement
 from fringedic.correlation.increments import PixelGrid, Total, compose, interpolation_noise
@@ -17,7 +19,12 @@ from fringedic.steps.statistics import measured_part_and_rms
 from fringedic.steps.step_results import DicResult
 
 MEDIAN_POINTS = 20_000  # of a field, from which its median displacement is computed
+TURNED = 0.8  # of the agreement so far, below which a prediction may be wrong: the motion may have turned
 WORTH = 0.1  # fraction of the points in view that a later reference has to gain, because composing adds noise
+
+
+_INVERTING = 5  # repetitions that solve p + d(p) = x for p; each lessens the error by the strain
+_NOT_COMPARABLE = ("spacing", "region", "method")  # changes after which fields do not continue those before
 
 
 @dataclass(frozen=True)
@@ -63,6 +70,7 @@ class DisplacementTracker:
         self._link: _Link | None = None
         self._last: _Link | None = None
         self._agreed = 0.0
+        self._mask: np.ndarray | None = None  # of the region in the reference step
         self._wanted = 1.0  # fraction of the grid's points that lie in the region
 
     @property
@@ -72,7 +80,7 @@ class DisplacementTracker:
 
     @parameters.setter
     def parameters(self, parameters: DicParameters) -> None:
-        if parameters.spacing != self._parameters.spacing:
+        if any(getattr(parameters, name) != getattr(self._parameters, name) for name in _NOT_COMPARABLE):
             self._begin()
         if parameters != self._parameters:
             self._parameters = parameters
@@ -161,11 +169,9 @@ class DisplacementTracker:
         link, measured, agreed
             The link that was used, the displacement against it, and the fraction of points that agree.
         """
-        least = self._parameters.rereference_fraction
         link = self._prepare(link)
         try:
-            measured = self._measure(link, texture, self._predicted(step))
-            agreed = _agreement(measured, texture.shape)
+            measured, agreed = self._search(link, texture, self._predicted(step))
         except CorrelationError as error:
             if (
                 error.code is not ErrorCode.NO_CORRELATION
@@ -173,12 +179,41 @@ class DisplacementTracker:
             ):
                 raise
             return other
-        if agreed >= least * self._agreed:
+        if agreed >= self._parameters.rereference_fraction * self._agreed:
             return link, measured, agreed
         other = self._correlate_with_last(link, texture)
         if other is not None and other[2] > agreed + WORTH:
             return other
         return link, measured, agreed
+
+    def _search(
+        self, link: _Link, texture: np.ndarray, predicted: tuple[np.ndarray, np.ndarray] | None
+    ) -> tuple[xr.Dataset, float]:
+        """Return the displacement against a link and the fraction that agrees: where the prediction fails, globally.
+
+        Raises
+        ------
+        CorrelationError
+            The texture does not show the surface of the link.
+        """
+        found = None
+        if predicted is not None:
+            try:
+                measured = self._measure(link, texture, predicted)
+                found = measured, _agreement(measured, texture.shape)
+                if found[1] >= TURNED * self._agreed:
+                    return found
+            except CorrelationError as error:
+                if error.code is not ErrorCode.NO_CORRELATION:
+                    raise
+        try:
+            measured = self._measure(link, texture, None)
+        except CorrelationError:
+            if found is None:
+                raise
+            return found
+        anew = measured, _agreement(measured, texture.shape)
+        return anew if found is None or anew[1] > found[1] else found
 
     def _correlate_with_last(self, link: _Link, texture: np.ndarray) -> tuple[_Link, xr.Dataset, float] | None:
         """Correlate with the latest step; None when it is the link itself, is not to be used, or does not agree."""
@@ -198,8 +233,11 @@ class DisplacementTracker:
         """Prepare the texture of a link for correlation."""
         if link.prepared is not None:
             return link
-        parameters = self._parameters
-        return replace(link, prepared=Reference(link.texture, window=parameters.window, spacing=parameters.spacing))
+        parameters, mask = self._parameters, self._mask
+        if mask is not None and link.field is not None:
+            mask = moved_mask(mask, link.field)  # a window beyond the region would see what moves differently
+        prepared = Reference(link.texture, window=parameters.window, spacing=parameters.spacing, mask=mask)
+        return replace(link, prepared=prepared)
 
     def _composed(self, link: xr.Dataset, measured: xr.Dataset) -> xr.Dataset:
         """Compose the displacement that leads to the link with the increment measured against it."""
@@ -225,6 +263,8 @@ class DisplacementTracker:
             mask = Region.from_text(parameters.region).mask_for(image.shape) if parameters.region else None
             self._wanted = 1.0 if mask is None else float(mask[:: parameters.spacing, :: parameters.spacing].mean())
             reference = Reference(image, window=parameters.window, spacing=parameters.spacing, mask=mask)
+            measured = np.isfinite(image)
+            self._mask = mask if measured.all() else measured if mask is None else mask & measured
         shape = self._textures.get(reference_key, texture).shape
         if shape != texture.shape:
             raise size_mismatch("texture", key, reference_key, (texture.shape, shape))
@@ -268,6 +308,39 @@ def _at_rest(measured: xr.Dataset) -> xr.Dataset:
     """Return the displacement of the reference step: zero where it can be measured."""
     zero = np.where(measured.valid.values, np.float32(0), np.float32(np.nan))
     return _with_values(measured, zero, zero)
+
+
+def moved_mask(mask: np.ndarray, field: xr.Dataset) -> np.ndarray:
+    """Return where a part of the reference image is in the image that its displacement leads to.
+
+    Parameters
+    ----------
+    mask
+        bool (row, column), of the reference image.
+    field
+        Displacement at the points of its grid [px]; where it is not known, that of the nearest point holds.
+
+    Returns
+    -------
+    ndarray
+        bool (row, column): the point p of the reference that is seen at x, p + d(p) = x, lies in the part.
+    """
+    vectors = _vectors(field)
+    unknown = np.isnan(vectors[0])
+    if unknown.all():
+        return mask
+    nearest = distance_transform_edt(unknown, return_distances=False, return_indices=True)
+    vectors = vectors[:, nearest[0], nearest[1]]
+    spacing = float(field.row[1] - field.row[0])
+    seen = np.indices(mask.shape, dtype=np.float32)
+    seen_y, seen_x = seen[0], seen[1]
+    x, y = seen_x, seen_y
+    for _ in range(_INVERTING):
+        column, row = x / spacing, y / spacing
+        d_x, d_y = (cv2.remap(each, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE) for each in vectors)
+        x, y = seen_x - d_x, seen_y - d_y
+    inside = cv2.remap(mask.view(np.uint8), x, y, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT)
+    return np.asarray(inside, dtype=bool)
 
 
 def _agreement(measured: xr.Dataset, shape: tuple[int, ...]) -> float:

@@ -66,6 +66,7 @@ def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
         relative=bool(measured.phase.attrs["relative"]),
         harmonic_error=measured.phase.attrs.get("harmonic_error", float("nan")),
         remarks=tuple(remarks),
+        corrections=_corrections(parameters),
     )
 
 
@@ -83,6 +84,11 @@ def _settings(parameters: PhaseParameters) -> PhaseSettings:
         largest_motion=parameters.maximum_motion_px,
         region=Region.from_text(parameters.region) if parameters.region else None,
     )
+
+
+def _corrections(parameters: PhaseParameters) -> str:
+    blur = f"lens blur {parameters.lens_blur_px:g} px" if parameters.lens_blur_px else ""
+    return ", ".join(filter(None, [blur, "harmonics" if parameters.correct_harmonics else ""]))
 
 
 def _lit_region(valid: np.ndarray) -> np.ndarray:

@@ -92,7 +92,7 @@ class OfflinePipeline:
         self._checks = ClosureChecks()
         self._answered: set[int] = set()
         if references:
-            self._set_reference(experiment, references[0])
+            self._displacement.set_reference(experiment, references[0])
         if calibration is not None:
             self._set_calibration(calibration)
 
@@ -121,7 +121,7 @@ class OfflinePipeline:
         elif event.topic == "calibration" and not self._fixed_calibration:
             self._set_calibration(RigModel.from_message(message))
         elif event.topic == "experiment/reference" and not self._fixed_references:
-            self._set_reference(message.experiment, message.step)
+            self._displacement.set_reference(message.experiment, message.step)
         elif event.topic == "experiment/step":
             key = (message.experiment, message.step)
             if message.stage == _ERROR_STAGE and key in self._collector.open_steps:
@@ -137,10 +137,6 @@ class OfflinePipeline:
         self._calibration = calibration
         self._shape.set_calibration(calibration)
 
-    def _set_reference(self, experiment: str, step: int) -> None:
-        self._displacement.set_reference(experiment, step)
-        self._shape.set_reference(experiment, step)
-
     def _abandoned(self, experiment: str, step: int) -> MeasuredStep:
         self._answered.add(step)
         return MeasuredStep(step, error=str(self._collector.abandon(experiment, step)))
@@ -153,7 +149,7 @@ class OfflinePipeline:
         # steps are exposed one after the other: what is missing of one before is lost
         lost = [self._abandoned(*key) for key in self._collector.open_steps if key[1] != record.step]
         if record.step in self._fixed_references:
-            self._set_reference(record.experiment, record.step)
+            self._displacement.set_reference(record.experiment, record.step)
         try:
             stack = self._collector.add(record, frame.image)
         except FringedicError as error:

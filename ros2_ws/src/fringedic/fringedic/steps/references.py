@@ -31,14 +31,23 @@ class References:
 
 
 class LatestSteps(OrderedDict[StepKey, Kept]):
-    """Data of the latest steps; those of the reference step are always kept."""
+    """Data of the latest steps; those of the reference step are always kept.
+
+    Those of the reference before it are kept until another step was measured against the new one: a step that was
+    measured here and rejected for another reason, such as its hold, is no reference, and the one before is restored.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._references: tuple[StepKey, ...] = ()
 
     def keep(self, key: StepKey, value: Kept, number: int, reference: StepKey) -> None:
         """Keep the data of a step, and drop the oldest when more than `number` steps are kept."""
         self[key] = value
         self.move_to_end(key)
+        self._references = (*self._references[-1:], reference) if key == reference else (reference,)
         for oldest in list(self)[: max(len(self) - number, 0)]:
-            if oldest != reference:
+            if oldest not in self._references:
                 del self[oldest]
 
 

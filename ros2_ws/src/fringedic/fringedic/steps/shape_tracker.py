@@ -13,7 +13,7 @@ from fringedic.rig.compatibility import check_camera, check_heights
 from fringedic.rig.model import RigModel
 from fringedic.steps.drift_marker import MarkerMotion, measure_drift
 from fringedic.steps.parameters import CouplingParameters
-from fringedic.steps.references import LatestSteps, References, StepKey, check_fraction, no_reference, size_mismatch
+from fringedic.steps.references import LatestSteps, StepKey, check_fraction, no_reference, size_mismatch
 from fringedic.steps.statistics import measured_part_and_rms
 from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult
 from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
@@ -77,8 +77,8 @@ class ShapeTracker:
     """Computes the surface of each step and its 3D displacement against the reference step (eq. 10 and 12).
 
     Where phases come with their textures, the displacement that a change of the shading imitates is taken out first,
-    see `fringedic.surface.shading`. Phases and textures of the latest ``kept_steps`` steps (any of them can become the
-    reference) and of the reference step stay in memory.
+    see `fringedic.surface.shading`. The reference step is that of the in-plane displacement. Phases and textures of the
+    latest ``kept_steps`` steps (any of them can become the reference) and of the reference step stay in memory.
 
     Parameters
     ----------
@@ -90,7 +90,6 @@ class ShapeTracker:
         self.parameters = parameters
         self._calibration: RigModel | None = None
         self._without_calibration = _NONE_YET
-        self._references = References()
         self._phases: LatestSteps[PhaseResult] = LatestSteps()
         self._prepared: StepSurface | None = None
         self._appearance: _Appearance | None = None
@@ -105,10 +104,6 @@ class ShapeTracker:
         """Fail the following steps with this reason, until another calibration is set."""
         self._calibration = None
         self._without_calibration = f"the latest calibration was refused: {reason}"
-
-    def set_reference(self, experiment: str, step: int) -> None:
-        """Make a step the reference of the following ones; it may be a step that is still to come."""
-        self._references.set(experiment, step)
 
     def surface(self, phase: PhaseResult) -> StepSurface | None:
         """Make the surface of a step while its displacement is still being measured.
@@ -141,13 +136,13 @@ class ShapeTracker:
         ------
         StepError
             No calibration is set (`ErrorCode.NO_CALIBRATION`), or that of another rig (`OTHER_RIG`); the
-            reference step was not measured or is no longer kept (`NO_REFERENCE`); the phase has another size than the
-            reference's (`FRAME_MISMATCH`); less of the cloud is measured than ``parameters.minimum_valid_fraction``
-            (`TOO_FEW_VALID`).
+            reference step was not measured, is no longer kept, or its phase was corrected otherwise (`NO_REFERENCE`);
+            the phase has another size than the reference's (`FRAME_MISMATCH`); less of the cloud is measured than
+            ``parameters.minimum_valid_fraction`` (`TOO_FEW_VALID`).
         """
         parameters = self.parameters
         key = (phase.experiment, phase.step)
-        reference_key = (phase.experiment, self._references.of(*key))
+        reference_key = (phase.experiment, displacement.reference_step)
         calibration = self._require_calibration(phase)
         phase = _for_reconstruction(phase) if surface is None else surface.phase
         first = phase if key == reference_key else self._require_reference(phase, key, reference_key)
@@ -170,7 +165,6 @@ class ShapeTracker:
         fraction, length = measured_part_and_rms(fields.u.values, fields.v.values, fields.w.values)
         check_fraction("a 3D displacement", fraction, parameters.minimum_valid_fraction, key)
 
-        self._references.succeeded(*key)
         self._phases.keep(key, phase, parameters.kept_steps, reference_key)
         self._prepared, self._appearance = reference, appearance
         return CouplingResult(
@@ -199,6 +193,14 @@ class ShapeTracker:
         first = self._phases.get(reference_key)
         if first is None:
             raise no_reference(key, reference_key)
+        if first.corrections != phase.corrections:
+            now, then = (each.corrections or "nothing" for each in (phase, first))
+            raise _step_error(
+                phase,
+                f"its phase is corrected for {now}, and that of its reference step {first.step} for {then}: set a new "
+                "reference",
+                ErrorCode.NO_REFERENCE,
+            )
         if first.phase.shape != phase.phase.shape:
             raise size_mismatch("phase map", key, reference_key, (phase.phase.shape, first.phase.shape))
         return first

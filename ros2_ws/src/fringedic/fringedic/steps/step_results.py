@@ -39,6 +39,8 @@ class PhaseResult:
     remarks
         What needs attention although the phase is measured; `fringedic.phase.finding_sentences.describe` puts it into
         words.
+    corrections
+        What was corrected in the phase, in words: the same for all phases that are compared.
     """
 
     experiment: str
@@ -52,6 +54,7 @@ class PhaseResult:
     relative: bool = False
     harmonic_error: float = float("nan")
     remarks: tuple[Finding, ...] = ()
+    corrections: str = ""
 
     @property
     def phase(self) -> np.ndarray:

@@ -13,10 +13,11 @@ from scipy.ndimage import gaussian_filter
 from fringedic.errors import ErrorCode, FringedicError, PhaseError, StepError
 from fringedic.frames.collector import Stack
 from fringedic.frames.records import FrameRecord
+from fringedic.frames.region import Polygon, Region
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.patterns.sequences import fringe_sequence, gray_code_sequence, one_image_sequence
 from fringedic.phase.findings import FindingKind
-from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
+from fringedic.steps.displacement_tracker import DisplacementTracker, moved_mask, white_texture
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.phase import phase_step
 from fringedic.steps.shape_tracker import ShapeTracker
@@ -327,6 +328,62 @@ def test_leaving_the_image_is_no_change_of_texture(surface):
     assert [each.correlated_step for each in steps] == [0] * 8
 
 
+def test_a_motion_that_turns_is_no_change_of_texture(surface):
+    """The extrapolation is 40 px off, and the last step shows the reference image."""
+    for fraction in (0.8, 0.0):
+        tracker = DisplacementTracker(DicParameters(window=24, spacing=4, rereference_fraction=fraction))
+        steps = [tracker.step("e", step, step, seen(surface, dx, 0)) for step, dx in enumerate((0, 20, 0, 0))]
+        assert [each.correlated_step for each in steps] == [0] * 4
+        assert steps[3].valid_fraction > 0.95 * steps[0].valid_fraction
+
+
+def rectangle(left, top, right, bottom):
+    """The region between two corners [px], as the parameter of the node."""
+    corners = [(left, top), (right, top), (right, bottom), (left, bottom)]
+    return Region((Polygon(corners),), 128, 96).to_text()
+
+
+def test_a_later_reference_is_measured_in_the_same_region(surface):
+    """Beside the region another body moves otherwise; windows at the border would contain it."""
+    tracker = DisplacementTracker(DicParameters(window=24, spacing=4, region=rectangle(0, 0, 72, 96)))
+    for step, image in ageing(surface, steps=9, motion=1):
+        edge = 72 + step
+        image[:, edge:] = seen(surface[::-1, ::-1], -2 * step, 2 * step)[:, edge:]
+        result = tracker.step("e", step, step, image)
+        if step > 3:
+            errors = result.displacement - np.float32([step, -step])
+            border, inside = (np.sqrt(np.nanmean(errors[:, part] ** 2)) for part in (slice(14, 18), slice(2, 12)))
+            assert border < 1.2 * inside, step
+        assert np.isnan(result.displacement[:, 18:]).all()
+    assert result.correlated_step > 3
+
+
+def test_a_part_is_found_again_where_its_displacement_leads():
+    row, column = np.mgrid[0:96:4, 0:128:4].astype(np.float32)
+    vectors = np.stack([0.05 * column + 3, -0.03 * row - 2], axis=-1)
+    vectors[:3] = np.nan
+    field = displacement_field(vectors, vectors, origin=(0, 0), spacing=4, window=24, method="dense")
+    mask = np.zeros((96, 128), bool)
+    mask[30:70, 20:60] = True
+    moved = np.argwhere(moved_mask(mask, field))
+    first, last = moved.min(axis=0), moved.max(axis=0)
+    assert np.abs(first - [30 - 0.9 - 2, 20 + 1 + 3]).max() <= 1
+    assert np.abs(last - [69 - 2.07 - 2, 59 + 2.95 + 3]).max() <= 1
+    assert len(moved) == np.prod(last - first + 1)
+
+
+def test_a_changed_region_begins_again(surface):
+    tracker = DisplacementTracker(DicParameters(window=24, spacing=4))
+    for step in range(3):
+        tracker.step("e", step, step, seen(surface, step, 0))
+    tracker.parameters = DicParameters(window=24, spacing=4, region=rectangle(40, 30, 80, 70))
+    for step in (3, 4):
+        result = tracker.step("e", step, step, seen(surface, step, 0))
+        assert result.correlated_step == 0
+        assert 0.5 < result.valid_fraction <= 1
+        assert np.isnan(result.displacement[:, :9]).all()
+
+
 def test_a_changed_window_prepares_a_later_reference_again(surface):
     tracker = DisplacementTracker(DicParameters(window=24, spacing=4))
     images = dict(ageing(surface))
@@ -360,12 +417,14 @@ def plane(height, slope=0.0):
     return RIG.phase(x, y, z, PITCHES[-1]).astype(np.float32), z
 
 
-def couple_step(tracker, step, height, dx=0.0, dy=0.0, slope=0.0):
+def couple_step(tracker, step, height, dx=0.0, dy=0.0, slope=0.0, reference=0):
     displacement = np.zeros((60, 72, 2), np.float32)
     displacement[..., 0], displacement[..., 1] = dx, dy
     small = np.full((60, 72), 1e-3, np.float32)
     sigma = np.full((60, 72, 2), 1e-3, np.float32)
-    return tracker.step(phase_result(step, plane(height, slope)[0], small), dic_result(step, displacement, sigma))
+    return tracker.step(
+        phase_result(step, plane(height, slope)[0], small), dic_result(step, displacement, sigma, reference)
+    )
 
 
 def phase_result(step, phase, sigma):
@@ -373,9 +432,9 @@ def phase_result(step, phase, sigma):
     return PhaseResult("e", step, step, maps, pitch=PITCHES[-1])
 
 
-def dic_result(step, displacement, sigma):
+def dic_result(step, displacement, sigma, reference=0):
     field = displacement_field(displacement, sigma, origin=(0, 0), spacing=1, window=0, method="")
-    return DicResult("e", step, step, 0, 0, field)
+    return DicResult("e", step, step, reference, reference, field)
 
 
 def test_a_plane_that_moves_gives_its_motion_with_the_right_signs():
@@ -409,15 +468,49 @@ def test_the_shape_of_an_earlier_step_can_become_the_reference():
     tracker.set_calibration(RIG)
     for step, height in enumerate((0.0, 1e-3, 3e-3)):
         couple_step(tracker, step, height)
-    tracker.set_reference("e", 1)
-    result = couple_step(tracker, 3, 3e-3)
+    result = couple_step(tracker, 3, 3e-3, reference=1)
     assert result.reference_step == 1
     assert np.nanmedian(result.displacement["w"]) == pytest.approx(2e-3, rel=1e-3)
     assert "u_t" not in result.displacement
     assert "e_11" not in result.displacement
-    tracker.set_reference("e", 7)
     with pytest.raises(StepError, match="step 4: its reference, step 7"):
-        couple_step(tracker, 4, 0.0)
+        couple_step(tracker, 4, 0.0, reference=7)
+
+
+def test_the_reference_of_the_shape_is_that_of_the_displacement():
+    """The first step was coupled without a calibration; the second one would have become the reference of w alone."""
+    tracker = ShapeTracker(CouplingParameters())
+    with pytest.raises(StepError, match="step 0: no calibration yet"):
+        couple_step(tracker, 0, 0.0)
+    tracker.set_calibration(RIG)
+    for step, height in ((1, 1e-3), (2, 3e-3)):
+        with pytest.raises(StepError, match=f"step {step}: its reference, step 0, was not measured"):
+            couple_step(tracker, step, height)
+
+
+def test_a_step_that_was_rejected_as_the_reference_leaves_the_one_before():
+    shapes = ShapeTracker(CouplingParameters(kept_steps=2))
+    shapes.set_calibration(RIG)
+    for step in range(4):
+        couple_step(shapes, step, 1e-3 * step)
+    couple_step(shapes, 4, 4e-3, reference=4)  # it did not hold
+    assert np.nanmedian(couple_step(shapes, 5, 5e-3).displacement.w) == pytest.approx(5e-3, rel=1e-3)
+    couple_step(shapes, 6, 6e-3, reference=6)
+    couple_step(shapes, 7, 8e-3, reference=6)
+    with pytest.raises(StepError, match="its reference, step 0, was not measured or is no longer kept"):
+        couple_step(shapes, 8, 0.0)
+
+
+def test_phases_that_were_corrected_otherwise_are_not_compared():
+    tracker = ShapeTracker(CouplingParameters())
+    tracker.set_calibration(RIG)
+    couple_step(tracker, 0, 0.0)
+    small, nothing = np.full((60, 72), 1e-3, np.float32), np.full((60, 72, 2), 1e-3, np.float32)
+    corrected = replace(phase_result(1, plane(0.0)[0], small), corrections="lens blur 0.8 px")
+    with pytest.raises(
+        StepError, match=r"corrected for lens blur 0\.8 px, and that of its reference step 0 for nothing"
+    ):
+        tracker.step(corrected, dic_result(1, nothing, nothing))
 
 
 def test_a_new_calibration_holds_for_the_reference_too():
