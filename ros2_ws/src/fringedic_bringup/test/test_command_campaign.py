@@ -64,6 +64,11 @@ def test_a_campaign_from_its_file_to_its_catalogue(tmp_path: Path) -> None:
     assert (folder / "store" / test["Directories"]["Tests"]["Results"]).is_dir()
     assert test["Files"]["Recording"] == str(folder / "recordings" / "plate-2")
     compared(folder)
+    file = folder / "campaign.yaml"
+    file.write_text(file.read_text().replace("plate-*", "plate-1"))
+    command("plan", str(folder))
+    for name in ("open", "status"):
+        assert "not opened: results of 1 recording that the plan does not contain" in command(name, str(folder))[1]
 
 
 def compared(campaign: Path) -> None:

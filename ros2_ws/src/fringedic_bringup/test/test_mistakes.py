@@ -89,6 +89,10 @@ MISTAKES = [
     Mistake("noise", UNUSABLE, "give a rig file, or with --images at least three images"),
     Mistake("noise --images a.tif --images b.tif", UNUSABLE, "at least 3 steps at rest"),
     Mistake("noise plate --images a.tif --images b.tif --images a.tif", UNUSABLE, "give a rig file, or"),
+    Mistake("noise --images a.tif --images b.tif --steps 9", UNUSABLE, "--steps: with --images every image is a step"),
+    Mistake(
+        "noise nowhere.yaml --window 24 --spacing 2", UNUSABLE, "--window, --spacing: with a rig file they are nodes"
+    ),
     Mistake("region missing.png", UNUSABLE, "missing.png"),
     Mistake("region a.tif", UNUSABLE, "no display"),
     Mistake("region a.tif --output mask.yaml", UNUSABLE, "--output mask.yaml: is no name of an image; take a name"),
@@ -114,6 +118,9 @@ MISTAKES = [
     Mistake("replay nowhere", UNUSABLE, "no such recording"),
     Mistake("replay run --set camera.gain=1", UNUSABLE, "a replay starts phase, dic, coupling, not camera"),
     Mistake("calibrate --from run", UNUSABLE, "experiment/plane"),
+    Mistake(
+        "calibrate --from run --angles-deg 0,5", UNUSABLE, "--angles-deg: --from takes the angles from the recording"
+    ),
     # results
     Mistake("export nowhere", UNUSABLE, "nowhere: no such recording"),
     Mistake("export earlier --to xls", UNUSABLE, "there is no format xls; known are netcdf"),
@@ -135,6 +142,12 @@ MISTAKES = [
     Mistake("compare-model earlier m.stl --unit mm --load-table notes.txt", UNUSABLE, "is no table of loads; write"),
     Mistake("compare-model earlier m.stl --unit mm --shape --step 1 --step 2", UNUSABLE, "give --step once"),
     Mistake("compare-model earlier m.stl --unit mm --shape", UNUSABLE, "m.stl: no such model file"),
+    Mistake(
+        "compare-model earlier m.stl --unit mm --shape --by position --by-displacement --reference-image a.tif "
+        "--load-table loads.csv --strain E --results results.csv",
+        UNUSABLE,
+        "--by, --by-displacement, --reference-image, --results, --strain, --load-table: --shape compares the shape",
+    ),
     # rigs
     Mistake("run nowhere.yaml", UNUSABLE, "no such rig file; installed with fringedic are"),
     Mistake("run notes.txt", UNUSABLE, "notes.txt"),
@@ -154,6 +167,9 @@ MISTAKES = [
     Mistake(f"init new.yaml --image-size 8x8 {ANSWERS}", UNUSABLE, "camera.width"),
     Mistake(f"init rig.yaml --image-size 1280x960 {ANSWERS}", UNUSABLE, "rig.yaml exists already"),
     Mistake("check rig.yaml", UNUSABLE, "nothing to check"),
+    Mistake(
+        "check rig.yaml --vdi --distance-mm 5", UNUSABLE, "--distance-mm: --vdi measures artefacts, not a distance"
+    ),
     Mistake("live tiny --region 3,4,5", UNUSABLE, "such as 320,240,640,480"),
     Mistake("show tiny stripes", UNUSABLE, "use one of crosshair"),
     Mistake("target --pitch-mm 0", UNUSABLE, "pitch"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -32,7 +32,7 @@ def open_campaign(place: str | os.PathLike[str]) -> tuple[xr.DataTree, pd.DataFr
     Returns
     -------
     tree : DataTree
-        One dataset per complete recording under its name, as of `fringedic.open_experiment`:
+        One dataset per complete recording of the plan under its name, as of `fringedic.open_experiment`:
         ``tree["plate-7"].dataset``.
     catalogue : DataFrame
         One row per complete recording under its name: labels, the figures of
@@ -52,11 +52,11 @@ def open_campaign(place: str | os.PathLike[str]) -> tuple[xr.DataTree, pd.DataFr
     plan = store.read(PLAN)
     if plan is None:
         raise CampaignError(f"{store.address}: is no campaign: it has no {PLAN}; 'fringedic campaign run' makes one")
-    keys = {unit["name"]: unit["key"] for unit in plan["units"] if unit["fingerprint"]}  # others are being made
+    units = {unit["name"]: unit for unit in plan["units"]}
     receipts = {
-        name: receipt
+        name: {**receipt, "labels": units[name]["labels"]}  # the plan's, which may have been corrected since then
         for name, receipt in store.documents(RECEIPTS).items()
-        if keys.get(name, receipt["key"]) == receipt["key"]
+        if name in units and _is_planned(receipt, units[name])
     }
     tree = xr.DataTree.from_dict({name: open_group(store, name) for name in receipts}, name=plan["title"] or None)
     return tree, _catalogue(receipts)
@@ -81,6 +81,11 @@ def open_group(store: CampaignStore, recording: str) -> xr.Dataset:
         consolidated=True,
     )
     return with_millimetres(dataset)
+
+
+def _is_planned(receipt: dict[str, Any], unit: dict[str, Any]) -> bool:
+    """Return whether a receipt is that of a planned unit; the key of a recording that is being made is not known."""
+    return not unit["fingerprint"] or receipt["key"] == unit["key"]
 
 
 def _catalogue(receipts: dict[str, dict[str, object]]) -> pd.DataFrame:

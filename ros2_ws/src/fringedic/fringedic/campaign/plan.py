@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from fringedic.campaign.recordings import Found, Summary, is_growing, summarise, summarise_growing
-from fringedic.campaign.settings import Campaign, Elasticity, Labels
+from fringedic.campaign.settings import Campaign, Elasticity
 from fringedic.campaign.software import software_identity
 from fringedic.errors import FringedicError
 from fringedic.results.datasets import ProcessingSettings
@@ -231,7 +231,7 @@ def _unit(store: str, found: Found, summary: Summary, processing: dict[str, Any]
         processing=processing,
         software=software,
         fingerprint=summary.fingerprint,
-        labels=_labels(found.labels),
+        labels=found.labels.model_dump(),
         steps=summary.steps,
         size=summary.size,
         memory=predicted_memory(summary, processing["overrides"]) if summary.frames else 0.0,
@@ -258,10 +258,6 @@ def _unusual(shapes: dict[str, tuple[int, int]]) -> dict[str, tuple[int, int]]:
     """Return the recordings whose shape of images is not the most frequent one."""
     usual = Counter(shapes.values()).most_common(1)
     return {name: shape for name, shape in shapes.items() if shape != usual[0][0]}
-
-
-def _labels(labels: Labels) -> dict[str, str]:
-    return {name: str(value) for name, value in labels.model_dump().items()}
 
 
 def _tuples(fingerprint: dict[str, list[int]]) -> dict[str, tuple[int, int]]:

@@ -26,18 +26,21 @@ class Status:
     plan
         The plan.
     done
-        Receipts by the names of their recordings.
+        Receipts by the names of their recordings, with the labels of the plan.
     failed
         Failures by the names of their recordings.
     begun
         Of each recording that a worker processes, or was processing when it died, by its name: ``worker``, ``attempts``
         and, while the recording is made, the ``steps`` that are measured.
+    unplanned
+        Names of complete recordings in the store that the plan does not contain.
     """
 
     plan: Plan
     done: dict[str, Receipt]
     failed: dict[str, Failure]
     begun: dict[str, dict[str, Any]] = field(default_factory=dict)
+    unplanned: list[str] = field(default_factory=list)
 
     @property
     def waiting(self) -> list[Unit]:
@@ -85,22 +88,28 @@ def status_of(store: CampaignStore, plan: Plan) -> Status:
     CampaignError
         The store contains results of another plan, or cannot be read.
     """
-    keys = {unit.name: unit.key for unit in plan.units}
+    units = {unit.name: unit for unit in plan.units}
     receipts, failures = store.documents(RECEIPTS), store.documents(FAILURES)
     growing = {unit.name for unit in plan.units if unit.growing}  # their receipts have the keys of complete recordings
     other = [
-        name for name, receipt in receipts.items() if name in keys.keys() - growing and receipt["key"] != keys[name]
+        name
+        for name, receipt in receipts.items()
+        if name in units.keys() - growing and receipt["key"] != units[name].key
     ]
     if other:
         raise other_results(store.address, other)
-    done = {name: Receipt(**receipt) for name, receipt in receipts.items() if name in keys}
+    done = {
+        name: Receipt(**{**receipt, "labels": units[name].labels})
+        for name, receipt in receipts.items()
+        if name in units
+    }
     failed = {
         name: Failure(**failure)
         for name, failure in failures.items()
-        if failure["key"] == keys.get(name) and name not in done
+        if name in units.keys() - done.keys() and failure["key"] == units[name].key
     }
-    begun = {name: each for name, each in store.documents(BEGUN).items() if name in keys.keys() - done.keys()}
-    return Status(plan, done, failed, begun)
+    begun = {name: each for name, each in store.documents(BEGUN).items() if name in units.keys() - done.keys()}
+    return Status(plan, done, failed, begun, sorted(receipts.keys() - units.keys()))
 
 
 def update_plan(campaign: Campaign, *, recompute: bool = False, follow: bool = False) -> Plan:
@@ -152,12 +161,12 @@ def forget_failures(store: CampaignStore) -> None:
 
 
 def _fits(plan: Plan, campaign: Campaign) -> bool:
-    """Return whether a plan names the recordings and settings of a campaign, and the software of this computer.
+    """Return whether a plan has the recordings, labels and settings of a campaign, and the software of this computer.
 
     A recording that was continued since then is another one; those in an object store are not looked at again.
     """
-    named = {each.name: each.path for each in find_recordings(campaign)}
-    planned = {unit.name: unit.path for unit in plan.units}
+    named = {each.name: (each.path, each.labels.model_dump()) for each in find_recordings(campaign)}
+    planned = {unit.name: (unit.path, unit.labels) for unit in plan.units}
     units = plan.units
     return (
         named.keys() == planned.keys() | plan.refused.keys()

@@ -6,6 +6,7 @@ Positions in an image are (column, row).
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import Annotated, Literal
 
@@ -22,6 +23,64 @@ MILLI = 1e-3
 _LEAST_TURN, _GOOD_TURN = 2.0, 12.0
 FINEST_DEFAULT_PITCH_PX = 8.0  # finer fringes lose their modulation in most projector lenses
 VIRTUAL_RIG = "virtual_rig"
+
+# Keys that only some sources of a section use, with those sources, and where another source has such settings
+_CAMERA_USERS = {
+    "stamp_of": ("v4l2", "topic"),
+    "camera": ("aravis", "v4l2"),
+    "first_column": ("aravis",),
+    "first_row": ("aravis",),
+    "gain_db": ("aravis",),
+    "trigger": ("aravis",),
+    "trigger_line": ("aravis",),
+    "packet_size_byte": ("aravis",),
+}
+_CAMERA_ADVICE = {
+    "virtual": "the section virtual_rig describes this camera",
+    "files": "the images are used as they are stored",
+    "video": "the images are used as they are stored",
+    "aravis": "the meaning of the stamps of such a camera is known",
+    "v4l2": "such a camera runs freely with its whole image, and v4l2-ctl sets its gain",
+    "topic": "the driver of the camera has its own settings",
+}
+_PROJECTOR_USERS = {"display": ("display",)}
+_PROJECTOR_ADVICE = {"virtual": "source: display shows the patterns on a display of this computer"}
+_LOAD_FRAME_USERS = {
+    "joint_states_topic": ("controller",),
+    "joint": ("controller",),
+    "wrench_topic": ("controller",),
+    "force_axis": ("controller",),
+    "force_sign": ("controller",),
+    "slowest_mm_per_s": ("controller",),
+    "motion_span_s": ("controller",),
+    "position_tolerance_mm": ("simulated", "machine", "controller"),
+}
+_LOAD_FRAME_ADVICE = {
+    "simulated": "the section virtual_rig describes this machine",
+    "machine": "a negative scale in the machine file or specimen.force_sign reverses the force, and motion in the "
+    "machine file defines a motion",
+    "external": "the node that publishes load_frame/state has its own settings, and specimen.force_sign reverses the "
+    "force",
+}
+
+
+def _refuse_unused(
+    section: CameraSection | ProjectorSection | LoadFrameSection,
+    users: Mapping[str, tuple[str, ...]],
+    advice: Mapping[str, str],
+) -> None:
+    """Refuse keys that the source of a section does not use; a default value changes nothing and is accepted."""
+    fields = type(section).model_fields
+    unused = [
+        key
+        for key, sources in users.items()
+        if section.source not in sources and getattr(section, key) != fields[key].default
+    ]
+    if unused:
+        them = "it" if len(unused) == 1 else "them"
+        raise ValueError(
+            f"source: {section.source} does not use {', '.join(unused)}; remove {them}: {advice[section.source]}"
+        )
 
 
 class CameraSection(Section):
@@ -51,17 +110,23 @@ class CameraSection(Section):
     pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono16"] = Field(
         "Mono8", description="Pixel format of a real camera."
     )
-    first_column: int = Field(0, ge=0, le=32768, description="First column of the used part of the sensor [px].")
-    first_row: int = Field(0, ge=0, le=32768, description="First row of the used part of the sensor [px].")
-    gain_db: float = Field(0.0, ge=-100, le=100, description="Gain of a real camera [dB].")
-    trigger: Literal["internal", "software", "external_edge", "external_level"] = Field(
-        "software", description="Trigger of the exposures of a real camera."
+    first_column: int = Field(
+        0, ge=0, le=32768, description="First column of the used part of the sensor [px], of the source 'aravis'."
     )
-    trigger_line: str = Field("Line1", description="Input of a real camera for external triggers.")
-    packet_size_byte: int = Field(0, ge=0, le=65535, description="Size of network packets [byte]; 0: the largest.")
+    first_row: int = Field(
+        0, ge=0, le=32768, description="First row of the used part of the sensor [px], of the source 'aravis'."
+    )
+    gain_db: float = Field(0.0, ge=-100, le=100, description="Gain of the source 'aravis' [dB].")
+    trigger: Literal["internal", "software", "external_edge", "external_level"] = Field(
+        "software", description="Trigger of the exposures of the source 'aravis'."
+    )
+    trigger_line: str = Field("Line1", description="Input of the source 'aravis' for external triggers.")
+    packet_size_byte: int = Field(
+        0, ge=0, le=65535, description="Size of network packets of the source 'aravis' [byte]; 0: the largest."
+    )
 
     @model_validator(mode="after")
-    def _files_belong_to_their_source(self) -> CameraSection:
+    def _keys_belong_to_their_source(self) -> CameraSection:
         if (self.source in ("files", "video")) != (self.files is not None):
             raise ValueError("source: files needs the key files, and so does video; other sources do not use it")
         if (self.source == "topic") != (self.topic is not None):
@@ -70,6 +135,7 @@ class CameraSection(Section):
             raise ValueError("source: v4l2 needs the key camera, a path such as /dev/video0")
         if self.source in ("aravis", "v4l2", "topic") and (self.width is None or self.height is None):
             raise ValueError(f"source: {self.source} needs width and height, the size of its images")
+        _refuse_unused(self, _CAMERA_USERS, _CAMERA_ADVICE)
         return self
 
     @property
@@ -101,6 +167,7 @@ class ProjectorSection(Section):
     def _display_has_a_size(self) -> ProjectorSection:
         if self.source == "display" and (self.width is None or self.height is None):
             raise ValueError("source: display needs width and height, the projector's own resolution")
+        _refuse_unused(self, _PROJECTOR_USERS, _PROJECTOR_ADVICE)
         return self
 
 
@@ -238,7 +305,7 @@ class LoadFrameSection(Section):
     joint: str = Field("crosshead", description="Joint of the source 'controller'.")
     wrench_topic: str = Field("/wrench", description="Wrench of the source 'controller'.")
     force_axis: Literal["x", "y", "z"] = Field("z", description="Axis of the force of the source 'controller'.")
-    force_sign: Literal[-1, 1] = Field(1, description="-1 when the controller's tension is negative.")
+    force_sign: Literal[-1, 1] = Field(1, description="-1 when the tension of the source 'controller' is negative.")
     slowest_mm_per_s: float = Field(
         0.01, gt=0, le=100, description="Speed above which the crosshead of the source 'controller' moves [mm/s]."
     )
@@ -258,9 +325,10 @@ class LoadFrameSection(Section):
     )
 
     @model_validator(mode="after")
-    def _file_belongs_to_its_source(self) -> LoadFrameSection:
+    def _keys_belong_to_their_source(self) -> LoadFrameSection:
         if (self.source == "machine") != (self.file is not None):
             raise ValueError("source: machine needs the key file, and only this source uses it")
+        _refuse_unused(self, _LOAD_FRAME_USERS, _LOAD_FRAME_ADVICE)
         return self
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -76,13 +77,14 @@ def _steps_table(dataset: xr.Dataset) -> list[list[Any]]:
 def write_matlab(dataset: xr.Dataset, file: Path) -> list[str]:
     """Write one ``.mat`` file in SI units: maps over (row, column, step), a structure of units, and the metadata.
 
+    One map over all steps is in memory at a time.
+
     Raises
     ------
     ExportError
         A map over all steps is larger than the format allows.
     """
     names = map_names(dataset)
-    content: dict[str, Any] = {}
     for name in names:
         size = dataset[name].size * dataset[name].dtype.itemsize
         if size > MATLAB_LIMIT:
@@ -90,16 +92,20 @@ def write_matlab(dataset: xr.Dataset, file: Path) -> list[str]:
                 f"a .mat file cannot hold '{name}' of {size / 1e9:.1f} GB, its limit is {MATLAB_LIMIT / 1e9:.1f} GB "
                 "per variable; choose fewer steps, or NetCDF, which MATLAB reads too (ncread)"
             )
-    for name in names:
-        content[name] = dataset[name].transpose("row", "column", "step").values
-    content |= {name: dataset[name].values.astype(float) for name in (*_SCALARS, *STEP_NUMBERS) if name in dataset}
-    content |= {name: dataset[name].values.astype(float) for name in MAP_DIMENSIONS}
-    units = {name: dataset[name].attrs.get("units", "1") for name in content}
+    series = [name for name in (*_SCALARS, *STEP_NUMBERS) if name in dataset] + list(MAP_DIMENSIONS)
+    content: dict[str, Any] = {name: dataset[name].values.astype(float) for name in series}
+    units = {name: dataset[name].attrs.get("units", "1") for name in (*names, *series)}
     if "time" in dataset:
         content["time"], units["time"] = seconds(dataset), "s"
     content["units"] = units
     content["metadata"] = origin_text(dataset)
-    scipy.io.savemat(file, content, do_compression=True, oned_as="column")
+    with open(file, "wb") as stream:
+        # savemat appends to an open stream, which its type stub does not contain
+        append = partial(scipy.io.savemat, stream, do_compression=True, oned_as="column")  # type: ignore[arg-type]
+        for name in names:
+            # transposed after reading: xarray needs eight times the memory of the map to read it transposed
+            append({name: np.moveaxis(dataset[name].transpose("step", "row", "column").values, 0, -1)})
+        append(content)
     return []
 
 

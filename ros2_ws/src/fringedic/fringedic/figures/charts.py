@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -97,6 +97,8 @@ def _vectors(step: xr.Dataset) -> tuple[list[np.ndarray], list[np.ndarray], floa
 def curve_charts(dataset: xr.Dataset, section: float | None) -> list[go.Figure]:
     """Return displacement, strain and force over the steps, and force or stress over strain.
 
+    Curves of displacement and strain are interrupted where the reference step changes, because they start again there.
+
     Parameters
     ----------
     dataset
@@ -104,26 +106,42 @@ def curve_charts(dataset: xr.Dataset, section: float | None) -> list[go.Figure]:
     section
         Area that carries the force [m²], None when it is not known.
     """
-    numbers = dataset["step"].values
+    numbers, breaks = dataset["step"].values, reference_changes(dataset["reference_step"].values)
     moved, unit = _medians(dataset, "uvw", MICRO), "µm"
     if not moved:
         moved, unit = _medians(dataset, ("displacement_x", "displacement_y"), 1.0), "px"
-    figures = [_over("Median displacement", "step", f"displacement [{unit}]", numbers, moved)]
+    figures = [_over("Median displacement", "step", f"displacement [{unit}]", numbers, moved, breaks)]
     strains = _medians(dataset, _STRAINS, MICRO)
     if strains:
-        figures.append(_over("Median strain", "step", "strain [µstrain]", numbers, strains))
+        figures.append(_over("Median strain", "step", "strain [µstrain]", numbers, strains, breaks))
     if "force" in dataset and np.isfinite(dataset["force"].values).any():
         force, position = dataset["force"].values, dataset["position"].values / MILLI
         if np.isfinite(position).any():
             curve = {"force": force}
-            figures.append(_over("Force over crosshead position", "position [mm]", "force [N]", position, curve))
+            # neither of the two is relative to a reference step
+            figures.append(_over("Force over crosshead position", "position [mm]", "force [N]", position, curve, []))
         largest = max(strains, key=lambda name: _range(strains[name]), default=None)
         if largest is not None:
             title, label, values = "Force over strain", "force [N]", force
             if section is not None:
                 title, label, values = "Stress over strain", "stress [MPa]", force / section / MEGA
-            figures.append(_over(title, f"median {largest} [µstrain]", label, strains[largest], {label: values}))
+            along = f"median {largest} [µstrain]"
+            figures.append(_over(title, along, label, strains[largest], {label: values}, breaks))
     return [figure for figure in figures if figure.data]
+
+
+def reference_changes(references: np.ndarray) -> np.ndarray:
+    """Return the positions in values over the steps before which another reference step begins.
+
+    A step without a result (-1) interrupts a curve already.
+    """
+    before, after = references[:-1], references[1:]
+    return np.flatnonzero((before != after) & (before >= 0) & (after >= 0)) + 1
+
+
+def interrupt(values: np.ndarray, breaks: Sequence[int] | np.ndarray) -> np.ndarray:
+    """Return the values of a curve with NaN before each of the positions, at which its line is interrupted."""
+    return np.insert(np.asarray(values, float), breaks, np.nan)
 
 
 def comparison_charts(found: xr.Dataset, names: tuple[str, str]) -> list[go.Figure]:
@@ -194,7 +212,7 @@ def specimen_charts(title: str, curves: Mapping[str, SpecimenCurve]) -> list[go.
 def extensometer_charts(
     dataset: xr.Dataset, gauges: Mapping[str, xr.Dataset], section: float | None
 ) -> list[go.Figure]:
-    """Return the strain of virtual extensometers over the steps, and force or stress over it.
+    """Return the strain of virtual extensometers over the steps, and force or stress over it, as of `curve_charts`.
 
     Parameters
     ----------
@@ -208,10 +226,12 @@ def extensometer_charts(
     if not gauges:
         return []
     strains = {name: each["strain"].values / MICRO for name, each in gauges.items()}
-    over_steps = _over("Virtual extensometers", "step", "strain [µstrain]", dataset["step"].values, strains)
+    numbers, breaks = dataset["step"].values, reference_changes(dataset["reference_step"].values)
+    over_steps = _over("Virtual extensometers", "step", "strain [µstrain]", numbers, strains, breaks)
     for trace, each in zip(over_steps.data, gauges.values(), strict=True):
         if "sigma_strain" in each:
-            trace.error_y = {"type": "data", "array": (each["sigma_strain"].values / MICRO).tolist()}
+            sigma = interrupt(each["sigma_strain"].values / MICRO, breaks)
+            trace.error_y = {"type": "data", "array": sigma.tolist()}
     figures = [over_steps]
     if "force" in dataset and np.isfinite(dataset["force"].values).any():
         force = dataset["force"].values
@@ -220,7 +240,8 @@ def extensometer_charts(
             title, label, load = "Stress over their strain", "stress [MPa]", force / section / MEGA
         curves = go.Figure()
         for name, strain in strains.items():
-            curves.add_trace(go.Scatter(x=strain.tolist(), y=load.tolist(), mode="lines+markers", name=name))
+            x, y = interrupt(strain, breaks).tolist(), interrupt(load, breaks).tolist()
+            curves.add_trace(go.Scatter(x=x, y=y, mode="lines+markers", name=name))
         layout = {"title": title, "xaxis_title": "strain [µstrain]", "yaxis_title": label, "hovermode": "closest"}
         figures.append(curves.update_layout(**_LAYOUT, **layout, showlegend=len(gauges) > 1))
     return figures
@@ -247,10 +268,13 @@ def _medians(dataset: xr.Dataset, names: Iterable[str], unit: float) -> dict[str
     return medians
 
 
-def _over(title: str, across: str, up: str, x: np.ndarray, curves: dict[str, np.ndarray]) -> go.Figure:
+def _over(
+    title: str, across: str, up: str, x: np.ndarray, curves: dict[str, np.ndarray], breaks: Sequence[int] | np.ndarray
+) -> go.Figure:
     figure = go.Figure()
+    at = interrupt(x, breaks).tolist()
     for name, values in curves.items():
-        figure.add_trace(go.Scatter(x=x.tolist(), y=values.tolist(), mode="lines+markers", name=name))
+        figure.add_trace(go.Scatter(x=at, y=interrupt(values, breaks).tolist(), mode="lines+markers", name=name))
     figure.update_layout(
         **_LAYOUT, title=title, xaxis_title=across, yaxis_title=up, showlegend=len(curves) > 1, hovermode="closest"
     )

@@ -163,16 +163,15 @@ def compare_model(  # noqa: PLR0913 (options of a public function, all by keywor
     for number_of_step in chosen:
         step = in_space(experiment.sel(step=number_of_step)).transpose(..., "row", "column", missing_dims="ignore")
         _require_maps(step)
-        reference = of_step.get(int(step["reference_step"]), 0.0)
+        loads_of_step = _load_range(step, of_step)
         if placement is None:
-            placement = place_on_step(step, _POSITION, model, features, reference)
+            placement = place_on_step(step, _POSITION, model, features, loads_of_step[0])
             if by_displacement:
                 last = in_space(experiment.sel(step=chosen[-1])).transpose(..., "row", "column", missing_dims="ignore")
                 _require_maps(last)
                 placement = _Comparison(
-                    last, model, placement, levelling, (reference, of_step[chosen[-1]])
+                    last, model, placement, levelling, _load_range(last, of_step)
                 ).placed_by_displacement()
-        loads_of_step = reference, of_step[number_of_step]
         comparison = _Comparison(step, model, placement, levelling, loads_of_step, reference_image)
         compared.append(comparison.result().assign_coords(step=number_of_step))
     assert placement is not None
@@ -194,6 +193,11 @@ def _loads(experiment: xr.Dataset, model: Model, load: str, loads: Mapping[int, 
         )
     values = zip(experiment["step"].values.tolist(), experiment[load].values.tolist(), strict=True)
     return {step: value for step, value in values if np.isfinite(value)}
+
+
+def _load_range(step: xr.Dataset, of_step: Mapping[int, float]) -> tuple[float, float]:
+    """Return the loads between which a step was displaced: that of its reference step, 0 if not known, and its own."""
+    return of_step.get(int(step["reference_step"]), 0.0), of_step[int(step["step"])]
 
 
 def _choose(

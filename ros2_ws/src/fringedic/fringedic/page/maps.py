@@ -23,6 +23,7 @@ from fringedic.results.quantities import MAPS, people_unit, sigma_of
 MOST_VALUES = 1_000_000  # of a tile
 MOST_POINTS = 60_000  # of a cloud in the browser
 MOST_BYTES = 2_000_000_000  # of the maps of a running test
+_TESTED_ROWS = 16
 _POSITION, _DISPLACEMENT = ("x", "y", "z"), ("u", "v", "w")
 _IN_PLANE = ("displacement_x", "displacement_y", "displacement_sigma_x", "displacement_sigma_y")
 _OF_A_GAUGE = (*_POSITION, *_DISPLACEMENT, "sigma_u", "sigma_v", "sigma_w")
@@ -70,12 +71,17 @@ class RecordedMaps:
             return self.experiment[list(names)].sel(step=step).load()
 
     def _measured(self, step: int) -> list[str]:
-        """Return the maps with a value in the middle rows, which are enough to know whether a map was measured."""
+        """Return the maps with a value.
+
+        A few rows that are spread over the map are enough for most maps; the whole map is read where they have none.
+        """
         if self.experiment.error.sel(step=step).item():
             return []
         one = self.experiment.sel(step=step)
-        middle = one.isel(row=slice(one.sizes["row"] // 2, one.sizes["row"] // 2 + 8))
-        return [name for name in MAPS if name in one and bool(np.isfinite(middle[name].values).any())]
+        few = one.isel(row=slice(None, None, max(1, one.sizes["row"] // _TESTED_ROWS)))
+        return [
+            name for name in MAPS if name in one and any(np.isfinite(maps[name].values).any() for maps in (few, one))
+        ]
 
 
 class SpooledMaps:

@@ -38,6 +38,17 @@ def status_sentences(status: Status) -> list[str]:
         *_listed("begun", [_begun_words(name, begun) for name, begun in status.begun.items()]),
         *_listed("refused", list(status.plan.refused.values())),
         *_listed("failed", [failure.reason for failure in status.failed.values()]),
+        *unplanned_sentences(status),
+    ]
+
+
+def unplanned_sentences(status: Status) -> list[str]:
+    """Return which results of a store are not opened because the plan does not contain them; nothing without any."""
+    if not status.unplanned:
+        return []
+    return [
+        f"not opened: results of {counted(len(status.unplanned), 'recording')} that the plan does not contain, such as "
+        f"{status.unplanned[0]}; 'fringedic campaign run --recompute' removes them"
     ]
 
 

@@ -33,7 +33,7 @@ from fringedic.report.recorded_exposures import read_exposures, read_textures
 from fringedic.report.tables import gauge_rows, noise_floor_row, region_rows, step_columns, truth_rows
 from fringedic.report.templates import render_page, require_new, write_errors_named, write_page
 from fringedic.report.warnings import warnings
-from fringedic.results.noise_floor import noise_floors
+from fringedic.results.noise_floor import check_static_steps, noise_floors
 from fringedic.results.noise_floor import static_steps as steps_at_rest
 from fringedic.results.opening import open_experiment
 from fringedic.results.probes import extensometer
@@ -82,8 +82,8 @@ def write_report(
     output
         The file; by default ``report.html`` beside the recording.
     static_steps
-        Numbers of the steps at rest, from which the noise floor is taken; by default the steps before and after the
-        reference step at the same crosshead position.
+        Numbers of the steps at rest, from which the noise floor is taken, all with the same reference step, which does
+        not count itself; by default the steps before and after the reference step at the same crosshead position.
     gauges
         Virtual extensometers by name, each the two positions (column, row) of its gauge points [px of the reference
         image]; by default those of the specimen's metadata.
@@ -101,7 +101,7 @@ def write_report(
     ------
     DatasetError
         The file exists already or cannot be written, the dataset lacks variables that a report needs, a step at
-        rest does not exist, or no step was measured.
+        rest does not exist, was not measured or has another reference, or no step was measured.
     RecordingError
         As of `fringedic.open_experiment`.
     FringedicError
@@ -122,7 +122,7 @@ def write_report(
         require_new(target, overwrite)
         with write_errors_named(target):
             target.parent.mkdir(parents=True, exist_ok=True)
-        static = steps_at_rest(dataset) if static_steps is None else list(static_steps)
+        static = steps_at_rest(dataset) if static_steps is None else check_static_steps(dataset, static_steps)
         page = render_page("experiment.html.j2", **_content(dataset, files, static, gauges, regions or {}))
     return write_page(page, target)
 
@@ -256,11 +256,13 @@ def _extensometers(dataset: xr.Dataset, gauges: Mapping[str, GaugePoints]) -> tu
 
 
 def _advice(dataset: xr.Dataset, recording: Path | None, static: Sequence[int]) -> Advice | None:
-    """Return the figures of the textures at rest; None without two of them, or if they show no usable texture."""
+    """Return the figures of the textures at rest; None without two of them and their reference, or a usable texture."""
     if recording is None or len(static) < 2:
         return None
-    references = dataset["reference_step"].sel(step=list(static)).values
-    numbers = [int(references[0]), *static[:2]]
+    reference = int(dataset["reference_step"].sel(step=static[0]))
+    if reference not in dataset["step"].values:
+        return None
+    numbers = [reference, *static[:2]]
     stamps = dataset["time"].sel(step=numbers).values.astype("datetime64[ns]").astype(np.int64)
     textures = read_textures(recording, [int(stamp) for stamp in stamps])
     if not textures:

@@ -17,13 +17,13 @@ def references_sentence(dataset: xr.Dataset) -> str:
     Examples
     --------
     >>> references_sentence(xr.Dataset({"reference_step": ("step", [0, 0, 2, -1])}))
-    'displacements are relative to steps 0, 2: --reference 0 measures all steps against step 0'
+    "displacements are relative to steps 0, 2: 'fringedic process --reference 0' measures all steps against step 0"
     """
     references = [int(step) for step in np.unique(dataset["reference_step"].values) if step >= 0]
     if len(references) < 2:
         return ""
     listed = ", ".join(map(str, references))
     return (
-        f"displacements are relative to steps {listed}: --reference {references[0]} measures all steps against step "
-        f"{references[0]}"
+        f"displacements are relative to steps {listed}: 'fringedic process --reference {references[0]}' measures all "
+        f"steps against step {references[0]}"
     )

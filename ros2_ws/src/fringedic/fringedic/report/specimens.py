@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from fringedic.figures.charts import SpecimenCurve, specimen_charts
+from fringedic.figures.charts import SpecimenCurve, interrupt, reference_changes, specimen_charts
 from fringedic.figures.panels import Panel
 from fringedic.report.compared_points import (
     ComparedTable,
@@ -91,7 +91,7 @@ def specimen_sentences(found: xr.Dataset) -> list[str]:
 
 
 def specimen_curve(curve: Mapping[str, np.ndarray], axial: str) -> SpecimenCurve:
-    """Return stress, or force, over axial strain.
+    """Return stress, or force, over axial strain, interrupted where the reference step changes.
 
     Parameters
     ----------
@@ -101,7 +101,11 @@ def specimen_curve(curve: Mapping[str, np.ndarray], axial: str) -> SpecimenCurve
         Name of the strain along the load.
     """
     label, load = ("stress [MPa]", curve["stress"] / 1e6) if "stress" in curve else ("force [N]", curve["force"])
-    return SpecimenCurve(strain=curve[axial], sigma=curve[f"sigma_{axial}"], load=load, label=label)
+    strain, sigma = curve[axial], curve[f"sigma_{axial}"]
+    if "reference_step" in curve:
+        breaks = reference_changes(curve["reference_step"])
+        strain, sigma, load = (interrupt(values, breaks) for values in (strain, sigma, load))
+    return SpecimenCurve(strain, sigma, load, label)
 
 
 def _curves(experiments: Mapping[str, xr.Dataset]) -> dict[str, SpecimenCurve]:

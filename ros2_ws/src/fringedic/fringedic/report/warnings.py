@@ -10,6 +10,7 @@ import xarray as xr
 from fringedic.provenance import UNKNOWN
 from fringedic.report.data import ReportData
 from fringedic.report.drift import drift_sentence
+from fringedic.report.references import references_sentence
 from fringedic.report.settings import warning_sentence
 from fringedic.results.noise_floor import NoiseFloor
 from fringedic.steps.drift_marker import drift_of_steps
@@ -34,6 +35,7 @@ def warnings(data: ReportData, static: Sequence[int], floors: Sequence[NoiseFloo
         *_failed_steps(data.dataset),
         *_lost_data(data),
         *_few_points(data.dataset),
+        *filter(None, [references_sentence(data.dataset)]),
         *_summed_increments(data.dataset),
         *_noise_floor_missing(data, static),
         *_unexplained_noise(floors),

@@ -55,7 +55,7 @@ def strain_curve(dataset: xr.Dataset, region: Region | None = None) -> xr.Datase
     -------
     Dataset
         Over ``step``: ``e_11``, ``e_22``, ``sigma_e_11``, ``sigma_e_22`` [1], and ``force`` [N] and ``stress`` [Pa] as
-        of `force_curve` where they are known. NaN for a step without a result in the region.
+        of `force_curve` and ``reference_step`` where they are known. NaN for a step without a result in the region.
 
     Raises
     ------
@@ -90,6 +90,8 @@ def strain_curve(dataset: xr.Dataset, region: Region | None = None) -> xr.Datase
     if "force" in dataset:
         loads = force_curve(dataset, readings[:, 0])
         curve = curve.assign({name: loads[name] for name in ("force", "stress") if name in loads})
+    if "reference_step" in dataset:
+        curve = curve.assign(reference_step=dataset["reference_step"].variable)
     return curve
 
 
@@ -107,6 +109,8 @@ class ElasticConstants:
         Slope of the stress over the axial strain with its standard uncertainty [Pa]; NaN without force or section.
     poisson_ratio, sigma_poisson_ratio
         Negative slope of the transverse over the axial strain with its standard uncertainty [1].
+    reference_step
+        Step that the strain of the regression is relative to; -1 if the dataset does not state it.
     """
 
     axial: str
@@ -115,6 +119,7 @@ class ElasticConstants:
     sigma_modulus: float = math.nan
     poisson_ratio: float = math.nan
     sigma_poisson_ratio: float = math.nan
+    reference_step: int = -1
 
 
 @check_arguments(
@@ -138,6 +143,9 @@ def elastic_constants(
     it is increased to their scatter (Birge ratio). It does not contain the scale errors of calibration, load cell and
     section, which are those of the slope.
 
+    The strain starts again at 0 where the reference step changes, and the force does not. The regression therefore uses
+    the steps of one reference: that of most steps in the range of strain, the first one if several have as many.
+
     Parameters
     ----------
     dataset
@@ -145,7 +153,8 @@ def elastic_constants(
     region
         Part of the reference image with a homogeneous strain; by default all points.
     strain
-        Smallest and largest axial strain of the regression [1]; by default all steps.
+        Smallest and largest axial strain of the regression [1], relative to the reference of each step; by default all
+        steps.
     sigma_force
         Standard uncertainty of a force, without its scale error [N].
 
@@ -169,10 +178,10 @@ def constants_of(curve: xr.Dataset, strain: Sequence[float], sigma_force: float)
     ranges = [float(np.nanmax(curve[name]) - np.nanmin(curve[name])) for name in _STRAINS]
     axial, transverse = _STRAINS if ranges[0] > ranges[1] else _STRAINS[::-1]
     used = (curve[axial] >= strain[0]) & (curve[axial] <= strain[1]) & np.isfinite(curve[transverse])
-    points = curve.isel(step=np.flatnonzero(used.values))
+    points, reference = _of_one_reference(curve.isel(step=np.flatnonzero(used.values)))
     steps = points.sizes["step"]
     if steps < _FEWEST_STEPS:
-        return ElasticConstants(axial, steps)
+        return ElasticConstants(axial, steps, reference_step=reference)
     along, across = (_Axis(points[name].values, _noise(points, name)) for name in (axial, transverse))
     ratio, sigma_ratio = _slope(along, across)
     modulus, sigma_modulus = math.nan, math.nan
@@ -180,7 +189,16 @@ def constants_of(curve: xr.Dataset, strain: Sequence[float], sigma_force: float)
         force, stress = points["force"].values, points["stress"].values
         scale = float(np.ptp(stress) / np.ptp(force)) if np.ptp(force) else math.nan
         modulus, sigma_modulus = _slope(along, _Axis(stress, np.full(steps, scale * sigma_force)))
-    return ElasticConstants(axial, steps, modulus, sigma_modulus, -ratio, sigma_ratio)
+    return ElasticConstants(axial, steps, modulus, sigma_modulus, -ratio, sigma_ratio, reference)
+
+
+def _of_one_reference(points: xr.Dataset) -> tuple[xr.Dataset, int]:
+    """Return the points of the reference step that most of them have, and its number, -1 if it is not known."""
+    if "reference_step" not in points or not points.sizes["step"]:
+        return points, -1
+    references, counts = np.unique(points["reference_step"].values, return_counts=True)
+    reference = int(references[np.argmax(counts)])
+    return points.isel(step=np.flatnonzero(points["reference_step"].values == reference)), reference
 
 
 class _Axis(NamedTuple):

@@ -11,7 +11,7 @@ Digital Image Correlation Society, doi 10.32720/idics/gpg.ed1; edition 2: doi 10
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -108,16 +108,8 @@ def noise_floors(dataset: xr.Dataset, steps: Sequence[int]) -> list[NoiseFloor]:
     dataset
         From `fringedic.open_experiment`.
     steps
-        Numbers of the steps at rest, without their reference.
-
-    Raises
-    ------
-    DatasetError
-        The dataset lacks one of the steps.
+        Numbers of the steps at rest, without their reference: of `static_steps` or `check_static_steps`.
     """
-    absent = [step for step in steps if step not in dataset["step"].values]
-    if absent:
-        raise DatasetError(f"the dataset has no step {', '.join(map(str, absent))} to take the noise from")
     if not len(steps):
         return []
     static = dataset.sel(step=list(steps))
@@ -173,6 +165,46 @@ def static_steps(dataset: xr.Dataset) -> list[int]:
                 found.append(int(numbers[index]))
             index += direction
     return sorted(found)
+
+
+def check_static_steps(dataset: xr.Dataset, steps: Sequence[int]) -> list[int]:
+    """Return the steps that a person names as at rest in their order, without their reference, whose displacement is 0.
+
+    Parameters
+    ----------
+    dataset
+        From `fringedic.open_experiment`.
+    steps
+        Numbers of the steps.
+
+    Raises
+    ------
+    DatasetError
+        The dataset lacks one of the steps, it was not measured, or they have several references.
+    """
+    named = sorted(set(steps))
+    absent = [step for step in named if step not in dataset["step"].values]
+    if absent:
+        raise DatasetError(
+            f"the dataset has no step {_listed(absent)} to take the noise from: name steps of the dataset"
+        )
+    static = dataset[["reference_step", "error"]].sel(step=named)
+    references = static["reference_step"].values
+    unmeasured = static["step"].values[(references < 0) | (static["error"].values != "")]
+    if unmeasured.size:
+        raise DatasetError(
+            f"the dataset has no displacement of step {_listed(unmeasured)} to take the noise from: name steps that "
+            "were measured"
+        )
+    if len(set(references)) > 1:
+        raise DatasetError(
+            f"steps {_listed(named)} are relative to steps {_listed(references)}: name steps at rest of one reference"
+        )
+    return [step for step, reference in zip(named, references, strict=True) if step != reference]
+
+
+def _listed(steps: Iterable[int]) -> str:
+    return ", ".join(str(int(step)) for step in steps)
 
 
 def _temporal(values: np.ndarray) -> float:

@@ -323,6 +323,48 @@ def test_a_recording_that_was_continued_is_another_one(done: Campaign, tmp_path:
         current_plan(campaign)
 
 
+def test_corrected_labels_take_effect_without_a_computation(done: Campaign, tmp_path: Path) -> None:
+    settings = {"dic.window": 24}
+    campaign = written(copied(tmp_path, *NAMES), settings=settings)
+    shutil.copytree(Path(done.store), Path(campaign.store))
+    assert run(campaign) == {}
+    before = objects(campaign)
+    corrected = [{"path": "recordings", "group": "batch 8", "material": "PMMA"}]
+    campaign = written(tmp_path, settings=settings, recordings=corrected)
+    assert run(campaign) == {}
+    assert objects(campaign) == before
+    status = status_of(CampaignStore(campaign.store), current_plan(campaign))
+    assert [receipt.labels["group"] for receipt in status.done.values()] == ["batch 8"] * 2
+    _, catalogue = fringedic.open_campaign(tmp_path)
+    assert set(zip(catalogue.group, catalogue.material, strict=True)) == {("batch 8", "PMMA")}
+
+
+@pytest.mark.parametrize("growing", [False, True], ids=["complete", "being made"])
+def test_results_of_recordings_that_are_not_planned_are_not_opened(
+    growing: bool, done: Campaign, tmp_path: Path
+) -> None:
+    """A specimen that had been removed from the file of the campaign stayed in its catalogue and means."""
+    settings = {"dic.window": 24}
+    left = [{"path": "recordings/plate-1"}]
+    campaign = written(copied(tmp_path, *NAMES), settings=settings, recordings=left)
+    shutil.copytree(Path(done.store), Path(campaign.store))
+    plan = update_plan(campaign)
+    store = CampaignStore(campaign.store)
+    if growing:
+        store.write("plan.json", replace(plan, units=(replace(plan.units[0], fingerprint={}),)).to_document())
+    tree, catalogue = fringedic.open_campaign(tmp_path)
+    assert (list(tree), list(catalogue.index)) == (["plate-1"], ["plate-1"])
+    status = status_of(store, plan)
+    assert (list(status.done), status.unplanned, status.complete) == (["plate-1"], ["plate-2"], True)
+    assert status_sentences(status)[-1] == (
+        "not opened: results of 1 recording that the plan does not contain, such as plate-2; 'fringedic campaign run "
+        "--recompute' removes them"
+    )
+    assert run(campaign, recompute=True) == {}
+    assert status_of(store, plan).unplanned == []
+    assert not (tmp_path / "store" / "recordings" / "plate-2").exists()
+
+
 def test_nothing_of_an_earlier_attempt_is_in_the_results(tmp_path: Path) -> None:
     """Maps of an interrupted attempt with other settings appeared in failed steps, and under other settings."""
     store = CampaignStore(str(tmp_path))

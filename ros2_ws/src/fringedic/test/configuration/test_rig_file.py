@@ -183,6 +183,46 @@ def test_what_is_wrong_is_named_with_file_and_key(tmp_path, path, value, message
         load_rig_file(file)
 
 
+MACHINE = {"source": "machine", "file": "machine.yaml"}
+V4L2 = {"source": "v4l2", "camera": "/dev/video0", "width": 640, "height": 480}
+TOPIC = {"source": "topic", "topic": "/cam/image_raw", "width": 640, "height": 480}
+
+
+@pytest.mark.parametrize(
+    ("section", "content", "message"),
+    [
+        ("load_frame", MACHINE | {"force_sign": -1}, r"source: machine does not use force_sign; .*negative scale"),
+        ("load_frame", MACHINE | {"motion_span_s": 1.0}, r"does not use motion_span_s; .*machine file"),
+        ("load_frame", {"source": "simulated", "joint": "ram"}, r"source: simulated does not use joint; .*virtual_rig"),
+        ("load_frame", {"source": "external", "position_tolerance_mm": 0.1}, r"does not use position_tolerance_mm"),
+        ("load_frame", {"source": "external", "force_sign": -1}, r"does not use force_sign; .*specimen\.force_sign"),
+        (
+            "camera",
+            V4L2 | {"gain_db": 6.0, "trigger": "external_edge", "first_row": 200},
+            r"source: v4l2 does not use first_row, gain_db, trigger; .*v4l2-ctl",
+        ),
+        ("camera", TOPIC | {"packet_size_byte": 1500}, r"does not use packet_size_byte; .*driver"),
+        ("camera", {"source": "virtual", "stamp_of": "start"}, r"does not use stamp_of; .*virtual_rig"),
+        ("camera", {"source": "files", "files": "a", "camera": "b"}, r"source: files does not use camera"),
+        ("projector", {"source": "virtual", "display": 1}, r"source: virtual does not use display"),
+    ],
+)
+def test_a_key_of_another_source_is_refused(tmp_path, section, content, message):
+    """A machine that counts tension as negative was measured with the wrong sign, in spite of force_sign."""
+    with pytest.raises(ConfigurationError, match=f"RIG.yaml: {section}: .*{message}"):
+        load_rig_file(write(tmp_path, changed(VIRTUAL, section, content)))
+
+
+def test_a_key_of_another_source_may_have_its_default_value(tmp_path):
+    """Files that state every key stay valid, and a source can be exchanged in them."""
+    sections = {"load_frame": {"force_sign": 1, **MACHINE}, "camera": {"trigger": "software", "gain_db": 0, **TOPIC}}
+    text = VIRTUAL
+    for section, content in sections.items():
+        text = changed(text, section, content)
+    rig = load_rig_file(write(tmp_path, text))
+    assert (rig.load_frame.source, rig.camera.source) == ("machine", "topic")
+
+
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [

@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import shutil
+import tracemalloc
 from pathlib import Path
 
 import h5py
@@ -245,6 +246,24 @@ def test_matlab_gets_si_units_and_names_them(dataset, exported):
     np.testing.assert_allclose(content["force"][:3], [0, 10, 20])
     assert content["correlated_step"].tolist() == [0, 0, 1, 0, -1]
     check_metadata(json.loads(str(content["metadata"])))
+
+
+def test_matlab_has_one_map_in_memory_at_a_time(tmp_path):
+    names = ("u", "v", "w", "x", "y", "z", "e_11", "e_22")
+    values = np.random.default_rng(1).normal(size=(2, 200, 200)).astype(np.float32)
+    axes = {"step": range(2), "row": range(200), "column": range(200)}
+    fields = dict.fromkeys(names, (("step", "row", "column"), values)) | {"error": ("step", ["", ""])}
+    xr.Dataset(fields, axes, {"experiment": "large"}).to_netcdf(tmp_path / "large.nc", engine="h5netcdf")
+    with open_experiment(tmp_path / "large.nc") as opened:
+        tables.write_matlab(opened.isel(step=[0]), tmp_path / "first.mat")  # what is loaded once
+        tracemalloc.start()
+        tables.write_matlab(opened, tmp_path / "large.mat")
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    assert peak < 6 * values.nbytes, f"{peak / values.nbytes:.1f} maps"
+    content = scipy.io.loadmat(tmp_path / "large.mat", simplify_cells=True)
+    assert set(content) >= {*names, "row", "units", "metadata"}
+    np.testing.assert_array_equal(content["e_22"], values.transpose(1, 2, 0))
 
 
 def test_tiff_maps_are_32_bit_in_the_unit_of_their_name(dataset, exported):

@@ -267,6 +267,22 @@ def test_the_displacement_places_a_plate_within_its_uncertainty():
     assert float(compare_model(data, model).normalized_rms.sel(quantity="u", step=1)) > 1.3
 
 
+def test_the_displacement_of_another_reference_places_a_plate():
+    """The last step repeats the displacement of the first one, from its load to twice that load."""
+    data, model = plate_with_a_hole()
+    twice = data.sel(step=1).assign_coords(step=2).assign(force=2000.0, reference_step=1)
+    data = xr.concat([data, twice], "step", data_vars="minimal", coords="minimal", compat="override")
+    model = replace(
+        model,
+        loads=np.array([0.0, 1000.0, 2000.0]),
+        displacement=np.stack([*model.displacement, 2 * model.displacement[1]]),
+    )
+    found = compare_model(data, model, by_displacement=True)
+    sigma = json.loads(found.attrs["placement"])["sigma_translation"]
+    assert np.all(np.abs(translation(found)[:2] - [0.3, -0.2]) < 3e3 * np.array(sigma[:2]))
+    assert found.load_of_reference.values.tolist() == [0.0, 1000.0]
+
+
 def test_a_rendered_model_is_the_measured_one():
     """The reference image of the test, moved by the model, with the texture of random spots."""
     texture = gaussian_filter(np.random.default_rng(2).normal(size=(317, 397)), 1.5)

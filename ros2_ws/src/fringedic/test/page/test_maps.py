@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from fringedic.errors import DatasetError
 from fringedic.page import maps
@@ -83,6 +84,16 @@ def test_description_has_the_unit_of_people() -> None:
         "level": 2,
     }
     assert described("texture")["sigma"] is None
+
+
+@pytest.mark.parametrize("measured", [slice(0, 14), slice(31, 32), slice(50, 64)], ids=["upper", "one row", "lower"])
+def test_maps_that_are_measured_in_a_few_rows_are_found(tmp_path: Path, measured: slice) -> None:
+    values = np.full((2, 64, 48), np.nan, np.float32)
+    values[1, measured] = 1e-6
+    fields = {"u": (("step", "row", "column"), values), "error": ("step", ["", ""])}
+    axes = {"step": [0, 1], "row": range(64), "column": range(48)}
+    xr.Dataset(fields, axes).to_netcdf(tmp_path / "sheet.nc", engine="h5netcdf")
+    assert RecordedMaps(tmp_path / "sheet.nc").names() == {0: [], 1: ["u"]}
 
 
 def test_recording_without_results_is_refused(tmp_path: Path) -> None:

@@ -7,21 +7,24 @@ import re
 
 import numpy as np
 import pytest
+import xarray as xr
 from aligned_rig import aligned_rig
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 from fringedic.errors import DatasetError
 from fringedic.figures.animation import save_animation
+from fringedic.figures.charts import curve_charts, extensometer_charts
 from fringedic.figures.maps import map_figure
 from fringedic.figures.panels import Panel
 from fringedic.metadata import Metadata
-from fringedic.report import write_report
+from fringedic.report import experiment, write_report
 from fringedic.report.data import ReportData
 from fringedic.report.entries import hardware_entries, specimen_entries
 from fringedic.report.processing_entries import analysis_entries, base_and_angle, fringe_entries
+from fringedic.report.warnings import warnings
 from fringedic.results import open_experiment
-from fringedic.results.noise_floor import noise_floors, static_steps
+from fringedic.results.noise_floor import check_static_steps, noise_floors, static_steps
 from fringedic.results.rows import Row
 from fringedic.results.writer import DatasetWriter
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
@@ -146,8 +149,52 @@ def test_noise_floors_are_those_of_the_known_noise(dataset):
     assert np.isnan(floors["e_11"].predicted)
     assert np.isnan(noise_floors(dataset, [1])[0].temporal)
     assert noise_floors(dataset, []) == []
-    with pytest.raises(DatasetError, match="no step 9"):
-        noise_floors(dataset, [9])
+
+
+def test_steps_that_a_person_names_as_at_rest_are_checked(dataset, path, tmp_path):
+    assert check_static_steps(dataset, [0, 2, 1, 2]) == [1, 2], "step 0 is the reference: its displacement is 0"
+    both = [write_report(path, tmp_path / f"{len(steps)}.html", static_steps=steps) for steps in ([1, 2], [0, 1, 2])]
+    floors = [re.search(r"<td>w \[µm\]</td>.*?</tr>", page.read_text("utf-8")) for page in both]
+    assert floors[0].group() == floors[1].group()
+    with pytest.raises(DatasetError, match="no displacement of step 5 to take the noise from: name steps that were"):
+        write_report(path, tmp_path / "x.html", static_steps=[1, 5])
+    failed = dataset.assign(error=dataset["error"].where(dataset.step != 2, "step 2: no surface"))
+    with pytest.raises(DatasetError, match="no displacement of step 2"):
+        check_static_steps(failed, [1, 2])
+    later = dataset.assign(reference_step=dataset.reference_step.where(dataset.step < 3, 3))
+    with pytest.raises(DatasetError, match="steps 1, 3 are relative to steps 0, 3: name steps at rest of one"):
+        check_static_steps(later, [1, 3])
+    with pytest.raises(DatasetError, match="no step 8, 9 to take the noise from"):
+        check_static_steps(dataset, [9, 1, 8])
+    assert check_static_steps(dataset, []) == []
+
+
+def test_steps_at_rest_whose_reference_is_not_in_the_dataset(dataset, tmp_path, monkeypatch):
+    """The recording is there, but the texture of the reference cannot be looked for without its time."""
+    monkeypatch.setattr(experiment, "read_exposures", lambda *_: None)
+    (tmp_path / "bag").mkdir()
+    dataset.sel(step=[1, 2, 3]).to_netcdf(tmp_path / "part.nc", engine="h5netcdf")
+    page = write_report(tmp_path / "part.nc", static_steps=[1, 2]).read_text("utf-8")
+    assert "<td>w [µm]</td>" in page
+
+
+def test_curves_and_warnings_tell_that_the_reference_changes(dataset):
+    changed = dataset.assign(reference_step=dataset.reference_step.where((dataset.step < 3) | (dataset.step > 4), 3))
+    sentence = "displacements are relative to steps 0, 3: 'fringedic process --reference 0' measures all"
+    assert [sentence in "".join(warnings(ReportData(each, None, None), [], [])) for each in (dataset, changed)] == [
+        False,
+        True,
+    ]
+    gauge = xr.Dataset({"strain": ("step", np.arange(6.0)), "sigma_strain": ("step", np.ones(6))})
+    charts = curve_charts(changed, 1e-5) + extensometer_charts(changed, {"1": gauge}, 1e-5)
+    curves = {chart.layout.title.text: chart.data[0] for chart in charts}
+    for title in ("Median displacement", "Median strain", "Virtual extensometers"):
+        np.testing.assert_array_equal(curves[title].x, [0, 1, 2, np.nan, 3, 4, 5], title)
+    for title in ("Stress over strain", "Stress over their strain"):
+        assert np.isnan([curves[title].x[3], curves[title].y[3]]).all(), title
+        assert np.isfinite([curves[title].x[4], curves[title].y[4]]).all(), title
+    assert len(curves["Virtual extensometers"].error_y.array) == 7
+    assert len(curves["Force over crosshead position"].x) == 6, "force and position have no reference step"
 
 
 def test_conditions_are_known_or_named_as_missing(dataset):

@@ -71,6 +71,20 @@ def test_a_range_of_strain_leaves_the_other_steps_out() -> None:
     assert wrong.sigma_modulus > 5 * right.sigma_modulus  # the points scatter about the line
 
 
+def test_constants_are_those_of_the_reference_of_most_steps() -> None:
+    """From step 4 on the strain is that since step 4, and the force is still the whole one."""
+    dataset = plate(1)
+    for name in ("e_11", "e_22"):
+        dataset[name][4:] = dataset[name][4:] - dataset[name][4]
+    dataset["reference_step"] = ("step", [0, 0, 0, 0, 4, 4, 4])
+    first, later = elastic_constants(dataset), elastic_constants(dataset.isel(step=slice(2, None)))
+    assert [(each.steps, each.reference_step) for each in (first, later)] == [(4, 0), (3, 4)]
+    for found in (first, later):
+        assert abs(found.modulus / MODULUS - 1) < 0.05
+        assert abs(found.poisson_ratio - RATIO) < 2 * found.sigma_poisson_ratio < 0.06
+    assert np.isnan(elastic_constants(dataset.isel(step=[0, 1, 4, 5])).modulus), "two steps of each reference"
+
+
 def test_a_region_and_a_step_without_result() -> None:
     dataset = plate(1)
     dataset["e_22"][:, :, 20:] *= 2
@@ -82,6 +96,7 @@ def test_a_region_and_a_step_without_result() -> None:
 def test_constants_that_are_not_known() -> None:
     dataset = plate(1)
     assert np.isnan(elastic_constants(dataset.drop_vars("force")).modulus)
+    assert elastic_constants(dataset).reference_step == -1, "the dataset does not name it"
     assert np.isnan(elastic_constants(dataset.isel(step=[0, 3])).poisson_ratio)
     with pytest.raises(DatasetError, match="no point of the result lies in the region"):
         elastic_constants(dataset, Region.rectangle((50, 50), (60, 60)))

@@ -9,8 +9,8 @@ import pytest
 import xarray as xr
 
 from fringedic.errors import DatasetError
-from fringedic.report.specimens import specimen_sentences, write_specimens
-from fringedic.results import compare_specimens, specimen_maps
+from fringedic.report.specimens import specimen_curve, specimen_sentences, write_specimens
+from fringedic.results import compare_specimens, specimen_maps, strain_curve
 
 DIMENSIONS = ("step", "row", "column")
 
@@ -75,6 +75,18 @@ def test_specimens_with_other_reference_steps_are_named(tmp_path: Path) -> None:
     assert "at 1 of 2 steps the experiments have different reference steps" in page
     del group["b"]
     assert not compare_specimens(list(group.values())).references_differ.any()
+
+
+def test_a_curve_is_interrupted_where_the_reference_changes() -> None:
+    """The strain starts there at 0 again, and the force does not."""
+    twice = xr.concat([specimen(1), specimen(1).assign_coords(step=[2, 3])], "step")
+    curve = strain_curve(twice.assign(reference_step=("step", [0, 0, 2, 2])))
+    values = {str(name): each.values for name, each in curve.data_vars.items()}
+    drawn = specimen_curve(values, "e_22")
+    for each in (drawn.strain, drawn.sigma, drawn.load):
+        assert np.isnan(each).tolist() == [False, False, True, False, False]
+    del values["reference_step"]
+    assert len(specimen_curve(values, "e_22").strain) == 4, "of a receipt of an earlier version"
 
 
 def test_the_page_contains_curves_maps_and_what_differs(tmp_path: Path) -> None:

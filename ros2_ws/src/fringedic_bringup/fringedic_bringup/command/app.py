@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -197,6 +197,30 @@ def calibration_file(path: Path) -> Path:
     if not file.is_file():
         raise ConfigurationError(f"{file}: no such calibration; give its file or folder")
     return file
+
+
+def refuse_unused(context: typer.Context, names: Collection[str], reason: str) -> None:
+    """Refuse options that were given although the command does not use them beside others.
+
+    Parameters
+    ----------
+    context
+        Of the command.
+    names
+        Names of the options in the function of the command.
+    reason
+        End of the sentence: why they are not used, and what to do.
+
+    Raises
+    ------
+    ConfigurationError
+        At least one was given.
+    """
+    options = {str(each.name): each.opts[0] for each in context.command.params if each.name in names}
+    sources = {name: context.get_parameter_source(name) for name in options}
+    given = [options[name] for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"]
+    if given:
+        raise ConfigurationError(f"{', '.join(given)}: {reason}")
 
 
 def parameter_values(settings: Iterable[str] | None) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from fringedic_bringup.command.app import (
     console,
     losses,
     output_file,
+    refuse_unused,
     say,
 )
 from fringedic_bringup.display.progress import LiveProgress
@@ -31,6 +32,7 @@ from fringedic_bringup.procedures.outcome import CalibrationReport
     epilog="Example: fringedic calibrate plate.yaml --angles-deg 0,-15,-10,-5,5,10,15 --output calibration",
 )
 def calibrate(
+    context: typer.Context,
     rig: Annotated[
         Path | None, typer.Argument(metavar="RIG", help="Rig file; its section reference_plane defines the planes.")
     ] = None,
@@ -46,6 +48,8 @@ def calibrate(
     """Calibrate camera and rig with a printed grid and a plane at known angles; exit code 1 for NO-GO."""
     if (rig is None) == (recording is None):
         raise ConfigurationError("give a rig file, or with --from the recording of a calibration")
+    if recording is not None:
+        refuse_unused(context, {"angles_deg"}, "--from takes the angles from the recording; leave one of them out")
     begin(rig or recording or output)
     folder = unused_folder(output)
     say(*(losses(recording) if recording is not None else []))
@@ -79,6 +83,7 @@ def _calibrate_with_nodes(
 
 @app.command(rich_help_panel=SET_UP, epilog="Example: fringedic check plate.yaml --distance-mm 5")
 def check(
+    context: typer.Context,
     rig: Rig,
     distance_mm: Annotated[
         float,
@@ -96,6 +101,7 @@ def check(
 ) -> None:
     """Measure the reference plane and a known distance; exit code 1 if the calibration is no longer valid."""
     if vdi:
+        refuse_unused(context, {"distance_mm"}, "--vdi measures artefacts, not a distance; leave one of them out")
         _accept(rig_path_of(rig), output)
         return
     from fringedic.configuration.rig_file import load_rig_file

@@ -128,6 +128,7 @@ def open_results(
     from fringedic.campaign import CampaignStore, open_campaign, read_plan, status_of
     from fringedic.campaign.opening import store_address
     from fringedic.report import data_summary
+    from fringedic.report.campaign import unplanned_sentences
     from fringedic.report.campaign_page import write_campaign_page
 
     _, catalogue = open_campaign(folder)
@@ -140,6 +141,7 @@ def open_results(
     console.print(table)
     store = CampaignStore(store_address(folder))
     found = status_of(store, read_plan(store))
+    say(*unplanned_sentences(found))
     page = write_campaign_page(store, found, output or folder / "campaign.html")
     store.write(data_summary.FILE, data_summary.data_summary(store, found))
     say(f"page: {page}", f'tree, catalogue = fringedic.open_campaign("{folder}")')

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import RESULTS, Overwrite, Source, Sources, app, output_file, say
+from fringedic_bringup.command.app import RESULTS, Overwrite, Source, Sources, app, output_file, refuse_unused, say
 
 if TYPE_CHECKING:
     from fringedic.models.observed import Edge, Pair
 
 _MILLI = 1e-3
+_OF_THE_DISPLACEMENT = {"by", "by_displacement", "reference_image", "results", "strain", "load_table"}  # options
 
 
 @app.command(
@@ -24,6 +25,7 @@ _MILLI = 1e-3
     epilog="Example: fringedic compare-model recordings/plate-7/bag plate.vtu --unit mm --load 1000",
 )
 def compare_model(  # noqa: PLR0913 (options of a command)
+    context: typer.Context,
     source: Source,
     model: Annotated[
         Path, typer.Argument(metavar="MODEL", help="Mesh with nodal displacement: VTU, VTK, PVD, gmsh, Nastran ...")
@@ -90,6 +92,9 @@ def compare_model(  # noqa: PLR0913 (options of a command)
     overwrite: Overwrite = False,
 ) -> None:
     """Compare displacement and strain with a finite-element model, or the shape; write page, dataset and VTK files."""
+    if shape:
+        reason = "--shape compares the shape alone; leave out either --shape or what belongs to the displacement"
+        refuse_unused(context, _OF_THE_DISPLACEMENT, reason)
     page = output_file(output / "comparison.html", overwrite)
     from fringedic.export import export_dataset, write_mesh
     from fringedic.frames.files import read_grey

@@ -19,6 +19,7 @@ from fringedic_bringup.command.app import (
     console,
     output_file,
     parameter_values,
+    refuse_unused,
     say,
 )
 from fringedic_bringup.display.progress import LiveProgress
@@ -124,13 +125,14 @@ def live(
 
 @app.command(rich_help_panel=SET_UP, epilog="Example: fringedic noise plate.yaml --output noise")
 def noise(
+    context: typer.Context,
     rig: Annotated[
         Path | None, typer.Argument(metavar="RIG", help="Rig file; the specimen is mounted and at rest.")
     ] = None,
     images: Annotated[
         list[Path] | None, typer.Option("--images", help="An image at rest, instead of a rig; give at least three.")
     ] = None,
-    steps: Annotated[int, typer.Option(help="Number of steps at rest, with the reference.")] = 10,
+    steps: Annotated[int, typer.Option(help="With a rig: number of steps at rest, with the reference.")] = 10,
     window: Annotated[
         int, typer.Option(min=8, max=256, help="With --images: width of the correlation window [px].")
     ] = 32,
@@ -144,6 +146,10 @@ def noise(
     """Measure the noise floor of camera, displacement, height and strain with the specimen at rest."""
     if (rig is None) == (not images):
         raise ConfigurationError("give a rig file, or with --images at least three images at rest")
+    if images:
+        refuse_unused(context, {"steps"}, "with --images every image is a step; leave it out")
+    else:
+        refuse_unused(context, {"window", "spacing"}, "with a rig file they are nodes.dic in this file; set them there")
     begin(rig or (images or [])[0])
     from fringedic.report.noise_floor import noise_floor_text
     from fringedic_bringup.procedures.noise import measure_noise, measure_noise_of_images
