@@ -82,9 +82,12 @@ class CameraNode(HardwareNode[CameraParameters]):
         self._thread.end()
 
     def _take_step(self, message: StepStatus) -> None:
-        """Continue the free run when the frames of a step are taken, or the step has ended."""
+        """Continue the free run when the frames of a step are taken, or the step has ended.
+
+        The projector has received white just before, and needs the settle time until it shows it.
+        """
         if message.stage in (StepStatus.PROCESS, StepStatus.END, StepStatus.ERROR):
-            self._free_run.resume()
+            self._free_run.resume_later(self.parameters.value.settle_time_s)
 
     # one frame on request
 

@@ -55,7 +55,7 @@ class FreeRun:
         self._dropped_before = 0  # by the driver, when the free run started
         self._paused = False
         # one for all captures: a callback group keeps a reference to every timer that it ever had
-        self._resuming = node.create_timer(_RESUME_S, self.resume, autostart=False)
+        self._resuming = node.create_timer(_RESUME_S, self._resume, autostart=False)
 
     def begin(self) -> None:
         """Start with index 0, when the parameters ask for a free run."""
@@ -80,27 +80,35 @@ class FreeRun:
         timeout = self._node.parameters.value.timeout_s
         await wait_for(self._node, self._thread.run(time.time_ns), timeout, "the end of the free run")
 
-    def resume(self) -> None:
-        """Continue after a step; the index continues, too."""
+    def resume_later(self, after_s: float = _RESUME_S) -> None:
+        """Continue after a time without a further capture; the index continues, too.
+
+        The default is for a step whose end is never published.
+        """
+        if self._paused:
+            self._resuming.timer_period_ns = round(1e9 * after_s)
+            self._resuming.reset()
+
+    def _resume(self) -> None:
         self._resuming.cancel()
         if self._paused and self._node.active:
-            self._paused = False
             try:
                 self._start()
+                self._paused = False
             except FringedicError as error:
                 self._node.get_logger().error(str(error))
                 self._node.diagnostics.failure(str(error))
-
-    def resume_later(self) -> None:
-        """Continue after a time without a further capture, in case the end of the step is never published."""
-        if self._paused:
-            self._resuming.reset()
+                self.resume_later()  # a lost camera may be present again
 
     def _start(self) -> None:
         driver, rate = self._thread.driver, self._node.parameters.value.frame_rate_hz
         self._dropped_before = self._thread.dropped
         if rate > 0 and isinstance(driver, StreamingDriver):
-            driver.start(rate)
+            try:
+                driver.start(rate)
+            except FringedicError:
+                driver.stop()  # a capture must not find half of the settings of a stream
+                raise
             self._streaming = True
             self._thread.submit(self._stream, driver)
         elif rate > 0:

@@ -1,7 +1,8 @@
 // A camera of Video4Linux without a kernel that has one: loaded before the C library, it answers for one path.
 //
 // The environment says what it is like: FAKE_VIDEO its path, FAKE_VIDEO_FORMAT the four letters of its only format,
-// FAKE_VIDEO_STICKY=1 an automatic exposure that cannot be switched off. While the file FAKE_VIDEO_UNPLUGGED names is
+// FAKE_VIDEO_STICKY=1 an automatic exposure that cannot be switched off, FAKE_VIDEO_BROKEN=1 an exposure time that
+// cannot be set, FAKE_VIDEO_DRIVER the name of its driver. While the file FAKE_VIDEO_UNPLUGGED names is
 // there, it is unplugged. It exposes without end; every pixel of a frame is its number, and its stamp the end of the
 // exposure by the steady clock. Chroma is 77.
 
@@ -60,6 +61,7 @@ int control(v4l2_control &asked, bool set) {
                                                           : nullptr;
     if (!value) return EINVAL;
     if (set && value == &automatic && getenv("FAKE_VIDEO_STICKY")) return EBUSY;
+    if (set && value == &exposure && getenv("FAKE_VIDEO_BROKEN")) return EIO;
     if (set) *value = asked.value;
     asked.value = *value;
     return 0;
@@ -102,7 +104,8 @@ int answer(int fd, unsigned long request, void *data) {
     case VIDIOC_QUERYCAP: {
         auto *it = static_cast<v4l2_capability *>(data);
         *it = {};
-        strcpy(reinterpret_cast<char *>(it->driver), "fake");
+        const char *driver = getenv("FAKE_VIDEO_DRIVER");
+        strcpy(reinterpret_cast<char *>(it->driver), driver ? driver : "fake");
         it->capabilities = it->device_caps = V4L2_CAP_VIDEO_CAPTURE | V4L2_CAP_STREAMING;
         return 0;
     }

@@ -17,13 +17,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rclpy.publisher import Publisher
 
 from camera_node.drivers import AravisDriver, AravisSettings, Frame, Scene, Trigger
 from camera_node.testing import FakeCamera, Studio
 from fringedic.errors import CameraError, CameraTimeoutError
 from fringedic.frames.records import frame_record
+from fringedic_msgs.msg import StepStatus
 from fringedic_msgs.srv import CaptureFrame
 from fringedic_ros.images import image_array
+from fringedic_ros.qos import EVENTS
+from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.testing import NodeProcess
 
 pytestmark = pytest.mark.hardware
@@ -188,6 +192,21 @@ def test_stream_of_a_region_is_complete_and_evenly_stamped() -> None:
         assert opened.expose(SCENE).image.shape == (240, 320)
 
 
+@pytest.mark.usefixtures("camera")
+def test_rate_that_the_camera_does_not_offer() -> None:
+    """The camera itself would take the nearest rate without a word."""
+    with driver() as opened:
+        opened.expose(Scene(0, (), 0.0, exposure_time=0.1))
+        with pytest.raises(CameraError, match="does not offer 2000 frames/s, the nearest rate is 1000; use that"):
+            opened.start(2000.0)
+        assert opened.camera.get_exposure_time() == pytest.approx(1e6 * EXPOSURE_S), "the longer one limits the rate"
+        opened.stop()
+        for _ in range(2):
+            time.sleep(0.2)  # a stream would go on meanwhile
+            asked = time.time_ns()
+            assert opened.expose(SCENE).stamp_ns >= asked - 50_000_000
+
+
 @contextmanager
 def busy_network(packet: bytes = b"RTPS\x02\x02\x01\x0f") -> Iterator[None]:
     """Send a packet, by default the header of DDS messages, to another program on this network all the time."""
@@ -307,6 +326,32 @@ def test_automatic_exposure_that_cannot_be_switched_off(camera: FakeCamera, tmp_
         pass
 
 
+EXPOSURE_MODE = """
+<Enumeration Name="ExposureMode" NameSpace="Standard">
+<EnumEntry Name="Timed" NameSpace="Standard"><Value>0</Value></EnumEntry>
+<EnumEntry Name="TriggerWidth" NameSpace="Standard"><Value>1</Value></EnumEntry>
+<pValue>ExposureModeRegister</pValue></Enumeration>
+<IntReg Name="ExposureModeRegister" NameSpace="Custom"><Address>0x13c</Address><Length>4</Length>
+<AccessMode>RW</AccessMode><pPort>Device</pPort><Sign>Unsigned</Sign><Endianess>BigEndian</Endianess></IntReg>
+"""
+LEVEL_HIGH = '<EnumEntry Name="LevelHigh" NameSpace="Standard"><Value>1</Value></EnumEntry>'
+
+
+def test_exposures_of_the_trigger_level_end_with_this_trigger(camera: FakeCamera, tmp_path: Path) -> None:
+    plug_in_with(camera, tmp_path, "<pValue>TriggerActivationRegister</pValue>", LEVEL_HIGH)
+    plug_in_with(camera, tmp_path, '<Enumeration Name="GainAuto"', EXPOSURE_MODE)
+    with driver(trigger=Trigger.EXTERNAL_LEVEL, trigger_line="Line0", timeout=0.5) as opened:
+        assert opened.camera.get_string("ExposureMode") == "TriggerWidth"
+        with pytest.raises(CameraError, match=r"20 ms is requested; .* as long as the level, 10 ms: use one exposure"):
+            opened.expose(Scene(0, (), 0.0, exposure_time=0.02))
+        opened.start(30.0)
+        assert opened.camera.get_string("ExposureMode") == "Timed", "a stream has no level"
+        opened.stop()
+        assert opened.camera.get_string("ExposureMode") == "TriggerWidth"
+    with driver() as opened:
+        assert opened.camera.get_string("ExposureMode") == "Timed"
+
+
 PARAMETERS = {"source": "aravis", "camera": FakeCamera.address, "region_px": "[0, 0, 640, 480]", "timeout_s": 5.0}
 
 
@@ -322,6 +367,47 @@ def test_node_loses_its_camera_in_the_middle_of_a_stack(camera: FakeCamera, stud
         camera.plug_in()
         studio.wait(lambda: studio.capture(1).error_code == NONE, "the camera again")
         studio.wait(lambda: len(studio.images) == 2, "two images in all")
+
+
+@contextmanager
+def lost_in_a_step(camera: FakeCamera, studio: Studio, folder: Path) -> Iterator[Publisher]:
+    """A node with a free run, whose camera was lost in a step and is present again; the publisher of the stages."""
+    parameters = {**PARAMETERS, "region_px": "[64, 32, 320, 240]", "frame_rate_hz": 30.0}
+    with NodeProcess("camera_node.camera_node", folder, parameters):
+        steps = studio.create_publisher(StepStatus, "experiment/step", EVENTS)
+        studio.wait(steps.get_subscription_count, "the camera to receive stages")
+        assert studio.capture(0).error_code == NONE
+        camera.pull()
+        assert studio.capture(1).error_code == CaptureFrame.Request.CAMERA_FAILED
+        steps.publish(StepStatus(stage=StepStatus.ERROR))
+        studio.serve(0.3)  # the free run cannot continue
+        studio.forget()
+        camera.plug_in()
+        yield steps
+
+
+def test_steps_after_a_lost_camera_get_no_frames_of_the_free_run(
+    camera: FakeCamera, studio: Studio, tmp_path: Path
+) -> None:
+    with lost_in_a_step(camera, studio, tmp_path) as steps:
+        studio.wait(lambda: studio.capture(0).error_code == NONE, "the camera again")
+        for index in (1, 2):
+            studio.serve(0.5)  # a stream would go on meanwhile
+            asked = time.time_ns()
+            response = studio.capture(index)
+            assert response.error_code == NONE, response.error_message
+            late_ms = 1e-6 * (to_nanoseconds(response.stamp) - asked)
+            assert late_ms >= -50, f"frame {index} is from {-late_ms:.0f} ms before its request"
+        studio.forget()
+        steps.publish(StepStatus(stage=StepStatus.PROCESS))
+        studio.wait(lambda: len(studio.exposures) >= 3, "the free run again")
+
+
+def test_free_run_continues_by_itself_when_the_camera_is_present_again(
+    camera: FakeCamera, studio: Studio, tmp_path: Path
+) -> None:
+    with lost_in_a_step(camera, studio, tmp_path):
+        studio.wait(lambda: len(studio.exposures) >= 3, "the free run again", timeout_s=60.0)
 
 
 @pytest.mark.usefixtures("camera")

@@ -268,8 +268,9 @@ def test_viewers_of_images_alone_hold_nothing_up(studio: Studio, tmp_path: Path)
 def test_free_run_counts_every_frame(studio: Studio, tmp_path: Path) -> None:
     for name in range(3):
         save(tmp_path, f"{name}.tif", np.full((40, 60), name, np.uint8))
+    settle_s = 0.3
     parameters = {"source": "files", "files": str(tmp_path), "repeat": "true", "frame_rate_hz": 50}
-    with NodeProcess(MODULE, tmp_path, parameters):
+    with NodeProcess(MODULE, tmp_path, {**parameters, "settle_time_s": settle_s}):
         studio.wait(lambda: studio.exposures, "a frame of the free run")
         studio.forget()
         studio.wait(lambda: len(studio.exposures) >= 50, "frames of the free run")
@@ -286,10 +287,13 @@ def test_free_run_counts_every_frame(studio: Studio, tmp_path: Path) -> None:
         studio.serve(0.5)
         assert studio.exposures[-1] is last, "until its frames are taken"
         studio.forget()
+        process_ns = time.time_ns()
         steps.publish(StepStatus(experiment="test", stage=StepStatus.PROCESS))
         studio.wait(lambda: len(studio.exposures) >= 3, "frames after the step")
         assert [frame_record(exposure).experiment for exposure in studio.exposures[:3]] == [""] * 3
         assert studio.exposures[0].index > records[-1].index, "the count goes on"
+        after_s = 1e-9 * (frame_record(studio.exposures[0]).stamp - process_ns)
+        assert after_s >= settle_s, f"{after_s:.3f} s after the step, while the projector may show its last pattern"
 
 
 def test_stopped_process_goes_on(studio: Studio, tmp_path: Path) -> None:

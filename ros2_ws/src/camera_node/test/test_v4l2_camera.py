@@ -27,11 +27,14 @@ SIZE = (64, 48)
 # opens the device once per line of JSON and tells what came of it
 SCRIPT = """
 import json, os, sys
+from pathlib import Path
 from camera_node.drivers import Scene, V4l2Driver, V4l2Settings
+from camera_node.drivers import v4l2
 from fringedic.errors import CameraError
 for line in sys.stdin:
     environment, settings = json.loads(line)
-    for name in ("FAKE_VIDEO_FORMAT", "FAKE_VIDEO_STICKY"):
+    v4l2.NO_DROP = Path(settings.pop("no_drop"))
+    for name in ("FAKE_VIDEO_FORMAT", "FAKE_VIDEO_STICKY", "FAKE_VIDEO_BROKEN", "FAKE_VIDEO_DRIVER"):
         os.environ.pop(name, None)
     os.environ.update(environment)
     settings["size"] = tuple(settings["size"])
@@ -58,18 +61,25 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_formats_and_settings(library: Path) -> None:
-    def case(code: str, *, sticky: bool = False, **settings: object) -> tuple[dict, dict]:
-        environment = {"FAKE_VIDEO_FORMAT": code, **({"FAKE_VIDEO_STICKY": "1"} if sticky else {})}
-        return environment, {"device": DEVICE, "size": SIZE, **settings}
+def test_formats_and_settings(library: Path, tmp_path: Path) -> None:
+    def case(code: str, driver: str = "fake", fault: str = "", no_drop: str = "1", **settings: object) -> list[dict]:
+        environment = {"FAKE_VIDEO_FORMAT": code, "FAKE_VIDEO_DRIVER": driver}
+        if fault:
+            environment[f"FAKE_VIDEO_{fault}"] = "1"
+        parameter = tmp_path / f"nodrop_{no_drop}"
+        if no_drop:
+            parameter.write_text(f"{no_drop}\n")
+        return [environment, {"device": DEVICE, "size": SIZE, "no_drop": str(parameter), **settings}]
 
     cases = [
         case("GREY"),
         case("YUYV"),
         case("Y16 ", pixel_format="Mono16"),
         case("MJPG"),
-        case("GREY", sticky=True),
+        case("GREY", fault="STICKY"),
         case("GREY", size=(1280, 720)),
+        case("GREY", fault="BROKEN"),
+        *(case("GREY", "uvcvideo", no_drop=value) for value in ("1", "Y", "0", "N", "")),
     ]
     environment = {**os.environ, "LD_PRELOAD": str(library), "FAKE_VIDEO": DEVICE}
     run = subprocess.run(
@@ -80,8 +90,10 @@ def test_formats_and_settings(library: Path) -> None:
         text=True,
         check=True,
     )
-    grey, luminance, deep, compressed, sticky, size = map(json.loads, run.stdout.splitlines())
-    for kind, answer in (("uint8", grey), ("uint8", luminance), ("uint16", deep)):
+    answers = list(map(json.loads, run.stdout.splitlines()))
+    grey, luminance, deep, compressed, sticky, size, broken, *incomplete = answers[:9]
+    complete = [("uint8", answer) for answer in (grey, luminance, *answers[9:])]
+    for kind, answer in [*complete, ("uint16", deep)]:
         dtype, shape, lowest, highest, longer = answer
         assert (dtype, shape) == (kind, [48, 64])
         assert lowest == highest, "every pixel of a frame is its number"
@@ -90,6 +102,10 @@ def test_formats_and_settings(library: Path) -> None:
     assert "has none of the formats GREY, YUYV of Mono8; compressed images" in compressed
     assert f"automatic exposure of {DEVICE} cannot be switched off: " in sticky
     assert f"{DEVICE} has no images of 1280x720 px, the nearest are 64x48" in size
+    assert f"{DEVICE} does not accept its settings: Input/output error; check" in broken
+    for answer in incomplete:
+        assert f"{DEVICE} may return incomplete images" in answer
+        assert "options uvcvideo nodrop=0" in answer
 
 
 def test_node_takes_what_began_late_enough_and_survives_unplugging(

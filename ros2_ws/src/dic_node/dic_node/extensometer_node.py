@@ -25,6 +25,7 @@ from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.work import Worker
 
 MEASURED = (PatternKind.OTHER, PatternKind.WHITE)  # frames of a free run, and of steps in white light
+TAKING_FRAMES = (StepStatus.BEGIN, StepStatus.CAPTURE)  # stages in which a free run may show a pattern of the step
 
 
 class ExtensometerParameters(BaseModel):
@@ -49,7 +50,8 @@ class ExtensometerNode(RigNode):
     """Topics `extensometer/strain`, `extensometer/sigma`, `extensometer/valid`; service `extensometer/zero`.
 
     The first frame after the start, after `extensometer/zero` and after each reference step is the reference. When
-    frames arrive faster than they can be measured, only the newest is. Frames that show a pattern are ignored.
+    frames arrive faster than they can be measured, only the newest is. Frames that show a pattern are ignored, and so
+    are those of a free run while a step takes its frames.
     """
 
     def __init__(self) -> None:
@@ -59,6 +61,7 @@ class ExtensometerNode(RigNode):
         self._worker = Worker(self, self._fail)
         self._extensometer: VirtualExtensometer | None = None
         self._newest: Image | None = None
+        self._step_takes_frames = False
         self._last_frame = time.monotonic()
         self._published_invalid = False
         self._strain = self.create_publisher(Float64, "extensometer/strain", STATE)
@@ -84,11 +87,12 @@ class ExtensometerNode(RigNode):
         return response
 
     def _take_step(self, message: StepStatus) -> None:
+        self._step_takes_frames = message.stage in TAKING_FRAMES
         if message.stage == StepStatus.END and message.reference:
             self._extensometer = None
 
     def _take_frame(self, message: Image, exposure: Exposure) -> None:
-        if exposure.kind not in MEASURED:
+        if exposure.kind not in MEASURED or (exposure.kind == PatternKind.OTHER and self._step_takes_frames):
             return
         self._last_frame = time.monotonic()
         if self._newest is not None:

@@ -67,8 +67,8 @@ class Rig(Peer):
     def _numbers(self, messages: list[Float64]) -> list[float]:
         return [message.data for message in messages if not np.isnan(message.data)]
 
-    def finish_step(self, *, reference: bool) -> None:
-        self._steps.publish(StepStatus(stage=StepStatus.END, reference=reference))
+    def publish_stage(self, stage: int, *, reference: bool = False) -> None:
+        self._steps.publish(StepStatus(stage=stage, reference=reference))
         assert self._steps.wait_for_all_acked(Duration(seconds=180))
         self.meet("extensometer")  # before it answers, a node takes one message of each topic
 
@@ -109,7 +109,7 @@ def test_strain_beside_its_sigma_and_validity(rig: Rig) -> None:
 def test_the_frame_after_a_reference_step_is_the_reference(rig: Rig) -> None:
     rig.read(0.0)
     for reference in (False, True):
-        rig.finish_step(reference=reference)
+        rig.publish_stage(StepStatus.END, reference=reference)
         read = [rig.read(strain)[0] for strain in (0.005, 0.010)]
         expected = 1.010 / 1.005 - 1 if reference else 0.010
         assert read[1] == pytest.approx(expected, abs=1e-4), reference
@@ -123,6 +123,22 @@ def test_frames_with_a_pattern_are_ignored(rig: Rig) -> None:
     rig.wait(lambda: any(flag.data for flag in rig.valid), "a valid strain")
     rig.wait(lambda: any(strain.data == pytest.approx(0.001, abs=1e-4) for strain in rig.strains), "its number")
     assert not any(strain.data == pytest.approx(0.005, abs=1e-3) for strain in rig.strains)
+
+
+@pytest.mark.parametrize("stage", [StepStatus.PROCESS, StepStatus.END, StepStatus.ERROR])
+def test_free_run_is_ignored_while_a_step_takes_its_frames(rig: Rig, stage: int) -> None:
+    """The projector already shows the first pattern while the free run still goes on."""
+    rig.read(0.0)
+    for taking in (StepStatus.BEGIN, StepStatus.CAPTURE):
+        rig.publish_stage(taking)
+        rig.forget()
+        rig.send(0.005)
+        rig.wait(lambda: any(not flag.data for flag in rig.valid), "the strain is invalid")
+        assert not any(flag.data for flag in rig.valid)
+        rig.send(0.001, PatternKind.WHITE)
+        rig.wait(lambda: any(flag.data for flag in rig.valid), "the strain of a frame in white light")
+    rig.publish_stage(stage)
+    assert rig.read(0.002)[0] == pytest.approx(0.002, abs=1e-4)
 
 
 def test_missing_frames_are_reported_once(rig: Rig) -> None:

@@ -53,7 +53,9 @@ class ExperimentParameters(BaseModel):
         "vertical", description="vertical: fringes along y, projector left or right; horizontal: projector above."
     )
     white_between_steps: bool = Field(
-        False, description="The projector is white after the frames of a step, for a free run of the camera."
+        False,
+        description="The projector is white after the frames of a step, also of one that fails, for a free run of the "
+        "camera.",
     )
     nodes: list[Literal["phase", "dic", "coupling"]] = Field(
         ["phase", "dic", "coupling"], description="Processing nodes whose results end a step."

@@ -49,6 +49,7 @@ class FrameTaker:
         self._show = node.create_client(ShowPattern, "projector/show")
         self._capture = node.create_client(CaptureFrame, "camera/capture")
         self.place = PlaceWatch(node)
+        self._is_white = True
 
     def servers(self) -> list[int]:
         """Return how many servers of each service are known."""
@@ -89,12 +90,22 @@ class FrameTaker:
             shifts=pattern.shifts,
             orientation=int(pattern.orientation),
         )
+        self._is_white = False
         response = await step.goal.call(
             self._show, request, parameters.projector_timeout_s, Result.PROJECTOR_TIMEOUT, str(pattern)
         )
         if response.error_code != ShowPattern.Request.NONE:
             raise StepFailure(Result.PROJECTOR_FAILED, f"{pattern}: {response.error_message}")
+        self._is_white = pattern.kind is PatternKind.WHITE
         return response.shown
+
+    def leave_white(self, parameters: ExperimentParameters) -> None:
+        """Request white after a step that failed or was cancelled while a pattern was on the screen.
+
+        Nobody waits for the answer: the record of the failure and the request to hold come first.
+        """
+        if parameters.projector and parameters.white_between_steps and not self._is_white:
+            self._show.call_async(ShowPattern.Request(kind=int(PatternKind.WHITE)))
 
     async def capture(
         self, step: RunningStep, index: int, pattern: ProjectedPattern, shown: Time, parameters: ExperimentParameters

@@ -113,7 +113,11 @@ class StepRunner:
             await self._become_ready(step, parameters)
         finally:
             self._begin_step(step)
-        await self._take_frames(step, parameters)
+        try:
+            await self._take_frames(step, parameters)
+        except Exception:
+            self.frames.leave_white(parameters)
+            raise
         if step.taken == len(step.patterns):  # fewer when a node has failed meanwhile
             await self._load.check_exposures(step, parameters)  # before the results, which take longer
             self._publish_stage(step, StepStatus.PROCESS)  # in a recording, this proves the hold of the step
@@ -179,6 +183,7 @@ class StepRunner:
             self._load.check_latest(step, parameters)
             self._recorder.check(parameters)
             if step.failed_node:
+                self.frames.leave_white(parameters)
                 return  # the step has failed: further frames are useless
         if parameters.projector and parameters.white_between_steps:
             await self.frames.show(step, ProjectedPattern(PatternKind.WHITE), parameters)

@@ -72,6 +72,7 @@ class Rig(Peer):
         self.clock_ns = 0  # runs ahead of real time while frames are taken faster than their exposures last
         self.capturing = False
         self.shown: list[ShowPattern.Request] = []
+        self.on_screen = Exposure.OTHER
         self.captured: list[CaptureFrame.Request] = []
         self.show_error = self.capture_error = 0
         self.hang: Future | None = None
@@ -111,6 +112,7 @@ class Rig(Peer):
         self.feedback: list[MeasureStep.Feedback] = []
 
     async def _show(self, request: ShowPattern.Request, response: ShowPattern.Response) -> ShowPattern.Response:
+        self.on_screen = request.kind
         if request.kind != Exposure.WHITE:
             self.shown.append(request)
         response.error_code = self.show_error
@@ -318,7 +320,7 @@ def rig(running: Rig, request: pytest.FixtureRequest) -> Iterator[Rig]:
     running.reset()
     assert running.call(running.start, experiment=request.node.name).success
     yield running
-    running.change(projector=True, recording_required=False, start_timeout_s=START_TIMEOUT)
+    running.change(projector=True, white_between_steps=False, recording_required=False, start_timeout_s=START_TIMEOUT)
 
 
 def test_a_step_from_begin_to_end(rig: Rig, request: pytest.FixtureRequest) -> None:
@@ -481,7 +483,33 @@ def test_a_fault_ends_the_step_with_its_code_and_the_next_one_works(
     assert rig.step().error_code == Result.NONE
 
 
+@pytest.mark.parametrize(
+    ("script", "code"),
+    [
+        ({}, Result.NONE),
+        ({"capture_error": CaptureFrame.Request.CAMERA_FAILED}, Result.CAMERA_FAILED),
+        ({"moves_at_frame": 3}, Result.LOAD_NOT_HELD),
+        ({"show_error": ShowPattern.Request.SCREEN_FAILED}, Result.PROJECTOR_FAILED),
+        ({"hang": True}, Result.CANCELLED),
+    ],
+)
+def test_every_step_leaves_white_light_for_the_free_run(rig: Rig, script: dict[str, Any], code: int) -> None:
+    """Also a failed one, with its own failure; the free run continues with its last record."""
+    rig.change(white_between_steps=True)
+    rig.say_load(LoadState.HOLD)
+    for name, value in script.items():
+        setattr(rig, name, Future() if name == "hang" else value)
+    goal = rig.request()
+    if rig.hang is not None:
+        rig.wait(lambda: rig.captured, "the first exposure")
+        goal.cancel_goal_async()
+    assert rig.result(goal)[1].error_code == code
+    assert rig.on_screen == Exposure.WHITE
+    assert rig.shown, "a pattern was on the screen before"
+
+
 def test_a_failed_node_ends_the_sequence_early(rig: Rig) -> None:
+    rig.change(white_between_steps=True)
     rig.answers = dict.fromkeys(("phase", "dic", "coupling"), NodeStatus.FRAME_DOUBLED)
     capture = rig.capture.callback
 
@@ -494,6 +522,7 @@ def test_a_failed_node_ends_the_sequence_early(rig: Rig) -> None:
     rig.capture.callback = doubled
     assert rig.step().error_code == Result.PHASE_FAILED
     assert 3 <= len(rig.captured) < FRAMES
+    assert rig.on_screen == Exposure.WHITE
     assert StepStatus.PROCESS not in rig.stages_of(0)
     rig.capture.callback = capture
     rig.behave()

@@ -36,8 +36,10 @@ class DisplayScreen:
         os.environ["PYGAME_HIDE_SUPPORT_PROMPT"] = "1"
         os.environ["SDL_VIDEO_MINIMIZE_ON_FOCUS_LOSS"] = "0"  # an operator works on another display
         import pygame
+        from pygame._sdl2 import sdl2
 
         self._pygame: Any = pygame
+        self._errors = (pygame.error, sdl2.error)  # the latter comes from window, renderer and texture
         self._display = display
         self._size = (width, height)
         self._origin = (0, 0)
@@ -76,7 +78,7 @@ class DisplayScreen:
             self._renderer.clear()
             self._texture.draw()
             self._renderer.present()
-        except self._pygame.error as error:
+        except self._errors as error:
             self._close_window()
             raise ScreenError(f"the display does not accept the pattern: {error}") from error
         return time.time_ns()
@@ -145,6 +147,16 @@ class DisplayScreen:
                 f"the patterns have {self._size[0]}x{self._size[1]} px and display {self._display} another size; "
                 f"there are {found}"
             )
+        try:
+            self._open_window()
+        except self._errors as error:
+            self._close_window()
+            raise ScreenError(
+                f"a window cannot be opened on display {self._display}: {error}; check its graphics driver"
+            ) from error
+
+    def _open_window(self) -> None:
+        pygame = self._pygame
         self._window = pygame.Window(
             "fringes", self._size, position=pygame.WINDOWPOS_CENTERED | self._display, borderless=True
         )

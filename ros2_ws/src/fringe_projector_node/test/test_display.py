@@ -5,11 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pygame
 import pytest
 import rclpy
+from pygame._sdl2 import sdl2, video
 
 from fringe_projector_node.display import DisplayScreen
 from fringe_projector_node.testing import VirtualDisplay, WindowManager
@@ -82,6 +84,26 @@ def test_no_display(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     with pytest.raises(ScreenError, match="there is no display"):
         DisplayScreen(0, WIDTH, HEIGHT)
+
+
+def refuse(*_: object, **__: object) -> None:
+    """Fail like a graphics driver: this error is no `pygame.error`."""
+    raise sdl2.error("out of memory")
+
+
+def test_graphics_driver_that_fails(display: VirtualDisplay, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as failing:
+        failing.setattr(video, "Renderer", refuse)
+        with pytest.raises(ScreenError, match="a window cannot be opened on display 0: out of memory; check"):
+            DisplayScreen(0, WIDTH, HEIGHT)
+    screen = DisplayScreen(0, WIDTH, HEIGHT)
+    pattern = render_pattern(ProjectedPattern(PatternKind.WHITE), WIDTH, HEIGHT)
+    monkeypatch.setattr(screen, "_texture", SimpleNamespace(update=refuse))
+    with pytest.raises(ScreenError, match="the display does not accept the pattern: out of memory"):
+        screen.show(pattern)
+    screen.show(pattern)
+    assert shown_in_time(display, pattern), "in a new window"
+    screen.close()
 
 
 def check_for_10_s(screen: DisplayScreen) -> None:

@@ -53,6 +53,21 @@ def test_phase_knows_the_grey_level_of_saturated_pixels(digits: str, own: str, l
         assert phase["saturation_grey_level"] == level
 
 
+@pytest.mark.parametrize("source", ["topic, topic: /cam/image_raw", "files, files: images", "video, files: test.mkv"])
+@pytest.mark.parametrize(("digits", "level"), [(", pixel_format: Mono12", 4095.0), ("", 0.0)])
+def test_stored_and_foreign_images_saturate_at_the_stated_bits(
+    source: str, digits: str, level: float, tmp_path: Path
+) -> None:
+    path = tmp_path / "bench.yaml"
+    path.write_text(
+        f"camera: {{source: {source}{digits}, width: 640, height: 480}}\n"
+        "projector: {source: display, width: 640, height: 480}\nsequence: {pitches_px: [640, 80, 20], shifts: 4}\n"
+    )
+    rig = load_rig_file(path)
+    [phase] = [node.parameters for node in rig_graph(rig, path, tmp_path / "out").nodes if node.name == "phase"]
+    assert phase["saturation_grey_level"] == level
+
+
 def test_a_calibration_needs_absolute_phases(tmp_path: Path) -> None:
     """All planes could be wrong by the same number of fringes, which a fit takes for the place of the projector."""
     path = tmp_path / "bench.yaml"

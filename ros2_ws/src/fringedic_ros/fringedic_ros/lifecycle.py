@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
 from typing import Any, Generic, Self, TypeVar
 
@@ -126,8 +127,14 @@ class HardwareNode(RigLifecycleNode, Generic[ParametersT]):
         try:
             action()
         except FringedicError as error:
-            self._refusal = f"{self.get_name()} cannot {verb}: {error}"
-            self.get_logger().error(self._refusal)
-            self.diagnostics.failure(self._refusal)
-            return TransitionCallbackReturn.FAILURE
+            return self._refuse_transition(verb, str(error))
+        except Exception as error:  # of a library of the device; rclpy would drop it
+            self.get_logger().error(traceback.format_exc())
+            return self._refuse_transition(verb, f"{type(error).__name__}: {error}")
         return TransitionCallbackReturn.SUCCESS
+
+    def _refuse_transition(self, verb: str, reason: str) -> TransitionCallbackReturn:
+        self._refusal = f"{self.get_name()} cannot {verb}: {reason}"
+        self.get_logger().error(self._refusal)
+        self.diagnostics.failure(self._refusal)
+        return TransitionCallbackReturn.FAILURE

@@ -10,7 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from camera_node.drivers.aravis_connection import AravisConnection, connect, set_exposure_time, set_trigger
+from camera_node.drivers.aravis_connection import (
+    AravisConnection,
+    connect,
+    set_exposure_time,
+    set_frame_rate,
+    set_timed,
+    set_trigger,
+)
 from camera_node.drivers.aravis_library import error_message, load_aravis
 from camera_node.drivers.aravis_settings import PIXEL_TYPES, AravisSettings, Trigger
 from camera_node.drivers.driver import Frame, Scene
@@ -83,14 +90,16 @@ class AravisDriver:
         Raises
         ------
         CameraError
-            The camera does not offer this rate.
+            The camera does not offer this rate; `stop` restores its trigger.
         """
-        self._rate = rate_hz
         with self._in_use() as connection:
             connection.stop()
             connection.camera.clear_triggers()
-            self._aravis.ask("frame rate", lambda: connection.camera.set_frame_rate(rate_hz))
+            set_timed(self._aravis, connection.camera)
+            self._set_exposure_time(connection, self._settings.exposure_time)  # a longer one would limit the rate
+            set_frame_rate(self._aravis, connection.camera, rate_hz)
             connection.start()
+        self._rate = rate_hz  # not before: a stream that did not start is none that a lost camera continues
 
     def interrupt(self) -> None:
         """Do nothing: `expose` returns soon."""
@@ -118,10 +127,8 @@ class AravisDriver:
             The clock of the camera or of this computer was set.
         """
         with self._in_use() as connection:
-            if scene.exposure_time != connection.asked_exposure_time:
-                connection.asked_exposure_time = math.nan
-                connection.exposure_time = set_exposure_time(connection.camera, scene.exposure_time)
-                connection.asked_exposure_time = scene.exposure_time
+            self._check_level(scene.exposure_time)
+            self._set_exposure_time(connection, scene.exposure_time)
             if self._rate is not None:
                 return self._next(connection)
             connection.refuse_automatic(self._aravis)
@@ -134,6 +141,21 @@ class AravisDriver:
                     connection.stop()  # a frame that arrives later must not be taken for the next one
                     raise
             raise CameraError(f"{lost} ({_ATTEMPTS} attempts)")
+
+    def _check_level(self, wanted: float) -> None:
+        by_level = self._settings.trigger is Trigger.EXTERNAL_LEVEL and self._rate is None
+        if by_level and wanted != self._settings.exposure_time:
+            raise CameraError(
+                f"an exposure of {1e3 * wanted:g} ms is requested; the trigger external_level exposes as long as the "
+                f"level, {1e3 * self._settings.exposure_time:g} ms: use one exposure time, or another trigger"
+            )
+
+    @staticmethod
+    def _set_exposure_time(connection: AravisConnection, wanted: float) -> None:
+        if wanted != connection.asked_exposure_time:
+            connection.asked_exposure_time = math.nan
+            connection.exposure_time = set_exposure_time(connection.camera, wanted)
+            connection.asked_exposure_time = wanted
 
     def _take(self, connection: AravisConnection) -> Frame:
         """Take one frame that begins now."""

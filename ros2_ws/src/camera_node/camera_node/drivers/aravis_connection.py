@@ -27,6 +27,7 @@ _COUNTED = {
     "packets_without_buffer": "n_underruns",
 }
 _LARGEST_DEVIATION = 0.05  # of the exposure time that a camera sets, relative to the requested one
+_LARGEST_RATE_DEVIATION = 0.01  # of its frame rate
 
 
 @dataclass
@@ -166,6 +167,7 @@ def connect(aravis: Aravis, settings: AravisSettings) -> AravisConnection:
     _set_pixel_format(aravis, camera, settings.pixel_format)
     _set_region(aravis, camera, settings.region)
     automatic = _switch_automatic_off(aravis, camera)
+    set_timed(aravis, camera)  # before the exposure time, which some cameras lock in the other mode
     exposure_time = ask("exposure time", lambda: set_exposure_time(camera, settings.exposure_time))
     if ask("gain", camera.is_gain_available):
         ask("gain", lambda: _check_range(camera.get_gain_bounds(), settings.gain, "dB"))
@@ -177,6 +179,15 @@ def connect(aravis: Aravis, settings: AravisSettings) -> AravisConnection:
     connection = AravisConnection(camera, stream, settings.exposure_time, exposure_time, automatic)
     connection.supply(aravis)
     return connection
+
+
+def set_timed(aravis: Aravis, camera: Any) -> None:
+    """Let the exposure time end the exposures, which a camera may have been set not to do before."""
+    what = "exposure mode"
+    if not aravis.ask(what, lambda: camera.is_feature_available("ExposureMode")):
+        return
+    if aravis.ask(what, lambda: camera.get_string("ExposureMode")) != "Timed":  # some cameras only offer to read it
+        aravis.ask(what, lambda: camera.set_string("ExposureMode", "Timed"))
 
 
 def set_trigger(aravis: Aravis, camera: Any, settings: AravisSettings) -> None:
@@ -196,6 +207,23 @@ def set_trigger(aravis: Aravis, camera: Any, settings: AravisSettings) -> None:
     if trigger is Trigger.EXTERNAL_LEVEL:
         ask("trigger level", lambda: camera.set_string("TriggerActivation", "LevelHigh"))
         ask("exposure as long as the level", lambda: camera.set_string("ExposureMode", "TriggerWidth"))
+
+
+def set_frame_rate(aravis: Aravis, camera: Any, wanted: float) -> None:
+    """Set the rate of a free run [Hz].
+
+    Raises
+    ------
+    CameraError
+        The camera does not offer this rate.
+    """
+    aravis.ask("frame rate", lambda: camera.set_frame_rate(wanted))
+    given = aravis.ask("frame rate", camera.get_frame_rate)
+    if abs(given - wanted) > _LARGEST_RATE_DEVIATION * wanted:
+        raise CameraError(
+            f"frame rate: the camera does not offer {wanted:g} frames/s, the nearest rate is {given:.4g}; use that, or "
+            "a shorter exposure or a smaller region"
+        )
 
 
 def set_exposure_time(camera: Any, wanted: float) -> float:

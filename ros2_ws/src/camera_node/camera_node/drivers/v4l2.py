@@ -9,6 +9,7 @@ import struct
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -18,6 +19,9 @@ from camera_node.drivers.stamp_of import StampOf
 from fringedic.errors import CameraError, CameraTimeoutError
 from fringedic.recording.clocks import ClockEstimate
 
+NO_DROP = Path("/sys/module/uvcvideo/parameters/nodrop")  # whether the kernel returns frames with lost packets
+_CAPABILITY = 0x80685600  # VIDIOC_QUERYCAP
+_CAPABILITY_BYTES, _DRIVER_BYTES = 104, 16  # of the answer, which starts with the name of the driver
 _GET, _SET = 0xC008561B, 0xC008561C  # VIDIOC_G_CTRL, VIDIOC_S_CTRL of linux/videodev2.h
 _CONTROL = struct.Struct("=Ii")  # identifier and value
 _AUTOMATIC_GAIN = 0x00980912  # V4L2_CID_AUTOGAIN: 0 is off
@@ -173,14 +177,19 @@ class V4l2Driver:
                         f"{self._path} has no images of {settings.size[0]}x{settings.size[1]} px, the nearest are "
                         f"{given[0]}x{given[1]}"
                     )
+            self._controls.refuse_incomplete()
             self._controls.switch_automatic_off()
             self._set_exposure_time(self._controls, self._asked_exposure_time)
             if self._rate is not None:
                 self._set_rate(video, self._rate)
-        except (CameraError, OSError):
+        except (CameraError, OSError) as error:
             video.release()
             self._controls.close()
             self._controls = None
+            if isinstance(error, OSError):
+                raise CameraError(
+                    f"{self._path} does not accept its settings: {error.strerror}; check its cable and exposure time"
+                ) from error
             raise
         return video
 
@@ -192,7 +201,7 @@ class V4l2Driver:
                 raise CameraError(f"{self._path} is lost; the next attempt to open it is in {wait:.1f} s")
             try:
                 self._video = self._connect()
-            except (CameraError, OSError) as error:
+            except CameraError as error:
                 raise self._lost(str(error)) from error
             self._pause = _FIRST_PAUSE_S
         assert self._controls is not None, "both are opened together"
@@ -262,6 +271,16 @@ class _Controls:
     def set(self, control: int, value: int) -> None:
         """Set a control; raises OSError when the device does not have it or refuses."""
         fcntl.ioctl(self._descriptor, _SET, _CONTROL.pack(control, value))
+
+    def refuse_incomplete(self) -> None:
+        """Raise a CameraError when the kernel may return an image with lost packets."""
+        answer = fcntl.ioctl(self._descriptor, _CAPABILITY, bytes(_CAPABILITY_BYTES))
+        is_uvc = answer[:_DRIVER_BYTES].rstrip(b"\0") == b"uvcvideo"
+        if is_uvc and NO_DROP.exists() and NO_DROP.read_text().strip() not in ("0", "N"):
+            raise CameraError(
+                f"{self._path} may return incomplete images, because {NO_DROP} is not 0: write the line 'options "
+                "uvcvideo nodrop=0' into /etc/modprobe.d/uvcvideo.conf and start this computer again"
+            )
 
     def switch_automatic_off(self) -> None:
         """Switch automatic exposure and gain off."""

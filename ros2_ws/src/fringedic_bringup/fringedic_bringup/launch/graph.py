@@ -348,10 +348,12 @@ def _phase(rig: RigFile) -> dict[str, Any]:
 
 def full_scale(rig: RigFile) -> float:
     """Return the grey level of a saturated pixel; 0 when it follows from the images."""
-    if rig.camera.source == "virtual":
+    camera = rig.camera
+    if camera.source == "virtual":
         return 2.0 ** rig.virtual_configuration().sensor.bits - 1
-    if rig.camera.source in ("aravis", "v4l2"):
-        return 2.0 ** int(rig.camera.pixel_format.removeprefix("Mono")) - 1
+    # images of other sources may have another type than the default of this key
+    if camera.source in ("aravis", "v4l2") or "pixel_format" in camera.model_fields_set:
+        return 2.0 ** int(camera.pixel_format.removeprefix("Mono")) - 1
     return 0.0
 
 

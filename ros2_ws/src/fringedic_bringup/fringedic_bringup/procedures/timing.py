@@ -15,7 +15,7 @@ from fringedic.frames.image_quality import full_scale_of
 from fringedic.report.timing import timing_sentences
 from fringedic.rig_setup.timing import ProjectorTiming, measure_timing, rough_delay
 from fringedic.rig_setup.timing_samples import TimingSamples
-from fringedic_bringup.launch.graph import exposing_graph
+from fringedic_bringup.launch.graph import exposing_graph, full_scale
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.exposing import SETUP, WHITE, ExposingClient
 from fringedic_bringup.procedures.outcome import Progress
@@ -96,7 +96,7 @@ def measure_rig_timing(
         ExposingClient(graph.namespace, domain=domain, watch=running.check) as client,
     ):
         client.wait_until_ready(graph.names)
-        session = _Session(client, exposure_time, longest)
+        session = TimingSession(client, exposure_time, longest, full_scale(rig))
         progress.stage("searching for the projector's light")
         session.find_light()
         session.find_delay()
@@ -119,16 +119,28 @@ def measure_rig_timing(
     return TimingReport(timing, sentences, settings)
 
 
-class _Session:
-    """Frames of a scene on which dark and white are shown in turn."""
+class TimingSession:
+    """Frames of a scene on which dark and white are shown in turn.
 
-    def __init__(self, client: ExposingClient, exposure_time: float, longest: float) -> None:
+    Parameters
+    ----------
+    client
+        Of projector and camera.
+    exposure_time
+        Exposure time of the frames [s].
+    longest
+        Longest delay of a pattern [s].
+    full_scale
+        Grey level of a saturated pixel; 0 when only the images show it.
+    """
+
+    def __init__(self, client: ExposingClient, exposure_time: float, longest: float, full_scale: float) -> None:
         self._client = client
         self._exposure_time = exposure_time
         self._longest = longest
         self._random = np.random.default_rng(0)
         self._lit = np.zeros((0, 0), bool)
-        self._full_scale = 0.0
+        self._full_scale = full_scale
         self._shown_ns, self._bright = 0, False
         self._reaction = 0.01  # from the request of a frame to the start of its exposure [s]
         self._change = (0.0, longest)  # interval after a pattern in which the light changes [s]
@@ -144,7 +156,7 @@ class _Session:
             frames = [self._client.expose(self._exposure_time)[0] for _ in range(5)]
             views.append(np.mean(frames, axis=0))
         difference = views[1] - views[0]
-        self._full_scale = full_scale_of(frames)
+        self._full_scale = self._full_scale or full_scale_of(frames)
         self._lit = difference > 0.5 * np.percentile(difference, 99)
         if self._lit.sum() < FEWEST_PIXELS or difference[self._lit].mean() < LEAST_DIFFERENCE:
             raise RigSetupError(
