@@ -504,7 +504,7 @@ def test_every_step_leaves_white_light_for_the_free_run(rig: Rig, script: dict[s
         rig.wait(lambda: rig.captured, "the first exposure")
         goal.cancel_goal_async()
     assert rig.result(goal)[1].error_code == code
-    assert rig.on_screen == Exposure.WHITE
+    rig.wait(lambda: rig.on_screen == Exposure.WHITE, "white light")  # after a failure nobody waits for it
     assert rig.shown, "a pattern was on the screen before"
 
 
