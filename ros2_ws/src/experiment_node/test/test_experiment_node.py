@@ -522,7 +522,7 @@ def test_a_failed_node_ends_the_sequence_early(rig: Rig) -> None:
     rig.capture.callback = doubled
     assert rig.step().error_code == Result.PHASE_FAILED
     assert 3 <= len(rig.captured) < FRAMES
-    assert rig.on_screen == Exposure.WHITE
+    rig.wait(lambda: rig.on_screen == Exposure.WHITE, "white light")
     assert StepStatus.PROCESS not in rig.stages_of(0)
     rig.capture.callback = capture
     rig.behave()
