@@ -96,7 +96,7 @@ class PlaneSteps:
         what = place_in_words(plane.kind, plane.angle, plane.height)
         with LongRequest(self._node, self._place, request) as sent:
             await run.goal.wait_polling(
-                lambda: sent.is_answered() or bool(sent.loss),
+                sent.is_over,
                 parameters.placing_timeout_s,
                 lambda: (
                     result.PLACING_TIMEOUT,

@@ -472,11 +472,7 @@ class RigClient:
         what = place_in_words(kind, angle, height)
         request = PlaceReferencePlane.Request(kind=kind, angle=angle, height=height)
         with LongRequest(self.node, self._place, request) as sent:
-            self.wait_for(
-                lambda: sent.is_answered() or bool(sent.loss),
-                self._placing_s,
-                lambda: f"{what}: {self._place.srv_name}: no answer",
-            )
+            self.wait_for(sent.is_over, self._placing_s, lambda: f"{what}: {self._place.srv_name}: no answer")
             if sent.loss:
                 raise WaitTimeoutError(f"{what}: {sent.loss}")
             response = sent.response

@@ -49,7 +49,7 @@ def test_delay_and_refresh_of_a_late_projector(tmp_path: Path) -> None:
 
 
 class SteadyProjector:
-    """Client of a camera that sees white a little brighter each time, from 1010 on."""
+    """Client of a camera whose image of white is a little brighter each time, from 1010 on."""
 
     def __init__(self) -> None:
         self._white, self._level = 1000, 0

@@ -126,10 +126,13 @@ class RepeatedRequest:
 
     def is_answered(self) -> bool:
         """Return whether there is a response; send the request when it is due. Call it while the node is spun."""
+        self._send_when_due()
+        return any(future.done() for future in self._sent)
+
+    def _send_when_due(self) -> None:
         if self._client.service_is_ready() and time.monotonic() >= self._next_s:
             self._sent.append(self._client.call_async(self._request))
             self._next_s = time.monotonic() + AGAIN_S
-        return any(future.done() for future in self._sent)
 
     @property
     def response(self) -> Any:
@@ -157,25 +160,26 @@ class LongRequest(RepeatedRequest):
         super().__init__(client, request)
         self._node = node
         self._servers, self._seen_s = 0, time.monotonic()
-        self._left = 1
+        self._most_sent = 1
         self.loss = ""
 
-    def is_answered(self) -> bool:
-        """Return whether there is a response; send the request when it is due. Call it while the node is spun."""
+    def is_over(self) -> bool:
+        """Return whether there is a response or will be none; as `is_answered`."""
+        return self.is_answered() or bool(self.loss)
+
+    def _send_when_due(self) -> None:
         now, servers = time.monotonic(), self._node.count_services(self._client.srv_name)
         if servers < self._servers:
             # twice: a server that was started again may not know the reader of its responses yet
-            self._left, self._next_s = 2, 0.0
+            self._most_sent, self._next_s = len(self._sent) + 2, 0.0
         self._servers = servers
         if servers:
             self._seen_s = now
         elif now - self._seen_s > LOST_S:
             name = self._client.srv_name
             self.loss = f"the service {name} is missing: start its node again, and repeat the measurement"
-        if self._left and self._client.service_is_ready() and now >= self._next_s:
-            self._sent.append(self._client.call_async(self._request))
-            self._left, self._next_s = self._left - 1, now + AGAIN_S
-        return any(future.done() for future in self._sent)
+        if len(self._sent) < self._most_sent:
+            super()._send_when_due()
 
 
 class Condition:

@@ -16,7 +16,7 @@ from fringedic.recording.mcap_file import (
     MAGIC,
     McapFile,
     check_chunks,
-    first_and_last_bytes,
+    first_bytes,
     opened,
     read_index,
 )
@@ -189,8 +189,8 @@ def open_file(path: Path, *, check: bool) -> McapFile:
     RecordingError
         The file cannot be read, or is written without chunks.
     """
-    first, last = first_and_last_bytes(path)
-    damage = [] if MAGIC.startswith(first) else ["its first bytes are damaged"]
+    begins = MAGIC.startswith(first_bytes(path))
+    damage = [] if begins else ["its first bytes are damaged"]
     file = None
     try:
         file = read_index(path)
@@ -198,7 +198,7 @@ def open_file(path: Path, *, check: bool) -> McapFile:
         damage.append("its index is damaged and was rebuilt from the chunks")
     if file is None:
         with opened(path) as data:
-            if not MAGIC.startswith(first) and last != MAGIC and not has_chunk(path, data):
+            if not begins and data[-len(MAGIC) :] != MAGIC and not has_chunk(path, data):
                 return McapFile(path, damage=[FOREIGN])
             file = scan_file(path, data)
     elif check:

@@ -150,8 +150,8 @@ def _stream(path: Path) -> Iterator[BinaryIO]:
         raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
 
 
-def first_and_last_bytes(path: Path) -> tuple[bytes, bytes]:
-    """Return the bytes of a file where `MAGIC` belongs, fewer of a shorter file.
+def first_bytes(path: Path) -> bytes:
+    """Return the bytes at the beginning of a file, where `MAGIC` belongs; fewer of a shorter file.
 
     Raises
     ------
@@ -159,9 +159,7 @@ def first_and_last_bytes(path: Path) -> tuple[bytes, bytes]:
         The file cannot be read.
     """
     with _stream(path) as stream:
-        first = stream.read(len(MAGIC))
-        stream.seek(max(0, stream.seek(0, SEEK_END) - len(MAGIC)))
-        return first, stream.read()
+        return stream.read(len(MAGIC))
 
 
 def read_index(path: Path) -> McapFile | None:
@@ -243,7 +241,7 @@ def _place(index: ChunkIndex, file: McapFile) -> ChunkPlace:
 
 
 def check_chunks(indexed: McapFile) -> McapFile:
-    """Return a file with an index without its damaged chunks; its damage says how many there are.
+    """Return a file with an index without its damaged chunks; its damage contains their number.
 
     Raises
     ------

@@ -21,8 +21,6 @@ from fringedic.steps.step_results import DicResult
 MEDIAN_POINTS = 20_000  # of a field, from which its median displacement is computed
 TURNED = 0.8  # of the agreement so far, below which a prediction may be wrong: the motion may have turned
 WORTH = 0.1  # fraction of the points in view that a later reference has to gain, because composing adds noise
-
-
 _INVERTING = 5  # repetitions that solve p + d(p) = x for p; each lessens the error by the strain
 _NOT_COMPARABLE = ("spacing", "region", "method")  # changes after which fields do not continue those before
 
@@ -118,8 +116,7 @@ class DisplacementTracker:
             self._measured_against = reference_key
         link = self._link or _Link(reference_key[1], texture, prepared=reference)
         if key == reference_key:
-            measured = self._measure(link, texture, None)
-            agreed = _agreement(measured, texture.shape)
+            measured, agreed = self._measure(link, texture)
         else:
             link, measured, agreed = self._follow(link, texture, step)
         field = measured
@@ -157,9 +154,24 @@ class DisplacementTracker:
         self._link = self._last = None
         self._agreed = 0.0
 
-    def _measure(self, link: _Link, texture: np.ndarray, initial: tuple[np.ndarray, np.ndarray] | None) -> xr.Dataset:
+    def _measure(
+        self, link: _Link, texture: np.ndarray, initial: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> tuple[xr.Dataset, float]:
+        """Return the displacement against a link and the fraction of points that agree; without `initial` globally."""
         assert link.prepared is not None
-        return measure_displacement(link.prepared, texture, initial=initial, method=self._parameters.method)
+        measured = measure_displacement(link.prepared, texture, initial=initial, method=self._parameters.method)
+        return measured, _agreement(measured, texture.shape)
+
+    def _attempt(
+        self, link: _Link, texture: np.ndarray, initial: tuple[np.ndarray, np.ndarray] | None = None
+    ) -> tuple[xr.Dataset, float] | None:
+        """Measure; None when the texture does not show the surface of the link."""
+        try:
+            return self._measure(link, texture, initial)
+        except CorrelationError as error:
+            if error.code is not ErrorCode.NO_CORRELATION:
+                raise
+            return None
 
     def _follow(self, link: _Link, texture: np.ndarray, step: int) -> tuple[_Link, xr.Dataset, float]:
         """Correlate with the present link, or with the latest step when the present link lost too many points.
@@ -196,24 +208,13 @@ class DisplacementTracker:
         CorrelationError
             The texture does not show the surface of the link.
         """
-        found = None
-        if predicted is not None:
-            try:
-                measured = self._measure(link, texture, predicted)
-                found = measured, _agreement(measured, texture.shape)
-                if found[1] >= TURNED * self._agreed:
-                    return found
-            except CorrelationError as error:
-                if error.code is not ErrorCode.NO_CORRELATION:
-                    raise
-        try:
-            measured = self._measure(link, texture, None)
-        except CorrelationError:
-            if found is None:
-                raise
+        found = None if predicted is None else self._attempt(link, texture, predicted)
+        if found is None:
+            return self._measure(link, texture)
+        if found[1] >= TURNED * self._agreed:
             return found
-        anew = measured, _agreement(measured, texture.shape)
-        return anew if found is None or anew[1] > found[1] else found
+        anew = self._attempt(link, texture)
+        return found if anew is None or anew[1] <= found[1] else anew
 
     def _correlate_with_last(self, link: _Link, texture: np.ndarray) -> tuple[_Link, xr.Dataset, float] | None:
         """Correlate with the latest step; None when it is the link itself, is not to be used, or does not agree."""
@@ -221,13 +222,8 @@ class DisplacementTracker:
         if self._parameters.rereference_fraction == 0 or last is None or last.step == link.step:
             return None
         last = self._prepare(last)
-        try:
-            measured = self._measure(last, texture, None)
-        except CorrelationError as error:
-            if error.code is not ErrorCode.NO_CORRELATION:
-                raise
-            return None
-        return last, measured, _agreement(measured, texture.shape)
+        found = self._attempt(last, texture)
+        return None if found is None else (last, *found)
 
     def _prepare(self, link: _Link) -> _Link:
         """Prepare the texture of a link for correlation."""
