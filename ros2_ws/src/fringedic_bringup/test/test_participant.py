@@ -1,14 +1,25 @@
-"""A node of a command that is interrupted while it handles messages."""
+"""Nodes of a command or script: interrupted while they handle messages, and ended before the program is."""
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import pytest
+import rclpy
+from rclpy.action.client import ActionClient
+from rclpy.action.server import ActionServer
+from rclpy.node import Node
 
+from fringedic_bringup.client import RigClient
 from fringedic_bringup.participant import Participant
+from fringedic_msgs.action import MoveCrosshead
+from fringedic_ros.spinning import Spinning
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -71,3 +82,39 @@ def test_all_handlers_are_restored_and_called_although_one_raises(monkeypatch: p
         for number, handler in before.items():
             signal.signal(number, handler)
         participant.close()
+
+
+@contextmanager
+def machine() -> Iterator[None]:
+    """Run a node that serves moves and requests them."""
+    rclpy.init()
+    with Spinning() as loop:
+        node = loop.add(Node("machine", namespace="rig"))
+        ActionServer(node, MoveCrosshead, "move_crosshead", lambda _: MoveCrosshead.Result())
+        ActionClient(node, MoveCrosshead, "move_crosshead")
+        yield
+    rclpy.try_shutdown()
+
+
+@pytest.mark.parametrize(("name", "running"), [("machine", machine), ("client", RigClient)])
+def test_a_node_with_actions_leaves_the_graph_when_it_ends(
+    name: str, running: Callable[[], AbstractContextManager[Any]]
+) -> None:
+    """Where many stayed until Python collected them, a later client took its server as missing."""
+    witness = Participant("witness", "rig")
+
+    def wait(*, present: bool) -> None:
+        end = time.monotonic() + 60
+        while (name in witness.node.get_node_names()) is not present:
+            assert time.monotonic() < end, f"{name}: in the graph {not present}"
+            witness.spin_once(0.01)
+
+    gc.disable()
+    try:
+        with running() as kept:
+            wait(present=True)
+        wait(present=False)
+        del kept  # not earlier
+    finally:
+        gc.enable()
+        witness.close()

@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
+from rclpy.action import ActionClient, ActionServer
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 
@@ -33,7 +34,7 @@ class Spinning:
         self._executor.shutdown()
         self._thread.join()
         for node in self._nodes:
-            node.destroy_node()
+            end_node(node)
 
     def add(self, node: NodeT) -> NodeT:
         """Spin a further node, which this context owns from now on."""
@@ -72,3 +73,16 @@ class Spinning:
     def _spin(self) -> None:
         with contextlib.suppress(ExternalShutdownException):  # the context ended first
             self._executor.spin()
+
+
+def end_node(node: Node) -> None:
+    """Destroy a node with its action clients and servers, for programs that go on.
+
+    ``destroy_node`` leaves these, and they keep its participant in the graph, and the shared memory of other processes
+    mapped, until Python collects them. Of some thirty such participants in a process, only half of the endpoints of one
+    were known, and a client then takes its server as missing.
+    """
+    for waitable in list(node.waitables):
+        if isinstance(waitable, ActionClient | ActionServer):
+            waitable.destroy()
+    node.destroy_node()

@@ -136,10 +136,7 @@ rclpy.spin(node)
 
 @contextmanager
 def killed_stage(namespace: str, then: Callable[[], object] = lambda: None) -> Iterator[None]:
-    """Run a stage that never answers and is killed at its first request; `then` is called after that, in a thread.
-
-    For the last tests of a module: its shared memory stays, through which nodes of the same domain may lose messages.
-    """
+    """Run a stage that never answers and is killed at its first request; `then` is called after that, in a thread."""
     command = [sys.executable, "-c", _SILENT_STAGE, namespace]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
 
