@@ -29,14 +29,12 @@ from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import Exposure, LoadState, RigCalibration, StepStatus
 from fringedic_msgs.srv import CaptureFrame
 from fringedic_ros.images import image_array, image_message
-from fringedic_ros.parameter_docs import documented
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, STATE
 from fringedic_ros.records import calibration_message
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
 
 MODULE = "camera_node.camera_node"
-PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "camera.md"
 JUMPING_CLOCK = Path(__file__).parents[4] / "tests" / "jumping_clock"  # back by 60 s at SIGUSR1
 Request = CaptureFrame.Request
 FRINGES = {"kind": int(PatternKind.FRINGES), "pitch": 25.0, "shift": 2, "shifts": 4}
@@ -361,9 +359,3 @@ def test_clock_that_is_set_back(studio: Studio, tmp_path: Path, monkeypatch: pyt
         response = studio.capture()
         assert response.error_code == Request.NONE, response.error_message
         assert abs(response.stamp.sec + 60 - time.time()) < 30
-
-
-def test_page_is_up_to_date() -> None:
-    text = PAGE.read_text()
-    assert "<!-- parameters: camera_node.camera_node:CameraParameters -->" in text
-    assert documented(text) == text, f"run python -m fringedic_ros.parameter_docs {PAGE}"

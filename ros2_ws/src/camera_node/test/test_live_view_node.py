@@ -19,14 +19,12 @@ from fringedic.frames.records import FrameRecord
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic_msgs.msg import Exposure, LiveView
 from fringedic_ros.images import image_array, image_message
-from fringedic_ros.parameter_docs import documented
 from fringedic_ros.qos import DERIVED, IMAGES
 from fringedic_ros.records import exposure_message
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
 
 MODULE = "camera_node.live_view_node"
-PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "live_view.md"
 
 
 class Studio(Peer):
@@ -120,9 +118,3 @@ def test_region_is_told_and_one_outside_the_image_is_named(studio: Studio, tmp_p
         assert studio.send().width == 160, "the next frame works"
     with pytest.raises(ValueError, match="four numbers"):
         LiveViewParameters(region_px=[32, 40, 64])
-
-
-def test_page_is_up_to_date() -> None:
-    text = PAGE.read_text()
-    assert "<!-- parameters: camera_node.live_view_node:LiveViewParameters -->" in text
-    assert documented(text) == text, f"run python -m fringedic_ros.parameter_docs {PAGE}"

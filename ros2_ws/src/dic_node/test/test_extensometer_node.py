@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,13 +17,11 @@ from fringedic.frames.records import FrameRecord
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic_msgs.msg import Exposure, StepStatus
 from fringedic_ros.images import image_message
-from fringedic_ros.parameter_docs import documented
 from fringedic_ros.qos import EVENTS, IMAGES, STATE
 from fringedic_ros.records import exposure_message
 from fringedic_ros.testing import NodeProcess, Peer
 
 ROWS, COLUMNS = 480, 640
-PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "extensometer.md"
 
 
 class Rig(Peer):
@@ -161,9 +158,3 @@ def test_every_frame_of_a_stream_is_answered_or_replaced_by_a_newer_one(rig: Rig
     rig.wait(lambda: rig.strains and abs(rig.strains[-1].data - 0.005) < 1e-4, "the strain of the last frame")
     read = [strain.data for strain in rig.strains if not np.isnan(strain.data)]
     assert read == sorted(read)
-
-
-def test_page_is_up_to_date() -> None:
-    text = PAGE.read_text()
-    assert "<!-- parameters: dic_node.extensometer_node:ExtensometerParameters -->" in text
-    assert documented(text) == text, f"run python -m fringedic_ros.parameter_docs {PAGE}"

@@ -34,6 +34,15 @@ class ExperimentParameters(BaseModel):
     )
     projector_width_px: int = Field(800, ge=1, le=16384, description="Columns of the projector [px].")
     projector_height_px: int = Field(600, ge=1, le=16384, description="Rows of the projector [px].")
+    camera_first_column_px: int = Field(
+        -1,
+        ge=-1,
+        le=32768,
+        description="Column of the sensor with which the camera's image begins, for calibrations [px]; -1: not known.",
+    )
+    camera_first_row_px: int = Field(
+        -1, ge=-1, le=32768, description="Row of the sensor with which it begins [px]; -1: not known."
+    )
     pitches_px: list[float] = Field(
         [800.0, 160.0, 40.0, 10.0], description="Fringe pitches, coarse to fine [projector pixel]."
     )

@@ -45,6 +45,8 @@ ANGLES = np.radians([0.0, -18.0, -9.0, 6.0, 12.0, 18.0])
 PARAMETERS = {
     "projector_width_px": EXACT.projector_width,
     "projector_height_px": EXACT.projector_height,
+    "camera_first_column_px": 64,
+    "camera_first_row_px": 32,
     "pitches_px": PITCHES,
     "shifts": SHIFTS,
     "camera_timeout_s": 2.0,
@@ -281,6 +283,7 @@ def test_calibration_from_begin_to_end(rig: Rig, tmp_path: Path) -> None:
     published = RigModel.from_message(rig.calibrations[-1])
     kept = Calibrated.load(tmp_path)
     assert published.identifier == kept.model.identifier == result.identifier
+    assert (published.camera_first_column, published.camera_first_row) == (64, 32)
     assert published.projector_position == kept.model.projector_position
     phase = plane_phase(math.radians(7.0), 2e-3, seed=99)
     measured, exact = (model.reconstruct(phase, PITCHES[-1]).z.values for model in (published, EXACT))

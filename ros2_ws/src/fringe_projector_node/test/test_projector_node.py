@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,13 +15,11 @@ from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPatter
 from fringedic.patterns.render import render_pattern
 from fringedic_msgs.srv import ShowPattern
 from fringedic_ros.images import image_array
-from fringedic_ros.parameter_docs import documented
 from fringedic_ros.qos import LATCHED
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
 
 WIDTH, HEIGHT = 100, 75
-PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "projector.md"
 
 
 class Audience(Peer):
@@ -126,9 +123,3 @@ def test_inactive_projector_refuses(audience: Audience) -> None:
     assert "not active" in response.error_message
     assert transition(Transition.TRANSITION_ACTIVATE)
     assert audience.show(kind=int(PatternKind.WHITE)).error_code == ShowPattern.Request.NONE
-
-
-def test_page_is_up_to_date() -> None:
-    text = PAGE.read_text()
-    assert "<!-- parameters: fringe_projector_node.projector_node:ProjectorParameters -->" in text
-    assert documented(text) == text, f"run python -m fringedic_ros.parameter_docs {PAGE}"

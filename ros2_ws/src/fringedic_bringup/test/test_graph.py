@@ -29,6 +29,8 @@ def test_real_devices_get_the_parameters_of_the_rig_file(tmp_path: Path) -> None
     camera = nodes["camera"]
     assert camera["source"] == "aravis"
     assert (camera["camera"], camera["region_px"]) == ("192.168.1.20", [0, 64, 1280, 960])
+    experiment = nodes["experiment"]
+    assert (experiment["camera_first_column_px"], experiment["camera_first_row_px"]) == (0, 64)
     assert (camera["exposure_time_s"], camera["gain_db"], camera["trigger"]) == (0.0167, 3.0, "software")
     assert nodes["projector"] == {"width_px": 1920, "height_px": 1080, "screen": "display", "display": 1}
     machine_file = str(tmp_path / "frame.yaml")

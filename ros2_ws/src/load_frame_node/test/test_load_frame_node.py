@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,13 +17,11 @@ from std_srvs.srv import Trigger
 
 from fringedic_msgs.action import MoveCrosshead
 from fringedic_msgs.msg import LoadState
-from fringedic_ros.parameter_docs import documented
 from fringedic_ros.qos import STATE
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
 
 MM = 1e-3
-PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "load_frame.md"
 Result = MoveCrosshead.Result
 
 
@@ -181,9 +178,3 @@ def test_limit_that_is_no_number_is_refused(operator: Operator, kind: str, limit
     assert (answer.status, answer.result.error_code) == (GoalStatus.STATUS_ABORTED, Result.INVALID_GOAL)
     assert f"a limit of the force is {limit:g} N; give a finite number" in answer.result.error_message
     assert operator.now().position == before
-
-
-def test_page_is_up_to_date() -> None:
-    text = PAGE.read_text()
-    assert "<!-- parameters: load_frame_node.load_frame_node:LoadFrameParameters -->" in text
-    assert documented(text) == text, f"run python -m fringedic_ros.parameter_docs {PAGE}"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -13,12 +12,10 @@ import rclpy
 
 from fringedic_msgs.msg import ReferencePlane
 from fringedic_msgs.srv import PlaceReferencePlane
-from fringedic_ros.parameter_docs import documented
 from fringedic_ros.qos import LATCHED
 from fringedic_ros.spinning import Spinning
 from load_frame_node.stage_node import StageNode
 
-PAGE = Path(__file__).parents[4] / "docs" / "nodes" / "stage.md"
 Request = PlaceReferencePlane.Request
 
 
@@ -94,8 +91,3 @@ def test_an_inactive_stage_refuses(rig: Rig) -> None:
     rig.stage.trigger_activate()
     assert not response.success
     assert "not active" in response.message
-
-
-def test_page_lists_the_parameters() -> None:
-    text = PAGE.read_text()
-    assert documented(text) == text, f"run python -m fringedic_ros.parameter_docs {PAGE}"

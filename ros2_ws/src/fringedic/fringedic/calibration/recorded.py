@@ -17,7 +17,7 @@ from fringedic.recording.reader import BagReader
 from fringedic.rig.compatibility import check_calibration
 from fringedic.steps.phase import phase_step
 from fringedic.steps.recorded_parameters import RecordedParameters
-from fringedic.steps.recorded_rig import recorded_setup
+from fringedic.steps.recorded_rig import recorded_first, recorded_setup
 
 _TOPICS = ("camera/image_raw", "camera/exposure", "node_parameters")
 
@@ -126,9 +126,10 @@ class _Replay:
     def _begin(self, plane: Any, stack: Stack, parameters: RecordedParameters) -> None:
         rig = parameters.settings(None).rig["experiment"]
         size = (rig["projector_width_px"], rig["projector_height_px"])
+        first = recorded_first(rig) or (-1, -1)
         finest = stack.patterns[-1]
         self.session.locate_pin_hole(self._sigma_grid, finest.orientation)
-        self.session.begin(Setting(self._name, size, finest, plane.sigma_angle, plane.sigma_height))
+        self.session.begin(Setting(self._name, size, finest, plane.sigma_angle, plane.sigma_height, first))
         self._begun = True
 
 

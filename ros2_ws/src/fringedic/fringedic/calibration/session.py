@@ -58,6 +58,8 @@ class Setting:
         The fringes that the phases belong to.
     sigma_angle, sigma_height
         Standard uncertainty of the stage [rad, m].
+    camera_first
+        (column, row) of the sensor with which the camera's image begins [px]; -1 when unknown.
     """
 
     identifier: str
@@ -65,6 +67,7 @@ class Setting:
     finest: ProjectedPattern
     sigma_angle: float = 0.0
     sigma_height: float = 0.0
+    camera_first: tuple[int, int] = (-1, -1)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -238,7 +241,9 @@ class CalibrationSession:
             warnings.append(Finding(CalibrationWarning.DRIFT_UNKNOWN))
         elif self.drift > noise:
             warnings.append(Finding(CalibrationWarning.DRIFT, values={"change": self.drift, "noise": noise}))
-        self.result = dataclasses.replace(fitted, warnings=tuple(warnings))
+        column, row = setting.camera_first
+        model = dataclasses.replace(fitted.model, camera_first_column=column, camera_first_row=row)
+        self.result = dataclasses.replace(fitted, model=model, warnings=tuple(warnings))
         return self.result
 
     def save_grid(self, folder: Path) -> None:

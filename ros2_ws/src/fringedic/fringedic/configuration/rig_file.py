@@ -129,6 +129,10 @@ class RigFile(Section):
         """Return (width, height) of the images [px], None when it is known from the image files only."""
         return self._size(self.camera, "camera")
 
+    def camera_first(self) -> tuple[int, int] | None:
+        """Return the (column, row) of the sensor with which the images begin [px], None when it is not known."""
+        return (self.camera.first_column, self.camera.first_row) if self.camera.source == "aravis" else None
+
     def projector_size(self) -> tuple[int, int] | None:
         """Return (width, height) of the projector's image [px], None without a projector."""
         return None if self.projector is None else self._size(self.projector, "projector")
@@ -174,7 +178,9 @@ class RigFile(Section):
     def setup(self) -> RigSetup:
         """Return the parts of the rig that its calibration has to fit."""
         absolute = self.nodes.phase.relative_phase == "refuse"
-        return RigSetup(self.camera_size(), self.projector_size(), self.patterns() if absolute else ())
+        return RigSetup(
+            self.camera_size(), self.projector_size(), self.patterns() if absolute else (), self.camera_first()
+        )
 
     def calibration_file(self, path: str | os.PathLike[str]) -> Path | None:
         """Return the file of the calibration that this file, at `path`, names; None when it names no file."""

@@ -30,6 +30,8 @@ class RigSetup:
     ----------
     camera_size, projector_size
         (width, height) of their images [px]; None when unknown.
+    camera_first
+        (column, row) of the sensor with which the camera's image begins [px]; None when unknown.
     patterns
         Patterns of a step whose phase has to be absolute; empty when unknown.
     """
@@ -37,6 +39,7 @@ class RigSetup:
     camera_size: tuple[int, int] | None = None
     projector_size: tuple[int, int] | None = None
     patterns: Sequence[ProjectedPattern] = ()
+    camera_first: tuple[int, int] | None = None
 
 
 def check_calibration(calibration: RigGeometry, setup: RigSetup) -> None:
@@ -52,13 +55,19 @@ def check_calibration(calibration: RigGeometry, setup: RigSetup) -> None:
     Raises
     ------
     CalibrationError
-        With the code OTHER_RIG: camera or projector have another size; its lengths contradict each
-        other, as those in different units do; the projector does not light the camera's view.
+        With the code OTHER_RIG: camera or projector have another size; the image begins elsewhere on the sensor; its
+        lengths contradict each other, as those in different units do; the projector does not light the camera's view.
     PatternError
         With the code INVALID_SEQUENCE: the coarsest fringes repeat in the view, so that fringe orders would be wrong.
     """
     if setup.camera_size is not None:
         check_camera(calibration, setup.camera_size)
+    known_first = (calibration.camera_first_column, calibration.camera_first_row)
+    if setup.camera_first not in (None, known_first) and min(known_first) >= 0:
+        raise _other_rig(
+            f"{_name(calibration)} is that of images which begin at (column, row) {known_first} of the sensor, those "
+            f"of this camera begin at {setup.camera_first}: use the region of the calibration, or calibrate again"
+        )
     if setup.projector_size is not None:
         known = (calibration.projector_width, calibration.projector_height)
         _check_size(calibration, "projector", known, setup.projector_size)

@@ -20,6 +20,8 @@ _SECTIONS: dict[str, dict[str, tuple[str, float]]] = {
     "camera": {
         "width_px": ("camera_width", _ONE),
         "height_px": ("camera_height", _ONE),
+        "first_column_px": ("camera_first_column", _ONE),
+        "first_row_px": ("camera_first_row", _ONE),
         "distance_mm": ("camera_distance", _MM),
         "pixel_size_mm": ("pixel_size", _MM),
         "pixel_aspect": ("pixel_aspect", _ONE),

@@ -24,8 +24,8 @@ from fringedic.patterns.pattern import Orientation
 from fringedic.rig.projector_lens import ProjectorLens, distorted
 
 SIX_PARAMETER, GENERAL = "six_parameter", "general"
-ADDED = ("projector_k2", "projector_p1", "projector_p2", "projector_k3")
-"""Fields that files and messages of older versions lack; 0 there."""
+ADDED = ("projector_k2", "projector_p1", "projector_p2", "projector_k3", "camera_first_column", "camera_first_row")
+"""Fields that files and messages of older versions lack; they have their default there."""
 _OLDER_MODEL_NAMES = {"paper": SIX_PARAMETER}  # in files and messages of older versions
 
 # Names of the parameters that a covariance contains, and the field (with its index) of the geometry that each is.
@@ -82,6 +82,8 @@ class RigGeometry:
     projector_p1: float = 0.0
     projector_p2: float = 0.0
     projector_k3: float = 0.0
+    camera_first_column: int = -1
+    camera_first_row: int = -1
     identifier: str = ""
     model: str = GENERAL
     source: str = ""

@@ -32,6 +32,8 @@ class RigModel(RigGeometry):
     ----------
     camera_width, camera_height
         Size of the camera's image [px].
+    camera_first_column, camera_first_row
+        Pixel of the sensor with which the image begins [px]; -1 when it is not known.
     camera_distance
         h0, height of the camera's pin-hole above the reference plane [m].
     pixel_size

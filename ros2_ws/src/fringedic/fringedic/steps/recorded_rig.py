@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import groupby
 from typing import Any
 
@@ -25,8 +25,8 @@ def recorded_setup(bag: BagReader) -> RigSetup:
     Returns
     -------
     RigSetup
-        The size of the first image, the recorded size of the projector, and the patterns of the first fringe step;
-        no patterns where the recorded parameters accept a relative phase.
+        The size of the first image, where it begins on the sensor, the recorded size of the projector, and the patterns
+        of the first fringe step; no patterns where the recorded parameters accept a relative phase.
 
     Raises
     ------
@@ -43,8 +43,31 @@ def recorded_setup(bag: BagReader) -> RigSetup:
     return RigSetup(
         camera_size=None if image is None else (image.width, image.height),
         projector_size=(width, height) if shown and width and height else None,
+        camera_first=recorded_first(experiment),
         patterns=shown if parameters.phase.relative_phase == "refuse" else (),
     )
+
+
+def recorded_first(experiment: Mapping[str, Any]) -> tuple[int, int] | None:
+    """Return the (column, row) of the sensor with which the images begin [px].
+
+    Parameters
+    ----------
+    experiment
+        Recorded parameters of the experiment node.
+
+    Returns
+    -------
+    tuple or None
+        None when they are not known, as in older recordings.
+
+    Examples
+    --------
+    >>> recorded_first({"camera_first_column_px": 64, "camera_first_row_px": 32}), recorded_first({})
+    ((64, 32), None)
+    """
+    column, row = (experiment.get(f"camera_first_{name}_px", -1) for name in ("column", "row"))
+    return None if min(column, row) < 0 else (column, row)
 
 
 def require_calibration(bag: BagReader) -> None:

@@ -39,6 +39,17 @@ def test_calibration_of_another_size_is_refused_with_both(setup, values):
     assert refused.value.code is ErrorCode.OTHER_RIG
 
 
+def test_calibration_of_another_part_of_the_sensor_is_refused_with_both():
+    """x and y would be wrong by the distance of the two parts."""
+    region = replace(TINY, camera_first_column=64, camera_first_row=32)
+    check_calibration(region, RigSetup(camera_first=(64, 32)))
+    check_calibration(region, RigSetup())
+    check_calibration(TINY, RigSetup(camera_first=(0, 32)))  # of an older file, where it is not known
+    with pytest.raises(CalibrationError, match=r"\(64, 32\) of the sensor.*begin at \(0, 32\)") as refused:
+        check_calibration(region, RigSetup(camera_first=(0, 32)))
+    assert refused.value.code is ErrorCode.OTHER_RIG
+
+
 @pytest.mark.parametrize("factor", [1e-3, 1e3])
 @pytest.mark.parametrize("view_degree", [0.3, 1.0, 9.0, 50.0, 119.0])
 def test_scale_in_another_unit_is_refused_for_every_lens(view_degree, factor):

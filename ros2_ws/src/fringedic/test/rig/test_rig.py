@@ -180,11 +180,14 @@ def test_yaml_round_trip_in_units_of_people(tmp_path: Path) -> None:
     rig = dataclasses.replace(
         BROWN,
         source="bench",
+        camera_first_column=320,
+        camera_first_row=240,
         parameter_names=("camera_distance", "projector_x"),
         covariance=(1e-8, 1e-9, 1e-9, 4e-8),
     )
     path = tmp_path / "rig.yaml"
     rig.to_yaml(path)
+    assert RigModel.from_message(SimpleNamespace(**rig.message_fields())) == rig
     text = path.read_text()
     assert "distance_mm: 600.0" in text
     assert "pixel_size_mm: 0.5" in text

@@ -407,6 +407,9 @@ def _experiment(rig: RigFile, experiment: str) -> dict[str, Any]:
         parameters |= {name: getattr(rig.load_frame, name) for name in names}
     if rig.virtual_rig is not None:
         parameters["camera_timeout_s"] = RENDERING_TIMEOUT_S
+    first = rig.camera_first()
+    if first is not None:
+        parameters |= {"camera_first_column_px": first[0], "camera_first_row_px": first[1]}
     size = rig.projector_size()
     if size is not None:
         pitches = rig.pitches()
