@@ -1,6 +1,7 @@
 # make demo   three virtual experiments through the real nodes, with a table of errors against the truth
 # make check  style, types, import contracts, unit tests of the library
-# make test   make check with coverage, then tests of the nodes, the running system, the pages and the notebooks
+# make test   make check, then tests of the nodes, the running system, the pages and the notebooks
+# make coverage       the lines that the unit tests of the library leave out
 # make test-stock     the tests that need a sourced ROS 2 installation with its tools
 # make test-hardware  the tests that need system packages: real devices, a browser
 # make docs   the documentation site in docs/_build/html; warnings are errors
@@ -12,7 +13,7 @@ SHELL := /bin/bash
 ENVIRONMENT := . setup/environment.sh
 OUTPUT ?= demo
 
-.PHONY: help setup demo check test test-stock test-hardware docs bench clean
+.PHONY: help setup demo check test coverage test-stock test-hardware docs bench clean
 
 help:
 	@sed -n 's/^# make/make/p' Makefile
@@ -28,6 +29,9 @@ check: setup
 
 test: setup
 	@$(ENVIRONMENT) && setup/check.sh
+
+coverage: setup
+	@$(ENVIRONMENT) && python -m pytest -n auto --dist loadfile --doctest-modules --cov --cov-report=term:skip-covered ros2_ws/src/fringedic
 
 test-stock: setup
 	@$(ENVIRONMENT) && python -m pytest -m stock

@@ -1,8 +1,7 @@
 #!/usr/bin/env bash
 # Checks the project in the environment that set-up has made.
 #   check.sh library   style, types, import contracts, and the unit tests of the library
-#   check.sh           the same with the coverage of these tests, then tests of the nodes, of the running system, of the
-#                      pages and notebooks
+#   check.sh           the same, then tests of the nodes, of the running system, of the pages and notebooks
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -19,12 +18,8 @@ mypy >"$types" 2>&1 &
 # A worker that has crashed is not replaced: its test would be repeated up to 16 times, and then waited for without end.
 # Tests press Ctrl-C and close terminals, which processes ignore that were started in the background or by nohup.
 pytest=(env --default-signal=INT,HUP python -m pytest --dist loadfile --no-loadscope-reorder --max-worker-restart 0)
-coverage=(--cov --cov-report=term:skip-covered)
-if [ "${1:-}" = library ]; then
-    coverage=() # it costs a third of the time
-fi
 library=passed
-"${pytest[@]}" -n "$(nproc)" --doctest-modules "${coverage[@]}" ros2_ws/src/fringedic || library=failed
+"${pytest[@]}" -n "$(nproc)" --doctest-modules ros2_ws/src/fringedic || library=failed
 wait $! || library=failed
 cat "$types"
 [ $library = passed ]
