@@ -25,6 +25,8 @@ class CalibratedCamera(Section):
 
     width_px: int = Field(ge=16, description="Width of the image [px].")
     height_px: int = Field(ge=16, description="Height of the image [px].")
+    first_column_px: int = Field(-1, ge=-1, description="Column of the sensor with which it begins; -1: not known.")
+    first_row_px: int = Field(-1, ge=-1, description="Row of the sensor with which it begins; -1: not known.")
     distance_mm: float = Field(gt=0, description="Distance h0 from the reference plane [mm].")
     pixel_size_mm: float = Field(
         gt=0, description="Length of a row on the reference plane at the principal point [mm]."
@@ -88,6 +90,8 @@ class CalibrationSection(Section):
             source=self.source or rig_file,
             camera_width=camera.width_px,
             camera_height=camera.height_px,
+            camera_first_column=camera.first_column_px,
+            camera_first_row=camera.first_row_px,
             camera_distance=camera.distance_mm * MILLI,
             pixel_size=camera.pixel_size_mm * MILLI,
             pixel_aspect=camera.pixel_aspect,

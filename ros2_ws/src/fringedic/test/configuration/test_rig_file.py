@@ -1,6 +1,7 @@
 """Rig files: what people write, in their units, and what they are told when it is wrong."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import yaml
@@ -120,7 +121,7 @@ def test_calibration_in_the_file_is_translated_to_si(tmp_path):
 
 def test_a_calibration_file_can_be_named_or_pasted(tmp_path):
     file = write(tmp_path, CALIBRATED)
-    model = load_calibration(load_rig_file(file), file)
+    model = replace(load_calibration(load_rig_file(file), file), camera_first_column=64)
     model.to_yaml(tmp_path / "bench.yaml")
     named = write(tmp_path, changed(CALIBRATED, "calibration", "bench.yaml"), "named.yaml")
     assert load_calibration(load_rig_file(named), named) == RigModel.from_yaml(tmp_path / "bench.yaml")
@@ -128,6 +129,7 @@ def test_a_calibration_file_can_be_named_or_pasted(tmp_path):
     pasted = write(tmp_path, changed(CALIBRATED, "calibration", content), "pasted.yaml")
     again = load_calibration(load_rig_file(pasted), pasted)
     assert again.projector_rotation == pytest.approx(model.projector_rotation)
+    assert (again.camera_first_column, again.camera_first_row) == (64, -1)
     assert (again.source, again.camera_distance) == (model.source, pytest.approx(model.camera_distance))
 
 
