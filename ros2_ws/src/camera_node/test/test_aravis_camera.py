@@ -170,10 +170,8 @@ def plug_in_with(camera: FakeCamera, folder: Path, before: str, addition: str) -
 
 
 def assert_rate(stamps_ns: list[int], rate_hz: float) -> None:
-    """Check that a camera exposed at a rate; a busy computer delays the frames of this one, but hastens none."""
-    periods = 1e-9 * rate_hz * np.diff(stamps_ns)
-    assert periods.sum() > len(periods) - 1, "only the first frame may have been delayed more than the last one"
-    assert 0.5 < np.median(periods) < 1.5
+    """Check the period of most frames: a busy computer delays some, also longer than a period."""
+    assert 0.75 < np.median(1e-9 * rate_hz * np.diff(stamps_ns)) < 1.5
 
 
 @pytest.mark.usefixtures("camera")
