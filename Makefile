@@ -1,7 +1,7 @@
 # make demo   three virtual experiments through the real nodes, with a table of errors against the truth
 # make check  style, types, import contracts, unit tests of the library
 # make test   make check, then tests of the nodes, the running system, the pages and the notebooks
-# make coverage       the lines that the unit tests of the library leave out
+# make coverage       make check with the lines that the unit tests of the library leave out
 # make test-stock     the tests that need a sourced ROS 2 installation with its tools
 # make test-hardware  the tests that need system packages: real devices, a browser
 # make docs   the documentation site in docs/_build/html; warnings are errors
@@ -31,7 +31,7 @@ test: setup
 	@$(ENVIRONMENT) && setup/check.sh
 
 coverage: setup
-	@$(ENVIRONMENT) && python -m pytest -n auto --dist loadfile --doctest-modules --cov --cov-report=term:skip-covered ros2_ws/src/fringedic
+	@$(ENVIRONMENT) && COVERAGE=yes setup/check.sh library
 
 test-stock: setup
 	@$(ENVIRONMENT) && python -m pytest -m stock

@@ -2,6 +2,7 @@
 # Checks the project in the environment that set-up has made.
 #   check.sh library   style, types, import contracts, and the unit tests of the library
 #   check.sh           the same, then tests of the nodes, of the running system, of the pages and notebooks
+# With COVERAGE=yes the coverage of the library by its unit tests is measured, which costs a third of their time.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
@@ -18,8 +19,9 @@ mypy >"$types" 2>&1 &
 # A worker that has crashed is not replaced: its test would be repeated up to 16 times, and then waited for without end.
 # Tests press Ctrl-C and close terminals, which processes ignore that were started in the background or by nohup.
 pytest=(env --default-signal=INT,HUP python -m pytest --dist loadfile --no-loadscope-reorder --max-worker-restart 0)
+coverage=(${COVERAGE:+--cov --cov-report=term:skip-covered})
 library=passed
-"${pytest[@]}" -n "$(nproc)" --doctest-modules ros2_ws/src/fringedic || library=failed
+"${pytest[@]}" -n "$(nproc)" --doctest-modules "${coverage[@]}" ros2_ws/src/fringedic || library=failed
 wait $! || library=failed
 cat "$types"
 [ $library = passed ]

@@ -169,9 +169,9 @@ def plug_in_with(camera: FakeCamera, folder: Path, before: str, addition: str) -
     camera.plug_in(description=description)
 
 
-def assert_rate(stamps_ns: list[int], rate_hz: float) -> None:
-    """Check the period of most frames: a busy computer delays some, also longer than a period."""
-    assert 0.75 < np.median(1e-9 * rate_hz * np.diff(stamps_ns)) < 1.5
+def period_ms(stamps_ns: list[int]) -> float:
+    """Return the median period of a stream, which single frames do not shift that a busy computer delays."""
+    return float(1e-6 * np.median(np.diff(stamps_ns)))
 
 
 @pytest.mark.usefixtures("camera")
@@ -183,7 +183,7 @@ def test_stream_of_a_region_is_complete_and_evenly_stamped() -> None:
         assert opened.camera.get_frame_rate() == pytest.approx(60.0, rel=1e-3)
         opened.stop()
         assert dropped == counts["packets_lost"] == 0, counts
-        assert_rate([frame.stamp_ns for frame in frames], 60.0)
+        assert period_ms([frame.stamp_ns for frame in frames]) == pytest.approx(1000 / 60, rel=0.02)
         steps = np.median(np.diff([frame.image[0, :] for frame in frames], axis=0), axis=1)  # modulo 256
         assert len(set(steps)) == 1, "every frame moves the ramp by the same step: none is missing or repeated"
         assert clock is not None
@@ -418,6 +418,6 @@ def test_node_streams_at_30_hz_and_publishes_its_clock(studio: Studio, tmp_path:
     indices = [record.index for record in records]
     assert indices == list(range(indices[0], indices[0] + len(indices)))
     assert records[-1].dropped == 0
-    assert_rate([record.stamp for record in records], 30.0)
+    assert period_ms([record.stamp for record in records]) == pytest.approx(1000 / 30, rel=0.1)
     assert image_array(studio.images[0]).shape == (240, 320)
     assert studio.clocks[-1].clock == "camera"
