@@ -126,10 +126,11 @@ class _Replay:
     def _begin(self, plane: Any, stack: Stack, parameters: RecordedParameters) -> None:
         rig = parameters.settings(None).rig["experiment"]
         size = (rig["projector_width_px"], rig["projector_height_px"])
-        first = recorded_first(rig) or (-1, -1)
         finest = stack.patterns[-1]
         self.session.locate_pin_hole(self._sigma_grid, finest.orientation)
-        self.session.begin(Setting(self._name, size, finest, plane.sigma_angle, plane.sigma_height, first))
+        self.session.begin(
+            Setting(self._name, size, finest, plane.sigma_angle, plane.sigma_height, recorded_first(rig))
+        )
         self._begun = True
 
 

@@ -19,6 +19,7 @@ from fringedic.camera.grid import GridMeasurement, measure_distortion
 from fringedic.camera.tilted_grid import TiltedGrid, locate_pin_hole, measure_tilted_grid
 from fringedic.errors import CalibrationError
 from fringedic.patterns.pattern import Orientation, ProjectedPattern
+from fringedic.rig.geometry import UNKNOWN_FIRST
 
 DISTORTION_FILE = "distortion.yaml"
 
@@ -67,7 +68,7 @@ class Setting:
     finest: ProjectedPattern
     sigma_angle: float = 0.0
     sigma_height: float = 0.0
-    camera_first: tuple[int, int] = (-1, -1)
+    camera_first: tuple[int, int] = UNKNOWN_FIRST
 
 
 @dataclasses.dataclass(frozen=True)

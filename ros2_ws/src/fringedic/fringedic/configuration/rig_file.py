@@ -35,6 +35,7 @@ from fringedic.metadata import CalibrationMetadata, HardwareMetadata, Metadata, 
 from fringedic.patterns.pattern import ProjectedPattern
 from fringedic.patterns.sequences import step_sequence
 from fringedic.rig.compatibility import RigSetup, check_calibration
+from fringedic.rig.geometry import UNKNOWN_FIRST
 from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRigConfiguration
 
@@ -129,9 +130,9 @@ class RigFile(Section):
         """Return (width, height) of the images [px], None when it is known from the image files only."""
         return self._size(self.camera, "camera")
 
-    def camera_first(self) -> tuple[int, int] | None:
-        """Return the (column, row) of the sensor with which the images begin [px], None when it is not known."""
-        return (self.camera.first_column, self.camera.first_row) if self.camera.source == "aravis" else None
+    def camera_first(self) -> tuple[int, int]:
+        """Return the (column, row) of the sensor with which the images begin [px], -1 when it is not known."""
+        return (self.camera.first_column, self.camera.first_row) if self.camera.source == "aravis" else UNKNOWN_FIRST
 
     def projector_size(self) -> tuple[int, int] | None:
         """Return (width, height) of the projector's image [px], None without a projector."""

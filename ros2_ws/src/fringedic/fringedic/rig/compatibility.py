@@ -11,7 +11,7 @@ import xarray as xr
 
 from fringedic.errors import CalibrationError, ErrorCode, PatternError, number_text
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
-from fringedic.rig.geometry import RigGeometry
+from fringedic.rig.geometry import UNKNOWN_FIRST, RigGeometry
 
 # Half width of the view over its distance: 0.2 to 120 degree of view. The limits differ by a factor of 1000, so that a
 # length in m or µm instead of mm is outside for every lens between them.
@@ -31,7 +31,7 @@ class RigSetup:
     camera_size, projector_size
         (width, height) of their images [px]; None when unknown.
     camera_first
-        (column, row) of the sensor with which the camera's image begins [px]; None when unknown.
+        (column, row) of the sensor with which the camera's image begins [px]; -1 when unknown.
     patterns
         Patterns of a step whose phase has to be absolute; empty when unknown.
     """
@@ -39,7 +39,7 @@ class RigSetup:
     camera_size: tuple[int, int] | None = None
     projector_size: tuple[int, int] | None = None
     patterns: Sequence[ProjectedPattern] = ()
-    camera_first: tuple[int, int] | None = None
+    camera_first: tuple[int, int] = UNKNOWN_FIRST
 
 
 def check_calibration(calibration: RigGeometry, setup: RigSetup) -> None:
@@ -63,7 +63,7 @@ def check_calibration(calibration: RigGeometry, setup: RigSetup) -> None:
     if setup.camera_size is not None:
         check_camera(calibration, setup.camera_size)
     known_first = (calibration.camera_first_column, calibration.camera_first_row)
-    if setup.camera_first not in (None, known_first) and min(known_first) >= 0:
+    if known_first != setup.camera_first and min(*known_first, *setup.camera_first) >= 0:
         raise _other_rig(
             f"{_name(calibration)} is that of images which begin at (column, row) {known_first} of the sensor, those "
             f"of this camera begin at {setup.camera_first}: use the region of the calibration, or calibrate again"

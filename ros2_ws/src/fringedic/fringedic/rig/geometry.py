@@ -24,6 +24,8 @@ from fringedic.patterns.pattern import Orientation
 from fringedic.rig.projector_lens import ProjectorLens, distorted
 
 SIX_PARAMETER, GENERAL = "six_parameter", "general"
+UNKNOWN_FIRST = (-1, -1)
+"""(column, row) of the sensor with which an image begins, when it is not known."""
 ADDED = ("projector_k2", "projector_p1", "projector_p2", "projector_k3", "camera_first_column", "camera_first_row")
 """Fields that files and messages of older versions lack; they have their default there."""
 _OLDER_MODEL_NAMES = {"paper": SIX_PARAMETER}  # in files and messages of older versions
@@ -82,8 +84,8 @@ class RigGeometry:
     projector_p1: float = 0.0
     projector_p2: float = 0.0
     projector_k3: float = 0.0
-    camera_first_column: int = -1
-    camera_first_row: int = -1
+    camera_first_column: int = UNKNOWN_FIRST[0]
+    camera_first_row: int = UNKNOWN_FIRST[1]
     identifier: str = ""
     model: str = GENERAL
     source: str = ""

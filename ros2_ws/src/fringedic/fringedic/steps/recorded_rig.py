@@ -48,7 +48,7 @@ def recorded_setup(bag: BagReader) -> RigSetup:
     )
 
 
-def recorded_first(experiment: Mapping[str, Any]) -> tuple[int, int] | None:
+def recorded_first(experiment: Mapping[str, Any]) -> tuple[int, int]:
     """Return the (column, row) of the sensor with which the images begin [px].
 
     Parameters
@@ -58,16 +58,16 @@ def recorded_first(experiment: Mapping[str, Any]) -> tuple[int, int] | None:
 
     Returns
     -------
-    tuple or None
-        None when they are not known, as in older recordings.
+    tuple
+        -1 when they are not known, as in older recordings.
 
     Examples
     --------
     >>> recorded_first({"camera_first_column_px": 64, "camera_first_row_px": 32}), recorded_first({})
-    ((64, 32), None)
+    ((64, 32), (-1, -1))
     """
     column, row = (experiment.get(f"camera_first_{name}_px", -1) for name in ("column", "row"))
-    return None if min(column, row) < 0 else (column, row)
+    return column, row
 
 
 def require_calibration(bag: BagReader) -> None:

@@ -397,19 +397,19 @@ def _truth(rig: RigFile, folder: Path) -> dict[str, Any]:
 
 
 def _experiment(rig: RigFile, experiment: str) -> dict[str, Any]:
+    first_column, first_row = rig.camera_first()
     parameters: dict[str, Any] = {
         "experiment": experiment,
         "projector": rig.projector is not None,
         "recording_required": True,
+        "camera_first_column_px": first_column,
+        "camera_first_row_px": first_row,
     }
     if rig.load_frame is not None:
         names = ("hold_required", "load_drift_n", "position_drift_um")
         parameters |= {name: getattr(rig.load_frame, name) for name in names}
     if rig.virtual_rig is not None:
         parameters["camera_timeout_s"] = RENDERING_TIMEOUT_S
-    first = rig.camera_first()
-    if first is not None:
-        parameters |= {"camera_first_column_px": first[0], "camera_first_row_px": first[1]}
     size = rig.projector_size()
     if size is not None:
         pitches = rig.pitches()
