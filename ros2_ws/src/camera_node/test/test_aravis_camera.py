@@ -19,10 +19,11 @@ import numpy as np
 import pytest
 from rclpy.publisher import Publisher
 
-from camera_node.drivers import AravisDriver, AravisSettings, Frame, Scene, Trigger
+from camera_node.drivers import AravisDriver, AravisSettings, Frame, Scene, Trigger, aravis_connection
 from camera_node.testing import FakeCamera, Studio
 from fringedic.errors import CameraError, CameraTimeoutError
 from fringedic.frames.records import frame_record
+from fringedic.recording.clocks import DeviceClock
 from fringedic_msgs.msg import StepStatus
 from fringedic_msgs.srv import CaptureFrame
 from fringedic_ros.images import image_array
@@ -101,6 +102,30 @@ def test_frame_begins_after_it_was_asked_for(trigger: Trigger) -> None:
             assert late_ms >= earliest_ms, f"middle of an exposure of 10 ms {late_ms:.1f} ms after it was asked for"
             assert frame.stamp_ns < answered
             time.sleep(0.05)  # a camera of its own clock goes on meanwhile
+
+
+class LateAtFirst(DeviceClock):
+    """Clock of a camera whose first frames arrive late, as on a busy computer."""
+
+    device_ns = 0  # of the latest frame
+
+    def arrival(self, device_ns: int, arrived_ns: int) -> int:
+        LateAtFirst.device_ns = device_ns
+        late_ns = 60_000_000 if self._frames < 5 else 0
+        return super().arrival(device_ns, arrived_ns + late_ns)
+
+
+@pytest.mark.usefixtures("camera")
+def test_late_frames_of_a_new_stream_do_not_count_as_begun_later(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The fake camera stamps with this computer's clock, so the true start of every exposure is known."""
+    monkeypatch.setattr(aravis_connection, "DeviceClock", LateAtFirst)
+    exposure_s = 0.03  # of a period of 0.04 s: most requests meet an exposure that is under way
+    with driver(trigger=Trigger.INTERNAL, exposure_time=exposure_s) as opened:
+        for _ in range(6):
+            asked = time.time_ns()
+            opened.expose(Scene(0, (), 0.0, exposure_time=exposure_s))
+            begun_s = 1e-9 * (LateAtFirst.device_ns - asked) - exposure_s
+            assert begun_s > -0.005, f"the exposure began {-1e3 * begun_s:.1f} ms before it was asked for"
 
 
 @pytest.mark.usefixtures("camera")

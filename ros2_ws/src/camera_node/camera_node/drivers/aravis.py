@@ -22,10 +22,11 @@ from camera_node.drivers.aravis_library import error_message, load_aravis
 from camera_node.drivers.aravis_settings import PIXEL_TYPES, AravisSettings, Trigger
 from camera_node.drivers.driver import Frame, Scene
 from fringedic.errors import CameraError, CameraTimeoutError
-from fringedic.recording.clocks import ClockEstimate, DeviceClock
+from fringedic.recording.clocks import ClockEstimate
 
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 8.0  # between two attempts to find a lost camera
 _ATTEMPTS = 3  # to take a frame of which packets are lost, while its pattern is on the screen
+_LONGEST_SETTLING = 10  # frames of one request: the clock of a camera with exposures of 10 s never settles
 _TRANSFER_S = 0.25  # of a frame, from the end of its exposure
 _PIXEL_FORMATS = {name: f"PIXEL_FORMAT_MONO_{name.removeprefix('Mono')}" for name in PIXEL_TYPES}
 
@@ -165,10 +166,15 @@ class AravisDriver:
         asked = time.time_ns()
         if self._settings.trigger is Trigger.SOFTWARE:
             connection.camera.software_trigger()
+            return self._next(connection)
+        taken = 0
         while True:
             frame = self._next(connection)
-            # a clock or a generator goes on between requests: a frame that was under way began before this one
-            if self._settings.trigger is Trigger.SOFTWARE or frame.stamp_ns - asked >= 0.5e9 * frame.exposure_time:
+            taken += 1
+            # a clock or a generator goes on between requests: a frame that was under way began before this one, and one
+            # that arrived late seems to have begun later as long as the shortest delay is not known
+            settled = connection.clock.settled or taken >= _LONGEST_SETTLING
+            if settled and frame.stamp_ns - asked >= 0.5e9 * frame.exposure_time:
                 return frame
 
     def close(self) -> None:
@@ -268,7 +274,6 @@ class AravisDriver:
         width, height = buffer.get_image_width(), buffer.get_image_height()
         number_type = PIXEL_TYPES[self._settings.pixel_format]
         image = np.frombuffer(buffer.get_image_data(), number_type, count=width * height).reshape(height, width).copy()
-        clock = connection.clocks.setdefault(connection.exposure_time, DeviceClock())
-        arrival = clock.arrival(buffer.get_timestamp(), buffer.get_system_timestamp())
+        arrival = connection.clock.arrival(buffer.get_timestamp(), buffer.get_system_timestamp())
         # the first data leave the camera at the end of the exposure
         return Frame(image, arrival - round(0.5e9 * connection.exposure_time), connection.exposure_time)

@@ -71,6 +71,11 @@ class AravisConnection:
         for _ in range(_BUFFERS):
             self.stream.push_buffer(aravis.module.Buffer.new_allocate(self.camera.get_payload()))
 
+    @property
+    def clock(self) -> DeviceClock:
+        """Clock of the camera at the present exposure time."""
+        return self.clocks.setdefault(self.exposure_time, DeviceClock())
+
     def expect_frame(self) -> None:
         """Begin to look for packets that the receiver ignores."""
         self._ignored_before = self._ignored()

@@ -15,7 +15,8 @@ _BLOCK = 16  # frames of which the one with the shortest delay counts for the dr
 _SET_NS = 20_000_000  # a computer's clock is not slewed by more between two frames, besides _SLEW of their distance
 _SLEW = 1e-3  # [s/s] twice the largest slew rate of adjtime and NTP (RFC 5905: 500 ppm)
 _JUMP_NS = 1_000_000_000  # no frame arrives so much faster than all before
-_KNOWN = 10  # frames after which the shortest delay is known well enough to detect a jump
+_KNOWN = 10  # frames after which the shortest delay is known well enough
+_PAUSE_NS = 10_000_000_000  # after which the clocks may have drifted apart by 1 ms
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,7 @@ class DeviceClock:
         self._wall = wall_minus_steady()
         self._line = _Line()
         self._frames = 0
+        self._without_pause = 0  # latest frames
         self._device_ns = 0  # of the latest frame
         self._smallest = 0  # difference, extrapolated to the latest frame
         self._origin = 0, 0  # device time and difference at the origin of the line
@@ -96,6 +98,11 @@ class DeviceClock:
             drift_sigma=sigma,
             samples=self._line.points,
         )
+
+    @property
+    def settled(self) -> bool:
+        """Whether the shortest delay is known: from 10 frames or more, no two of them 10 s apart."""
+        return self._without_pause >= _KNOWN
 
     def arrival(self, device_ns: int, arrived_ns: int) -> int:
         """Return the time at which a frame would have arrived with the shortest delay, on this computer's clock [ns].
@@ -118,11 +125,12 @@ class DeviceClock:
         except ClockJumpError:
             self._restart()
             raise
+        passed = device_ns - self._device_ns
         if self._frames:
-            grown = self._smallest + round(_LARGEST_DRIFT * (device_ns - self._device_ns))
-            self._smallest = min(difference, grown)
+            self._smallest = min(difference, self._smallest + round(_LARGEST_DRIFT * passed))
         else:
             self._smallest = difference
+        self._without_pause = self._without_pause + 1 if passed < _PAUSE_NS else 1
         self._device_ns = device_ns
         self._frames += 1
         self._add_to_block(device_ns, difference)
@@ -155,7 +163,7 @@ class DeviceClock:
 
     def _restart(self) -> None:
         self._line = _Line()
-        self._frames = 0
+        self._frames = self._without_pause = 0
 
 
 class _Line:

@@ -73,6 +73,21 @@ def test_clock_that_is_set_is_told_once(fault: dict, words: str) -> None:
     assert error == pytest.approx(0.0, abs=1e-6)
 
 
+def test_shortest_delay_is_known_after_ten_frames_and_again_after_a_pause() -> None:
+    clocks = Clocks(0.0)
+    settled = []
+    for pause_s in (0.0, 100.0, 200.0):
+        if pause_s == 200.0:
+            with pytest.raises(ClockJumpError):
+                clocks.arrival_error_s(pause_s, device_jump_s=-500.0)
+        for number in range(10):
+            settled.append(clocks.clock.settled)
+            clocks.arrival_error_s(pause_s + 0.1 * number)
+    unsettled = [False] * 10
+    assert settled == [*unsettled, True, *unsettled[1:], *unsettled]
+    assert clocks.clock.settled
+
+
 def test_process_that_was_stopped_is_no_jump() -> None:
     """Frames that waited seconds for this process keep their stamps."""
     clocks = Clocks(0.0)
