@@ -17,7 +17,7 @@ from fringedic.recording.reader import BagReader
 from fringedic.rig.compatibility import check_calibration
 from fringedic.steps.phase import phase_step
 from fringedic.steps.recorded_parameters import RecordedParameters
-from fringedic.steps.recorded_rig import recorded_first, recorded_setup
+from fringedic.steps.recorded_rig import RecordedSizes, recorded_setup
 
 _TOPICS = ("camera/image_raw", "camera/exposure", "node_parameters")
 
@@ -124,12 +124,13 @@ class _Replay:
         self._sigma_grid = plane.sigma_angle
 
     def _begin(self, plane: Any, stack: Stack, parameters: RecordedParameters) -> None:
-        rig = parameters.settings(None).rig["experiment"]
-        size = (rig["projector_width_px"], rig["projector_height_px"])
+        sizes = RecordedSizes.of(parameters.settings(None).rig)
+        if sizes.projector_size is None:
+            raise RecordingError("the size of the projector was not recorded; calibrate with the rig itself")
         finest = stack.patterns[-1]
         self.session.locate_pin_hole(self._sigma_grid, finest.orientation)
         self.session.begin(
-            Setting(self._name, size, finest, plane.sigma_angle, plane.sigma_height, recorded_first(rig))
+            Setting(self._name, sizes.projector_size, finest, plane.sigma_angle, plane.sigma_height, sizes.camera_first)
         )
         self._begun = True
 

@@ -4,14 +4,63 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from itertools import groupby
-from typing import Any
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict, PositiveInt, ValidationError
 
 from fringedic.errors import ErrorCode, RecordingError
 from fringedic.patterns.pattern import PHASE_KINDS, ProjectedPattern
 from fringedic.recording.frames import IMAGE, records
 from fringedic.recording.reader import BagReader
 from fringedic.rig.compatibility import RigSetup
+from fringedic.rig.geometry import UNKNOWN_FIRST
 from fringedic.steps.recorded_parameters import RecordedParameters
+
+
+class RecordedSizes(BaseModel):
+    """Sizes of the rig among the recorded parameters of the experiment node; older recordings have none [px].
+
+    Examples
+    --------
+    >>> RecordedSizes.of({"experiment": {"camera_first_column_px": 64, "camera_first_row_px": 32}}).camera_first
+    (64, 32)
+    """
+
+    model_config = ConfigDict(frozen=True, strict=True)
+
+    projector_width_px: PositiveInt | None = None
+    projector_height_px: PositiveInt | None = None
+    camera_first_column_px: int = UNKNOWN_FIRST[0]
+    camera_first_row_px: int = UNKNOWN_FIRST[1]
+
+    @classmethod
+    def of(cls, rig: Mapping[str, Mapping[str, Any]]) -> Self:
+        """Return the sizes in recorded parameters, by node.
+
+        Raises
+        ------
+        RecordingError
+            One of them is no number of pixels; the message names it.
+        """
+        try:
+            return cls.model_validate(rig.get("experiment", {}))
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise RecordingError(
+                f"the recorded {first['loc'][0]} of the experiment node is {str(first['input'])[:40]!r}, which is no "
+                "number of pixels; use another recording"
+            ) from error
+
+    @property
+    def projector_size(self) -> tuple[int, int] | None:
+        """(width, height) of the projector's image; None when not recorded."""
+        width, height = self.projector_width_px, self.projector_height_px
+        return None if width is None or height is None else (width, height)
+
+    @property
+    def camera_first(self) -> tuple[int, int]:
+        """(column, row) of the sensor with which the images begin; -1 when not recorded."""
+        return self.camera_first_column_px, self.camera_first_row_px
 
 
 def recorded_setup(bag: BagReader) -> RigSetup:
@@ -31,43 +80,20 @@ def recorded_setup(bag: BagReader) -> RigSetup:
     Raises
     ------
     RecordingError
-        The recording is damaged.
+        The recording is damaged, or a recorded size is none.
     """
     image = next(_messages(bag, IMAGE), None)
     parameters = RecordedParameters({})
     for message in _messages(bag, "node_parameters"):
         parameters.take(message)
-    experiment = parameters.settings(None).rig.get("experiment", {})
-    width, height = (experiment.get(f"projector_{name}_px") for name in ("width", "height"))
+    sizes = RecordedSizes.of(parameters.settings(None).rig)
     shown = _first_fringe_step(bag)
     return RigSetup(
         camera_size=None if image is None else (image.width, image.height),
-        projector_size=(width, height) if shown and width and height else None,
-        camera_first=recorded_first(experiment),
+        projector_size=sizes.projector_size if shown else None,
+        camera_first=sizes.camera_first,
         patterns=shown if parameters.phase.relative_phase == "refuse" else (),
     )
-
-
-def recorded_first(experiment: Mapping[str, Any]) -> tuple[int, int]:
-    """Return the (column, row) of the sensor with which the images begin [px].
-
-    Parameters
-    ----------
-    experiment
-        Recorded parameters of the experiment node.
-
-    Returns
-    -------
-    tuple
-        -1 when they are not known, as in older recordings.
-
-    Examples
-    --------
-    >>> recorded_first({"camera_first_column_px": 64, "camera_first_row_px": 32}), recorded_first({})
-    ((64, 32), (-1, -1))
-    """
-    column, row = (experiment.get(f"camera_first_{name}_px", -1) for name in ("column", "row"))
-    return column, row
 
 
 def require_calibration(bag: BagReader) -> None:
