@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -169,6 +170,8 @@ def connect(aravis: Aravis, settings: AravisSettings) -> AravisConnection:
     """
     ask = aravis.ask
     camera = ask("camera", lambda: aravis.camera(settings.camera))
+    with suppress(aravis.error):  # a camera that is stopped may refuse it
+        camera.stop_acquisition()  # one that a killed process left running goes on sending to that process
     _set_pixel_format(aravis, camera, settings.pixel_format)
     _set_region(aravis, camera, settings.region)
     automatic = _switch_automatic_off(aravis, camera)
