@@ -35,7 +35,7 @@ def run(name: str, folder: Path, progress: Progress) -> RunReport:
 def check_drive(report: RunReport) -> None:
     """Check what is the same on every rig: ten steps at their positions, and all their frames recorded."""
     assert [step.error for step in report.steps] == [""] * STEPS
-    assert all(step.missing == step.dropped == 0 for step in report.steps)
+    assert all(step.missing == 0 for step in report.steps)
     for step, position in zip(report.steps, POSITIONS, strict=True):
         if position is not None:
             assert step.position == pytest.approx(1e-3 * position, abs=2e-8)
@@ -62,6 +62,7 @@ def folder(tmp_path: Path) -> Path:
 def test_ten_steps_on_the_virtual_rig(folder: Path) -> None:
     report = run("virtual", folder, Progress())
     check_drive(report)
+    assert all(step.dropped == 0 for step in report.steps)
     assert all(step.valid_fraction > WORKING for step in report.steps)
 
 
@@ -83,7 +84,10 @@ def devices(folder: Path) -> Iterator[ModbusServer]:
 @pytest.mark.slow
 @pytest.mark.hardware
 def test_ten_steps_on_devices_and_a_killed_camera_node(folder: Path, tmp_path: Path) -> None:
-    """The fake camera does not see the display, which the report states for every step."""
+    """The fake camera does not see the display, which the report states for every step.
+
+    A frame whose packets a busy computer loses counts as dropped and is taken again, so that every step is complete.
+    """
     with devices(folder):
         progress = Killer(folder / "run", {4: "camera"})
         report = run("devices", folder, progress)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -104,27 +106,31 @@ def test_frame_begins_after_it_was_asked_for(trigger: Trigger) -> None:
             time.sleep(0.05)  # a camera of its own clock goes on meanwhile
 
 
-class LateAtFirst(DeviceClock):
-    """Clock of a camera whose first frames arrive late, as on a busy computer."""
+@pytest.fixture
+def own_stamps(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Stamps of the camera itself, by this computer's clock as the fake camera is a program on it [ns].
 
-    device_ns = 0  # of the latest frame
+    The first frames arrive late, as on a busy computer.
+    """
+    stamps: list[int] = []
 
-    def arrival(self, device_ns: int, arrived_ns: int) -> int:
-        LateAtFirst.device_ns = device_ns
-        late_ns = 60_000_000 if self._frames < 5 else 0
-        return super().arrival(device_ns, arrived_ns + late_ns)
+    class LateAtFirst(DeviceClock):
+        def arrival(self, device_ns: int, arrived_ns: int) -> int:
+            stamps.append(device_ns)
+            return super().arrival(device_ns, arrived_ns + (60_000_000 if len(stamps) <= 5 else 0))
+
+    monkeypatch.setattr(aravis_connection, "DeviceClock", LateAtFirst)
+    return stamps
 
 
 @pytest.mark.usefixtures("camera")
-def test_late_frames_of_a_new_stream_do_not_count_as_begun_later(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The fake camera stamps with this computer's clock, so the true start of every exposure is known."""
-    monkeypatch.setattr(aravis_connection, "DeviceClock", LateAtFirst)
+def test_late_frames_of_a_new_stream_do_not_count_as_begun_later(own_stamps: list[int]) -> None:
     exposure_s = 0.03  # of a period of 0.04 s: most requests meet an exposure that is under way
     with driver(trigger=Trigger.INTERNAL, exposure_time=exposure_s) as opened:
         for _ in range(6):
             asked = time.time_ns()
             opened.expose(Scene(0, (), 0.0, exposure_time=exposure_s))
-            begun_s = 1e-9 * (LateAtFirst.device_ns - asked) - exposure_s
+            begun_s = 1e-9 * (own_stamps[-1] - asked) - exposure_s
             assert begun_s > -0.005, f"the exposure began {-1e3 * begun_s:.1f} ms before it was asked for"
 
 
@@ -194,13 +200,8 @@ def plug_in_with(camera: FakeCamera, folder: Path, before: str, addition: str) -
     camera.plug_in(description=description)
 
 
-def period_ms(stamps_ns: list[int]) -> float:
-    """Return the median period of a stream, which single frames do not shift that a busy computer delays."""
-    return float(1e-6 * np.median(np.diff(stamps_ns)))
-
-
 @pytest.mark.usefixtures("camera")
-def test_stream_of_a_region_is_complete_and_evenly_stamped() -> None:
+def test_stream_of_a_region_is_complete_and_stamped_by_the_camera(own_stamps: list[int]) -> None:
     with driver(region=SMALL_REGION) as opened:
         opened.start(60.0)
         frames = [opened.expose(SCENE) for _ in range(64)]
@@ -208,12 +209,39 @@ def test_stream_of_a_region_is_complete_and_evenly_stamped() -> None:
         assert opened.camera.get_frame_rate() == pytest.approx(60.0, rel=1e-3)
         opened.stop()
         assert dropped == counts["packets_lost"] == 0, counts
-        assert period_ms([frame.stamp_ns for frame in frames]) == pytest.approx(1000 / 60, rel=0.02)
+        delays_ms = 1e-6 * np.subtract([frame.stamp_ns for frame in frames], own_stamps) + 0.5e3 * EXPOSURE_S
+        assert 0 < delays_ms[32:].min() <= delays_ms[32:].max() < 5, "the shortest delay, not that of late frames"
         steps = np.median(np.diff([frame.image[0, :] for frame in frames], axis=0), axis=1)  # modulo 256
         assert len(set(steps)) == 1, "every frame moves the ramp by the same step: none is missing or repeated"
         assert clock is not None
         assert clock.samples == 4
         assert opened.expose(SCENE).image.shape == (240, 320)
+
+
+_ENDLESS = f"""
+from camera_node.drivers import AravisDriver, AravisSettings, Scene
+opened = AravisDriver(AravisSettings(exposure_time={EXPOSURE_S}, camera="{FakeCamera.address}", region={SMALL_REGION}))
+while True:
+    opened.expose(Scene(0, (), 0.0, exposure_time={EXPOSURE_S}))
+    print("frame", flush=True)
+"""
+
+
+@pytest.mark.usefixtures("camera")
+def test_camera_that_a_killed_process_left_running_sends_to_the_next_one() -> None:
+    """A camera releases a lost process after 3 s, and may keep its stream."""
+    with subprocess.Popen([sys.executable, "-c", _ENDLESS], stdout=subprocess.PIPE, text=True) as killed:
+        assert killed.stdout is not None
+        assert killed.stdout.readline() == "frame\n"
+        killed.kill()
+    time.sleep(0.8)  # then the camera releases it while the next one connects
+    deadline = time.monotonic() + 60
+    with ExitStack() as closing:
+        while time.monotonic() < deadline:
+            with suppress(CameraError):
+                opened = closing.enter_context(driver(region=SMALL_REGION))
+                break
+        assert_complete(opened.expose(SCENE).image)
 
 
 @pytest.mark.usefixtures("camera")
@@ -443,6 +471,7 @@ def test_node_streams_at_30_hz_and_publishes_its_clock(studio: Studio, tmp_path:
     indices = [record.index for record in records]
     assert indices == list(range(indices[0], indices[0] + len(indices)))
     assert records[-1].dropped == 0
-    assert period_ms([record.stamp for record in records]) == pytest.approx(1000 / 30, rel=0.1)
+    # most frames, because a busy computer delays single ones of the fake camera
+    assert np.median(np.diff([record.stamp for record in records])) == pytest.approx(1e9 / 30, rel=0.1)
     assert image_array(studio.images[0]).shape == (240, 320)
     assert studio.clocks[-1].clock == "camera"
