@@ -1,22 +1,29 @@
-"""Time that a test loses by a killed node: random kills of every node of the virtual rig while a programme runs.
+"""Time that a test loses by a killed node: random kills of every node of a rig while a programme runs.
 
 ``python benchmarks/killed_nodes.py 200`` kills 200 times, in runs of 20, and prints the figures so far after each run;
-without a number 20 times.
+without a number 20 times. The rig is the virtual one, or with ``devices`` behind the number that of the tests with real
+protocols: a GigE Vision camera, a display and a machine with Modbus TCP.
 """
 
 from __future__ import annotations
 
 import os
 import random
+import shutil
 import signal
 import statistics
 import sys
 import tempfile
 import threading
 import time
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from itertools import pairwise
 from pathlib import Path
+
+sys.path.extend(
+    str(Path(__file__).resolve().parents[1] / folder) for folder in ("tests", "ros2_ws/src/fringedic/test/page")
+)
+from test_real_devices import RIGS, devices
 
 from fringedic.configuration.programme import Programme
 from fringedic_bringup.launch.environment import private_domain
@@ -26,7 +33,8 @@ from fringedic_bringup.procedures.outcome import RunReport
 from fringedic_bringup.procedures.run import load_rig, run_experiment
 from fringedic_ros.testing import node_pids
 
-NODES = ("recorder", "projector", "stage", "camera", "load_frame", *PROCESSING_NODES, "experiment")
+NODES = ("recorder", "projector", "camera", "load_frame", "experiment")
+OF_THE_VIRTUAL_RIG = ("stage", *PROCESSING_NODES)  # that of devices is recorded only
 IN_ONE_RUN = 20
 LONGEST_DELAY_S = 1.2  # a step of this rig takes 0.6 s
 SECOND = 0.3  # probability of a second kill within 3 s
@@ -35,7 +43,8 @@ SECOND = 0.3  # probability of a second kill within 3 s
 class Victims:
     """Receives the progress of a run, kills nodes, and keeps the time of each step."""
 
-    def __init__(self, folder: Path, kills: int, seed: int) -> None:
+    def __init__(self, folder: Path, kills: int, seed: int, nodes: tuple[str, ...]) -> None:
+        self._nodes = nodes
         self._random = random.Random(seed)
         self._folder, self._started = folder, time.monotonic()
         self._planned = {3 + 2 * number + self._random.randrange(2) for number in range(kills)}
@@ -59,10 +68,10 @@ class Victims:
         self.starts[number] = time.monotonic()
         if len(self.starts) in self._planned:  # a repeated step takes two numbers
             delay = self._random.uniform(0, LONGEST_DELAY_S)
-            threading.Timer(delay, self._kill, (self._random.choice(NODES),)).start()
+            threading.Timer(delay, self._kill, (self._random.choice(self._nodes),)).start()
             if self._random.random() < SECOND:
                 delay = self._random.uniform(0, 3.0)
-                threading.Timer(delay, self._kill, (self._random.choice(NODES),)).start()
+                threading.Timer(delay, self._kill, (self._random.choice(self._nodes),)).start()
 
     def _kill(self, name: str) -> None:
         with suppress(KeyError, ProcessLookupError):  # it has just ended
@@ -81,24 +90,29 @@ class Victims:
         return found
 
 
-def run(folder: Path, kills: int, seed: int) -> tuple[RunReport, Victims]:
+def run(folder: Path, kills: int, seed: int, *, with_devices: bool) -> tuple[RunReport, Victims]:
     """Run a programme of two steps for each kill."""
-    victims = Victims(folder, kills, seed)
-    path = configuration("tiny.yaml")
-    rig, _ = load_rig(path, None, None)
     ramp = {"from_mm": 0.0, "to_mm": 0.6, "steps": 2 * kills + 4, "speed_mm_per_s": 2.0}
     programme = Programme.model_validate({"experiment": "killed", "ramp": ramp})
-    with private_domain() as domain:
-        return run_experiment(rig, path, programme, folder, victims, domain=domain), victims
+    victims = Victims(folder / "run", kills, seed, NODES if with_devices else NODES + OF_THE_VIRTUAL_RIG)
+    path, first_programme = configuration("tiny.yaml"), None
+    with ExitStack() as closing:
+        if with_devices:
+            shutil.copytree(RIGS, folder / "rig")
+            path, first_programme = folder / "rig" / "devices.yaml", RIGS / "ten_steps.yaml"
+            closing.enter_context(devices(folder / "rig"))
+        rig, _ = load_rig(path, first_programme, None)
+        domain = closing.enter_context(private_domain())
+        return run_experiment(rig, path, programme, folder / "run", victims, domain=domain), victims
 
 
-def main(kills: int) -> None:
+def main(kills: int, *, with_devices: bool) -> None:
     """Print the time lost by node, and what was not measured, after each run."""
     lost: dict[str, list[float]] = {}
     steps = failed = missing = early = 0
     for seed in range(-(-kills // IN_ONE_RUN)):
         with tempfile.TemporaryDirectory() as folder:
-            report, victims = run(Path(folder) / "run", min(kills, IN_ONE_RUN), seed)
+            report, victims = run(Path(folder), min(kills, IN_ONE_RUN), seed, with_devices=with_devices)
         for name, values in victims.lost().items():
             lost.setdefault(name, []).extend(values)
         steps += len(report.steps)
@@ -113,4 +127,4 @@ def main(kills: int) -> None:
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else IN_ONE_RUN)
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else IN_ONE_RUN, with_devices="devices" in sys.argv[2:])
