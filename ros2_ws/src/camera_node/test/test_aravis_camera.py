@@ -12,10 +12,10 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pytest
@@ -34,6 +34,8 @@ from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.testing import NodeProcess
 
 pytestmark = pytest.mark.hardware
+
+Result = TypeVar("Result")
 
 EXPOSURE_S = 0.01
 SCENE = Scene(0, (), 0.0, exposure_time=EXPOSURE_S)
@@ -77,11 +79,12 @@ def frame_or_message(opened: AravisDriver) -> tuple[Frame | None, str]:
         return None, str(error)
 
 
-def eventually(opened: AravisDriver) -> Frame:
+def eventually(action: Callable[[], Result]) -> Result:
+    """Repeat what needs the camera until it succeeds."""
     deadline = time.monotonic() + 180
     while True:
         try:
-            return opened.expose(SCENE)
+            return action()
         except CameraError:
             if time.monotonic() > deadline:
                 raise
@@ -235,12 +238,8 @@ def test_camera_that_a_killed_process_left_running_sends_to_the_next_one() -> No
         assert killed.stdout.readline() == "frame\n"
         killed.kill()
     time.sleep(0.8)  # then the camera releases it while the next one connects
-    deadline = time.monotonic() + 60
     with ExitStack() as closing:
-        while time.monotonic() < deadline:
-            with suppress(CameraError):
-                opened = closing.enter_context(driver(region=SMALL_REGION))
-                break
+        opened = eventually(lambda: closing.enter_context(driver(region=SMALL_REGION)))
         assert_complete(opened.expose(SCENE).image)
 
 
@@ -343,7 +342,7 @@ def test_lost_packets_are_counted_and_their_frames_taken_again(camera: FakeCamer
         assert opened.counts["frames_incomplete"] == opened.dropped >= 3 * failures
         camera.pull()
         camera.plug_in()
-        assert_complete(eventually(opened).image)
+        assert_complete(eventually(lambda: opened.expose(SCENE)).image)
 
 
 def test_nothing_gets_through(camera: FakeCamera) -> None:
