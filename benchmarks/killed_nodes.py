@@ -113,6 +113,8 @@ def main(kills: int, *, with_devices: bool) -> None:
     for seed in range(-(-kills // IN_ONE_RUN)):
         with tempfile.TemporaryDirectory() as folder:
             report, victims = run(Path(folder), min(kills, IN_ONE_RUN), seed, with_devices=with_devices)
+        if report.interrupted:
+            sys.exit("interrupted: any figures above are those of the runs before this one")
         for name, values in victims.lost().items():
             lost.setdefault(name, []).extend(values)
         steps += len(report.steps)
