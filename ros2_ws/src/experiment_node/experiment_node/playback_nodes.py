@@ -186,9 +186,9 @@ class PlaybackNodes:
     def _wait(self, done: Callable[[], bool], message: Callable[[], str]) -> None:
         end = time.monotonic() + self._timeout_s
         while not done():
-            self._executor.spin_once(timeout_sec=0.05)
             if time.monotonic() > end:
                 raise WaitTimeoutError(f"{message()} after {self._timeout_s:g} s")
+            self._executor.spin_once(timeout_sec=0.05)
 
 
 def step_name(step: StepStatus) -> str:

@@ -541,7 +541,8 @@ class RigClient:
     def sleep(self, seconds: float) -> None:
         """Wait, with the checks of `watch`."""
         end = time.monotonic() + seconds
-        self.wait_for(lambda: time.monotonic() >= end, seconds + 1.0, lambda: "the clock stands still")
+        while time.monotonic() < end:
+            self._spin_once()
 
     def call(self, client: Client, request: Any) -> Any:
         """Call a service of the rig and return its response.
@@ -583,10 +584,10 @@ class RigClient:
             The condition is not true in time.
         """
         end = time.monotonic() + timeout_s
-        while not done():
-            self._spin_once()
+        while not done():  # also after the last turn, which may have taken long and brought the answer
             if time.monotonic() > end:
                 raise WaitTimeoutError(f"{what()} after {timeout_s:g} s")
+            self._spin_once()
 
     def _spin_once(self) -> None:
         self._participant.spin_once(0.1)

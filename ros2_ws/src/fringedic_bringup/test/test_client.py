@@ -98,6 +98,23 @@ def test_a_move_may_take_as_long_as_it_reports(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.usefixtures("rig")
+def test_what_came_while_the_client_stood_still_is_not_missing() -> None:
+    """A busy computer, or Ctrl-Z: one turn of the loop takes longer than the whole wait."""
+    came: list[float] = []
+
+    def stand_still() -> None:
+        came.append(time.monotonic())
+        time.sleep(1.2)
+
+    with RigClient(watch=stand_still) as controller:
+        controller.sleep(0.1)
+        came.clear()
+        controller.wait_for(lambda: bool(came), 0.1, lambda: "the answer")
+        with pytest.raises(WaitTimeoutError, match=r"another answer after 0.1 s"):
+            controller.wait_for(lambda: False, 0.1, lambda: "another answer")
+
+
+@pytest.mark.usefixtures("rig")
 def test_a_cancelled_step_has_a_number() -> None:
     begun, deaths = list[MeasureStep.Feedback](), [NodeDiedError("dic has ended")]
 

@@ -84,10 +84,10 @@ def operate(
 def _await_page(page: RunningGraph, address: Address, work: Callable[[], None]) -> None:
     end = time.monotonic() + START_S
     while not _is_served(address):
-        page.check()
-        work()
         if time.monotonic() > end:
             raise WaitTimeoutError(f"the page is not served after {START_S:g} s; see {page.log('operator')}")
+        page.check()
+        work()
 
 
 def _is_served(address: Address) -> bool:
