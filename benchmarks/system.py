@@ -89,10 +89,10 @@ class Probe:
         """Spin the node until a condition is true."""
         end = time.monotonic() + timeout_s
         while not done():
-            self._executor.spin_once(timeout_sec=0.1)
-            self._watch()
             if time.monotonic() > end:
                 raise TimeoutError(f"{what} after {timeout_s:g} s")
+            self._executor.spin_once(timeout_sec=0.1)
+            self._watch()
 
     def pause(self, seconds: float) -> None:
         """Spin the node for some time."""
