@@ -51,6 +51,23 @@ for line in sys.stdin:
     print(json.dumps(answer), flush=True)
 """
 
+# is interrupted once, after it has read its clock for the second frame; prints the stamps of both frames
+INTERRUPTED_SCRIPT = """
+import sys, time
+from camera_node.drivers import Scene, V4l2Driver, V4l2Settings
+true_time_ns = time.time_ns
+def interrupted():
+    time.time_ns, shown = true_time_ns, true_time_ns()
+    time.sleep(0.31)
+    return shown
+driver = V4l2Driver(V4l2Settings(sys.argv[1], exposure_time=0.005))
+for clock in (true_time_ns, interrupted):
+    time.time_ns = clock
+    print(driver.expose(Scene(0, (), 0.0, exposure_time=0.005)).stamp_ns)
+assert time.time_ns is true_time_ns, "it was interrupted"
+driver.close()
+"""
+
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -106,6 +123,21 @@ def test_formats_and_settings(library: Path, tmp_path: Path) -> None:
     for answer in incomplete:
         assert f"{DEVICE} may return incomplete images" in answer
         assert "options uvcvideo nodrop=0" in answer
+
+
+def test_interruption_while_the_clock_is_read_does_not_change_a_stamp(library: Path) -> None:
+    """The stamps are those of the device, converted; its frames begin every 20 ms."""
+    environment = {**os.environ, "LD_PRELOAD": str(library), "FAKE_VIDEO": DEVICE, "FAKE_VIDEO_FORMAT": "GREY"}
+    run = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED_SCRIPT, DEVICE],
+        env=environment,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    first, second = map(int, run.stdout.split())
+    half = PERIOD_NS // 2
+    assert abs((second - first + half) % PERIOD_NS - half) < 1e6
 
 
 def test_node_takes_what_began_late_enough_and_survives_unplugging(

@@ -67,7 +67,8 @@ class Crosshead:
             There is no sample.
         """
         with self._in_use:
-            return self._open_machine().sample()
+            begun_s = time.monotonic()
+            return self._open_machine().sample()._replace(begun_s=begun_s)
 
     def take(self, sample: Sample) -> None:
         """Make a sample the latest one, and request a hold when it ends the move or when one is owed."""

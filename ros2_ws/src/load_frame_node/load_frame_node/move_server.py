@@ -66,7 +66,7 @@ class MoveServer:
                 return self._end(goal, Result.CANCELLED, "cancelled before the move began")
             begin = crosshead.sample.position
             crosshead.move_to(request.position, request.speed, _limits_of(request))
-            return await self._follow(goal, time.time_ns(), begin)
+            return await self._follow(goal, begin)
         except CrossheadRangeError as error:
             return self._end(goal, Result.INVALID_GOAL, str(error))
         except FringedicError as error:
@@ -101,16 +101,16 @@ class MoveServer:
                 message = f"{message}: {error}"
             raise MachineError(message) from None
 
-    async def _follow(self, goal: ServerGoalHandle, requested_ns: int, begin: float) -> MoveCrosshead.Result:
-        """Publish feedback until the move from a position has ended, and return its result."""
-        crosshead, started, moved = self._crosshead, time.monotonic(), False
+    async def _follow(self, goal: ServerGoalHandle, begin: float) -> MoveCrosshead.Result:
+        """Publish feedback until the move from a position, just requested, has ended, and return its result."""
+        crosshead, requested, moved = self._crosshead, time.monotonic(), False
 
         def is_over() -> bool:
             nonlocal moved
             if self._is_called_off(goal) or crosshead.reached:
                 return True
             sample = crosshead.sample
-            if sample.stamp_ns < requested_ns:  # acquired before the request
+            if sample.begun_s < requested:
                 return False
             moved |= sample.mode is LoadMode.MOVING
             return sample.mode in _LOST_MODES or (
@@ -122,7 +122,7 @@ class MoveServer:
                 begin = crosshead.sample.position  # it could not be read before
             distance = 0.0 if math.isnan(begin) else abs(goal.request.position - begin)
             timeout_s = 2 * distance / goal.request.speed + _RAMPS_S  # twice the time at constant speed
-            passed = time.monotonic() - started
+            passed = time.monotonic() - requested
             if passed > timeout_s or (not moved and passed > _START_TIMEOUT_S):
                 await self._stop(goal)
                 done = f"arrive within {timeout_s:g} s" if moved else f"begin to move within {_START_TIMEOUT_S:g} s"
@@ -192,12 +192,12 @@ class MoveServer:
         MachineError
             The machine reports a fault, does not stop in time, or has completed the move instead of the hold.
         """
-        requested, begun, crosshead = time.time_ns(), time.monotonic(), self._crosshead
+        requested, crosshead = time.monotonic(), self._crosshead
         had_arrived = self._has_arrived(goal)
 
         def is_over() -> bool:
             sample = crosshead.sample
-            return not self._node.active or (sample.stamp_ns > requested and sample.mode in _ENDS_OF_MOTION)
+            return not self._node.active or (sample.begun_s >= requested and sample.mode in _ENDS_OF_MOTION)
 
         try:
             await crosshead.changed.wait(is_over, _STOPPING_S)
@@ -208,7 +208,7 @@ class MoveServer:
             ) from None
         if crosshead.sample.mode is LoadMode.FAULT:
             raise MachineError("the machine reports a fault")
-        passed = time.monotonic() - begun
+        passed = time.monotonic() - requested
         if passed > REPEAT_S and self._has_arrived(goal) and not had_arrived:  # earlier, its ramp may have ended there
             raise MachineError(
                 f"the machine did not follow a hold: it moved on for {passed:.1f} s, to the target of the move; check "

@@ -66,12 +66,13 @@ class Sampler:
             self._stopping.wait(max(due - now, 0))
 
     def _take_sample(self) -> None:
+        begun_s = time.monotonic()
         try:
             sample = self._crosshead.read()
         except Exception as error:  # whatever a machine answers, a thread that ended would leave its last state valid
             self._on_error(error if isinstance(error, MachineError) else _unforeseen(error))
             # everybody who relies on a hold must see that the state is unknown
-            sample = Sample(time.time_ns(), LoadMode.UNKNOWN, math.nan, math.nan)
+            sample = Sample(time.time_ns(), LoadMode.UNKNOWN, math.nan, math.nan, begun_s=begun_s)
         else:
             self._diagnostics.success()
         self._on_sample(sample)

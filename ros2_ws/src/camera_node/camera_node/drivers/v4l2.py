@@ -17,7 +17,7 @@ import numpy as np
 from camera_node.drivers.driver import Frame, Scene
 from camera_node.drivers.stamp_of import StampOf
 from fringedic.errors import CameraError, CameraTimeoutError
-from fringedic.recording.clocks import ClockEstimate
+from fringedic.recording.clocks import ClockEstimate, wall_minus_monotonic_ns
 
 NO_DROP = Path("/sys/module/uvcvideo/parameters/nodrop")  # whether the kernel returns frames with lost packets
 _CAPABILITY = 0x80685600  # VIDIOC_QUERYCAP
@@ -146,7 +146,7 @@ class V4l2Driver:
             stamp = round(1e6 * video.get(cv2.CAP_PROP_POS_MSEC)) or time.monotonic_ns()
             if self._settings.stamp_of.start_ns(stamp, self._exposure_time) >= asked:
                 middle = self._settings.stamp_of.middle_ns(stamp, self._exposure_time)
-                return Frame(self._grey(raw), middle + time.time_ns() - time.monotonic_ns(), self._exposure_time)
+                return Frame(self._grey(raw), middle + wall_minus_monotonic_ns(), self._exposure_time)
         raise CameraTimeoutError(f"{self._path}: no frame began after the request; check the parameter stamp_of")
 
     def close(self) -> None:

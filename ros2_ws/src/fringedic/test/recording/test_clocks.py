@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fringedic.errors import ClockJumpError
-from fringedic.recording.clocks import DeviceClock
+from fringedic.recording.clocks import DeviceClock, wall_minus_monotonic_ns
 
 SECOND = 1_000_000_000
 START_NS = 1_700_000_000 * SECOND  # of the wall clock, when the device's shows 5 s
@@ -106,3 +106,46 @@ def test_little_is_known_of_few_frames() -> None:
     assert estimate.samples == 0
     assert np.isnan(estimate.drift)
     assert np.isnan(estimate.drift_sigma)
+
+
+class BusyComputer:
+    """Stands in for the module `time` of a process that other processes interrupt between two reads of a clock."""
+
+    def __init__(self) -> None:
+        self.passed_ns = 0
+        self.interruptions_ns: list[int] = []  # after each of the next reads
+
+    def monotonic_ns(self) -> int:
+        return self._read(self.passed_ns)
+
+    def time_ns(self) -> int:
+        return self._read(START_NS + self.passed_ns)
+
+    def _read(self, shown: int) -> int:
+        self.passed_ns += self.interruptions_ns.pop(0) if self.interruptions_ns else 100
+        return shown
+
+
+@pytest.mark.parametrize("reads_before", [0, 1])
+def test_interruption_between_two_reads_of_the_clock_is_no_jump(
+    reads_before: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 284 ms, as seen on a busy computer: the next frame failed, as the clock seemed to be set."""
+    computer = BusyComputer()
+    monkeypatch.setattr("fringedic.recording.clocks.time", computer)
+    clock = DeviceClock()
+    arrivals = []
+    for number in range(3):
+        computer.interruptions_ns = [100] * reads_before + [284_000_000] if number == 1 else []
+        device_ns = SECOND * number + 5
+        arrivals.append(clock.arrival(device_ns, START_NS + device_ns))
+    assert np.diff(arrivals).tolist() == [SECOND] * 2
+
+
+def test_computer_that_always_interrupts_is_compared_with_its_shortest_interruption(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    computer = BusyComputer()
+    computer.interruptions_ns = [90_000_000] * 6 + [1_000_000] * 3 + [50_000_000] * 1000
+    monkeypatch.setattr("fringedic.recording.clocks.time", computer)
+    assert abs(wall_minus_monotonic_ns() - START_NS) <= 1_000_000

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from geometry_msgs.msg import WrenchStamped
 from rclpy.node import Node
@@ -12,6 +13,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 
 from fringedic.errors import MachineError
+from fringedic.recording.clocks import wall_minus_monotonic_ns
 from fringedic_ros.stamps import to_nanoseconds
 from load_frame_node.machines.machine import LoadMode, Motion, Sample
 
@@ -55,8 +57,8 @@ class ControllerMachine:
     def __init__(self, node: Node, topics: ControllerTopics) -> None:
         self._node = node
         self._source = topics
-        self._position: tuple[int, float] | None = None
-        self._force: tuple[int, float] | None = None
+        self._position: _Value | None = None
+        self._force: _Value | None = None
         self._motion = Motion(topics.slowest, topics.span)
         self._mode = LoadMode.UNKNOWN
         self._subscriptions = [
@@ -72,13 +74,13 @@ class ControllerMachine:
         MachineError
             One of the two topics has had no message for a second.
         """
-        now = time.time_ns()
+        now = time.monotonic_ns()
         for topic, latest in ((self._source.joint_states, self._position), (self._source.wrench, self._force)):
-            if latest is None or now - latest[0] > 1e9 * _OLDEST_S:
+            if latest is None or now - latest.acquired_ns > 1e9 * _OLDEST_S:
                 raise MachineError(f"no message on {topic} for {_OLDEST_S:g} s; check that the controller runs")
         assert self._position is not None, "checked above"
         assert self._force is not None, "checked above"
-        return Sample(self._position[0], self._mode, self._force[1], self._position[1])
+        return Sample(self._position.stamp_ns, self._mode, self._force.value, self._position.value)
 
     def move_to(self, position: float, speed: float) -> None:  # noqa: ARG002 (the interface of every machine)
         """Refuse: only the controller moves the machine.
@@ -109,11 +111,21 @@ class ControllerMachine:
     def _take_joints(self, message: JointState) -> None:
         position = dict(zip(message.name, message.position, strict=False)).get(self._source.joint, math.nan)
         if math.isfinite(position):  # a message may name joints without their positions
-            stamp = to_nanoseconds(message.header.stamp)
-            self._mode = self._motion.mode(stamp, position)
-            self._position = stamp, position
+            self._position = _Value.of(message, position)
+            self._mode = self._motion.mode(self._position.acquired_ns, position)
 
     def _take_wrench(self, message: WrenchStamped) -> None:
         force = self._source.force_sign * getattr(message.wrench.force, self._source.force_axis)
         if math.isfinite(force):
-            self._force = to_nanoseconds(message.header.stamp), force
+            self._force = _Value.of(message, force)
+
+
+class _Value(NamedTuple):
+    stamp_ns: int
+    acquired_ns: int  # on the monotonic clock, so that later changes of the clock do not change the age
+    value: float
+
+    @classmethod
+    def of(cls, message: JointState | WrenchStamped, value: float) -> _Value:
+        stamp_ns = to_nanoseconds(message.header.stamp)
+        return cls(stamp_ns, stamp_ns - wall_minus_monotonic_ns(), value)

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from typing import Generic, NamedTuple, TypeVar
 
 from fringedic.errors import CrossheadRangeError, MachineError
+from fringedic.recording.clocks import wall_minus_monotonic_ns
 from load_frame_node.machines.description import MachineSection
 from load_frame_node.machines.machine import Link, Motion, Sample
 
@@ -18,9 +19,9 @@ _STANDSTILL_S = 1.0  # a clock that has not advanced for this time means that th
 
 
 class Reading(NamedTuple):
-    """One reading: stamp [ns], force [N], position [m]; status and time [s] when the machine reports them."""
+    """One reading: monotonic time [ns], force [N], position [m]; status and time [s] when the machine reports them."""
 
-    stamp_ns: int
+    acquired_ns: int
     force: float
     position: float
     status: int | str | None
@@ -42,7 +43,7 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
         self.description = description
         self._link = Link(f"{description.name} at {place}", self.connect, self.disconnect)
         self._motion = Motion(1e-3 * description.motion.slowest_mm_per_s, description.motion.span_s)
-        self._device_ns, self._advanced_ns = -1, 0  # its time, and when that was new on the clock of this computer
+        self._device_ns, self._advanced_ns = -1, 0  # its time, and when that was new on the monotonic clock
 
     def sample(self) -> Sample:
         """Read force, position and status.
@@ -56,21 +57,22 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
         for what, value in (("force", read.force), ("position", read.position), ("time", read.time or 0.0)):
             if not math.isfinite(value):
                 raise MachineError(f"{self.description.name}: sample: {what} is {value}, which is not a number")
-        device_ns = None if read.time is None else self._device_time(read.time, read.stamp_ns)
+        device_ns = None if read.time is None else self._device_time(read.time, read.acquired_ns)
         if self.description.status is None or read.status is None:
-            mode = self._motion.mode(read.stamp_ns, read.position)
+            mode = self._motion.mode(read.acquired_ns, read.position)
         else:
             mode = self.description.status.mode(read.status)
-        return Sample(read.stamp_ns, mode, read.force, read.position, device_ns)
+        stamp_ns = read.acquired_ns + wall_minus_monotonic_ns()
+        return Sample(stamp_ns, mode, read.force, read.position, device_ns)
 
-    def _device_time(self, time_s: float, stamp_ns: int) -> int:
+    def _device_time(self, time_s: float, acquired_ns: int) -> int:
         """Return the time of the machine [ns], which has to be possible and to advance."""
         if abs(time_s) > _LATEST_TIME_S:
             raise MachineError(f"{self.description.name}: sample: time is {time_s:g} s, which no clock shows")
         device_ns = round(1e9 * time_s)
         if device_ns != self._device_ns:
-            self._device_ns, self._advanced_ns = device_ns, stamp_ns
-        elif stamp_ns - self._advanced_ns > 1e9 * _STANDSTILL_S:
+            self._device_ns, self._advanced_ns = device_ns, acquired_ns
+        elif acquired_ns - self._advanced_ns > 1e9 * _STANDSTILL_S:
             raise MachineError(
                 f"{self.description.name}: sample: its clock has stood at {time_s:g} s for more than "
                 f"{_STANDSTILL_S:g} s, so it repeats an old sample; check its controller"

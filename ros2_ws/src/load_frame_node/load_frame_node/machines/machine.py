@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -40,6 +41,8 @@ class Sample(NamedTuple):
         Position of the crosshead [m], positive in the direction of tension.
     device_ns
         The same time on the clock of the machine [ns]; None when the machine does not report it.
+    begun_s
+        Start of the acquisition on the monotonic clock, which is never set [s]; the crosshead adds it.
     """
 
     stamp_ns: int
@@ -47,6 +50,7 @@ class Sample(NamedTuple):
     force: float
     position: float
     device_ns: int | None = None
+    begun_s: float = -math.inf
 
 
 class Machine(Protocol):
@@ -109,17 +113,26 @@ class Motion:
         self._span_ns = round(1e9 * span)
         self._past: deque[tuple[int, float]] = deque()
 
-    def mode(self, stamp_ns: int, position: float) -> LoadMode:
-        """Return MOVING or HOLD; UNKNOWN until the positions cover the span, and after a clock that jumped back."""
-        if self._past and stamp_ns <= self._past[-1][0]:
+    def mode(self, acquired_ns: int, position: float) -> LoadMode:
+        """Return MOVING or HOLD; UNKNOWN until the positions cover the span, and after a clock that jumped back.
+
+        Parameters
+        ----------
+        acquired_ns
+            Time of acquisition on the monotonic clock [ns]: a motion would look like a hold on a clock that is set
+            forward.
+        position
+            Position of the crosshead [m].
+        """
+        if self._past and acquired_ns <= self._past[-1][0]:
             self._past.clear()
-        self._past.append((stamp_ns, position))
-        while len(self._past) > 2 and stamp_ns - self._past[1][0] >= self._span_ns:
+        self._past.append((acquired_ns, position))
+        while len(self._past) > 2 and acquired_ns - self._past[1][0] >= self._span_ns:
             self._past.popleft()
         first_ns, first = self._past[0]
-        if stamp_ns - first_ns < self._span_ns:
+        if acquired_ns - first_ns < self._span_ns:
             return LoadMode.UNKNOWN
-        moving = abs(position - first) > 1e-9 * (stamp_ns - first_ns) * self._slowest
+        moving = abs(position - first) > 1e-9 * (acquired_ns - first_ns) * self._slowest
         return LoadMode.MOVING if moving else LoadMode.HOLD
 
 

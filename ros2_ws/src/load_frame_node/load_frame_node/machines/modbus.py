@@ -41,16 +41,16 @@ class ModbusMachine(DescribedMachine[ModbusDescription]):
         self._client.close()
 
     def read(self) -> Reading:
-        """Read the registers; the stamp is the middle between request and answer."""
+        """Read the registers; their time is the middle between request and answer."""
         description = self.description
         further = (description.status, description.time)
         places: list[Register] = [description.force, description.position]
         places += [place for place in further if place is not None]
-        before = time.time_ns()
+        before = time.monotonic_ns()
         force, position, *others = self._numbers(places)
-        stamp = (before + time.time_ns()) // 2
+        acquired = (before + time.monotonic_ns()) // 2
         return Reading(
-            stamp,
+            acquired,
             description.force.si(force),
             description.position.si(position),
             _status(others[0]) if description.status is not None else None,

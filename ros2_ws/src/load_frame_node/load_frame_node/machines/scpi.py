@@ -25,7 +25,7 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
 
     def __init__(self, description: ScpiDescription) -> None:
         self._resource: Any = None
-        self._slowest_answer_s = 0.0  # of this connection
+        self._slowest_answer_s = 0.0  # since the last wait for further lines
         self._checked_s = -math.inf  # when nothing had followed the last answer for long enough
         super().__init__(description, description.resource)
 
@@ -55,27 +55,30 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
                 return  # the connection was lost before
 
     def read(self) -> Reading:
-        """Query force, position, status and time, in this order; the stamp is the middle of the queries.
+        """Query force, position, status and time, in this order; their time is the middle of the queries.
 
         Answers have no names: one line too many would shift all later ones, and a position could be read as a status.
         No line may be left before a query. A line that is left over after the last one arrives up to one answering time
         later. The machine is given this time after each command, which it may have acknowledged, and once a second.
+        The wait is twice the slowest answer since the last wait, and `timeout_s` at most, which no answer exceeds: time
+        in which this process stood still counts as part of an answer, and must not delay all later samples and holds.
         """
         description = self.description
-        before = time.time_ns()
+        before = time.monotonic_ns()
         force = self._number("force", description.force)
         position = self._number("position", description.position)
         status = None if description.status is None else self._answer(description.status.query)
         own_time = None if description.time is None else self._number("time", description.time)
-        stamp = (before + time.time_ns()) // 2
+        acquired = (before + time.monotonic_ns()) // 2
         if time.monotonic() - self._checked_s > _CHECK_PERIOD_S:
-            self._check_nothing_follows(max(2 * self._slowest_answer_s, _SHORTEST_CHECK_S))
-            self._checked_s = time.monotonic()
+            wait_s = max(2 * self._slowest_answer_s, _SHORTEST_CHECK_S)
+            self._check_nothing_follows(min(wait_s, description.timeout_s))
+            self._checked_s, self._slowest_answer_s = time.monotonic(), 0.0
         else:
             self._check_nothing_follows(0.0)
         is_number = status is not None and _WHOLE_NUMBER.fullmatch(status)
         reported = int(status) if status is not None and is_number else status
-        return Reading(stamp, force, position, reported, own_time)
+        return Reading(acquired, force, position, reported, own_time)
 
     def send_move(self, position: float, speed: float) -> None:
         """Send the commands of a move."""

@@ -1,9 +1,10 @@
-"""Machine of the virtual rig, driven by the clock of this computer."""
+"""Machine of the virtual rig, driven by the monotonic clock of this computer."""
 
 from __future__ import annotations
 
 import time
 
+from fringedic.recording.clocks import wall_minus_monotonic_ns
 from fringedic.virtual_rig import CrossheadState, SimulatedLoadFrame
 from load_frame_node.machines.machine import LoadMode, Sample
 
@@ -15,17 +16,17 @@ _MODES = {
 
 
 class SimulatedMachine:
-    """Simulated machine whose time advances with the clock of this computer."""
+    """Simulated machine whose time advances with the monotonic clock of this computer."""
 
     def __init__(self, machine: SimulatedLoadFrame) -> None:
         self._machine = machine
-        self._stamp_ns = time.time_ns()
+        self._advanced_ns = time.monotonic_ns()
 
     def sample(self) -> Sample:
         """Advance to the present time and read."""
         self._advance()
         state, force, position = self._machine.sample()
-        return Sample(self._stamp_ns, _MODES[state], force, position)
+        return Sample(self._advanced_ns + wall_minus_monotonic_ns(), _MODES[state], force, position)
 
     def move_to(self, position: float, speed: float) -> None:
         """Start a move with the speed ramps of the machine.
@@ -47,7 +48,6 @@ class SimulatedMachine:
         """Do nothing: there is no connection."""
 
     def _advance(self) -> None:
-        now = time.time_ns()
-        # the time of the machine never decreases, even when the clock of this computer is set back
-        self._machine.advance(1e-9 * max(now - self._stamp_ns, 0))
-        self._stamp_ns = now
+        now = time.monotonic_ns()
+        self._machine.advance(1e-9 * (now - self._advanced_ns))
+        self._advanced_ns = now
