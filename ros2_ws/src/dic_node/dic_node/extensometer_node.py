@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import threading
 import time
+from collections import deque
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -49,9 +52,10 @@ class ExtensometerParameters(BaseModel):
 class ExtensometerNode(RigNode):
     """Topics `extensometer/strain`, `extensometer/sigma`, `extensometer/valid`; service `extensometer/zero`.
 
-    The first frame after the start, after `extensometer/zero` and after each reference step is the reference. When
-    frames arrive faster than they can be measured, only the newest is. Frames that show a pattern are ignored, and so
-    are those of a free run while a step takes its frames.
+    The first frame after the start is the reference, and again the first frame that is exposed after a request of
+    `extensometer/zero`, after a change of parameters, and after the last exposure of each reference step. When frames
+    arrive faster than they can be measured, only the newest is. Frames that show a pattern are ignored, and so are
+    those of a free run while a step takes its frames.
     """
 
     def __init__(self) -> None:
@@ -59,10 +63,13 @@ class ExtensometerNode(RigNode):
         self.parameters = declare(self, ExtensometerParameters, self._take_parameters)
         self.diagnostics = NodeDiagnostics(self)
         self._worker = Worker(self, self._fail)
+        self._measuring = threading.Lock()  # a reference is not replaced while a frame is measured and published
         self._extensometer: VirtualExtensometer | None = None
-        self._newest: Image | None = None
+        self._reference_after_ns = -math.inf  # stamp after which the exposure of the reference begins
+        self._newest: deque[tuple[Image, Exposure]] = deque(maxlen=1)
         self._step_takes_frames = False
-        self._last_frame = time.monotonic()
+        self._look_period_s = 0.5 * self.parameters.value.frame_timeout_s
+        self._silence_s, self._looked_s = 0.0, time.monotonic()
         self._published_invalid = False
         self._strain = self.create_publisher(Float64, "extensometer/strain", STATE)
         self._sigma = self.create_publisher(Float64, "extensometer/sigma", STATE)
@@ -70,7 +77,7 @@ class ExtensometerNode(RigNode):
         self._frames = ImageExposurePairs(self, self._take_frame)
         self.create_subscription(StepStatus, "experiment/step", self._take_step, EVENTS)
         self.create_service(Trigger, "extensometer/zero", self._zero)
-        self.create_timer(0.5 * self.parameters.value.frame_timeout_s, self._check_frames)
+        self.create_timer(self._look_period_s, self._check_frames)
 
     def destroy_node(self) -> None:
         """End the background thread and the node."""
@@ -78,52 +85,71 @@ class ExtensometerNode(RigNode):
         super().destroy_node()
 
     def _take_parameters(self, _: ExtensometerParameters) -> None:
-        self._extensometer = None
+        self._request_reference(time.time_ns())
 
     def _zero(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._extensometer = None
+        self._request_reference(time.time_ns())
         response.success = True
-        response.message = "the next frame is the reference"
+        response.message = "the first frame that is exposed after this request is the reference"
         return response
 
     def _take_step(self, message: StepStatus) -> None:
         self._step_takes_frames = message.stage in TAKING_FRAMES
         if message.stage == StepStatus.END and message.reference:
-            self._extensometer = None
+            last_exposure_ns: float = to_nanoseconds(message.header.stamp)
+            if self._extensometer is None:
+                # topic and service have no common order: a zero that was requested after the step may be served first
+                last_exposure_ns = max(last_exposure_ns, self._reference_after_ns)
+            self._request_reference(last_exposure_ns)
+
+    def _request_reference(self, after_ns: float) -> None:
+        """Measure against the first frame whose exposure begins after a stamp [ns]; older frames may be queued."""
+        with self._measuring:
+            self._extensometer, self._reference_after_ns = None, after_ns
 
     def _take_frame(self, message: Image, exposure: Exposure) -> None:
         if exposure.kind not in MEASURED or (exposure.kind == PatternKind.OTHER and self._step_takes_frames):
             return
-        self._last_frame = time.monotonic()
-        if self._newest is not None:
+        self._silence_s, self._looked_s = 0.0, time.monotonic()
+        if self._newest:
             self.diagnostics.drop()  # replaced before it was measured
-        self._newest = message
-        if not self._worker.pending:
-            self._worker.submit(self._measure_newest)
+        self._newest.append((message, exposure))
+        self._worker.submit(self._measure_newest)
 
     def _measure_newest(self) -> None:
-        """Measure frames until none waits; in the thread of the worker."""
-        while (message := self._newest) is not None:
-            self._newest = None
+        """Measure the frame that waits; in the thread of the worker."""
+        if not self._newest:
+            return  # it was replaced, and its successor is measured
+        message, exposure = self._newest.popleft()
+        with self._measuring:
             try:
-                reading = self._measure(image_array(message))
+                reading = self._measure(image_array(message), exposure)
             except FringedicError as error:
                 reading = StrainReading.invalid(str(error))
             self._publish(reading)
-            if reading.valid:
-                self.diagnostics.success(1e-9 * (time.time_ns() - to_nanoseconds(message.header.stamp)))
+        if reading.valid:
+            self.diagnostics.success(1e-9 * (time.time_ns() - to_nanoseconds(message.header.stamp)))
 
-    def _measure(self, image: np.ndarray) -> StrainReading:
-        p, extensometer = self.parameters.value, self._extensometer
-        if extensometer is None:
+    def _measure(self, image: np.ndarray, exposure: Exposure) -> StrainReading:
+        p = self.parameters.value
+        if self._extensometer is None:
+            middle_s = 1e-9 * (to_nanoseconds(exposure.header.stamp) - self._reference_after_ns)
+            begin_s = middle_s - 0.5 * exposure.exposure_time
+            if not begin_s > 0:  # also an exposure time that is NaN
+                reason = f"the reference is awaited: the exposure of this frame began {-begin_s:.3f} s too early for it"
+                return StrainReading.invalid(reason)
             first, second = (p.first_column_px, p.first_row_px), (p.second_column_px, p.second_row_px)
-            extensometer = self._extensometer = VirtualExtensometer(image, first, second, subset=p.pad_px)
-        return extensometer.measure(image).limited(p.largest_sigma)
+            self._extensometer = VirtualExtensometer(image, first, second, subset=p.pad_px)
+        return self._extensometer.measure(image).limited(p.largest_sigma)
 
     def _check_frames(self) -> None:
-        silence = time.monotonic() - self._last_frame
-        if silence > self.parameters.value.frame_timeout_s and not self._published_invalid:
-            self._publish(StrainReading.invalid(f"no frame for {silence:.2f} s"))
+        now = time.monotonic()
+        # the executor runs timers before subscriptions: after a standstill of this process frames may be queued, so
+        # the time between two looks counts as one period at most
+        self._silence_s += min(now - self._looked_s, self._look_period_s)
+        self._looked_s = now
+        if self._silence_s > self.parameters.value.frame_timeout_s and not self._published_invalid:
+            self._publish(StrainReading.invalid(f"no frame for {self._silence_s:.2f} s"))
 
     def _publish(self, reading: StrainReading) -> None:
         self._published_invalid = not reading.valid

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pytest
 import rclpy
+from rcl_interfaces.srv import SetParameters
 from rclpy.duration import Duration
+from rclpy.parameter import Parameter
 from scipy.ndimage import gaussian_filter, map_coordinates
 from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, Float64
@@ -19,9 +22,11 @@ from fringedic_msgs.msg import Exposure, StepStatus
 from fringedic_ros.images import image_message
 from fringedic_ros.qos import EVENTS, IMAGES, STATE
 from fringedic_ros.records import exposure_message
+from fringedic_ros.stamps import to_msg
 from fringedic_ros.testing import NodeProcess, Peer
 
 ROWS, COLUMNS = 480, 640
+EXPOSURE_S = 0.005
 
 
 class Rig(Peer):
@@ -36,6 +41,8 @@ class Rig(Peer):
         self._exposures = self.create_publisher(Exposure, "camera/exposure", IMAGES)
         self._steps = self.create_publisher(StepStatus, "experiment/step", EVENTS)
         self._zero = self.create_client(Trigger, "extensometer/zero")
+        self._set_parameters = self.create_client(SetParameters, "extensometer/set_parameters")
+        self.stamp_ns = 0  # of the latest frame
         self._texture = gaussian_filter(np.random.default_rng(1).normal(size=(ROWS, COLUMNS)), 1.4)
         self._texture *= 40 / self._texture.std()
 
@@ -43,14 +50,25 @@ class Rig(Peer):
         for publisher in (self._images, self._exposures, self._steps):
             self.wait(lambda publisher=publisher: publisher.get_subscription_count() == 1, "the extensometer")
 
-    def send(self, strain: float, kind: PatternKind = PatternKind.OTHER) -> None:
-        """One frame of the texture stretched along the columns about the middle of the image."""
+    def send(
+        self,
+        strain: float,
+        kind: PatternKind = PatternKind.OTHER,
+        *,
+        stamp_ns: int | None = None,
+        exposure_s: float = EXPOSURE_S,
+    ) -> None:
+        """One frame of the texture stretched along the columns about the middle of the image.
+
+        Its exposure begins now, unless it has a stamp.
+        """
         row, column = np.mgrid[0:ROWS, 0:COLUMNS].astype(float)
         material = (column - COLUMNS / 2) / (1 + strain) + COLUMNS / 2
         image = np.clip(128 + map_coordinates(self._texture, [row, material], order=5, mode="reflect"), 0, 255)
-        now = self.get_clock().now().nanoseconds
-        self._images.publish(image_message(image.round().astype(np.uint8), stamp_ns=now, frame_id="camera"))
-        record = FrameRecord("", 0, 0, 0, ProjectedPattern(kind), now, 0.005, 0)
+        begin = self.get_clock().now().nanoseconds
+        self.stamp_ns = begin + round(0.5e9 * exposure_s) if stamp_ns is None else stamp_ns
+        self._images.publish(image_message(image.round().astype(np.uint8), stamp_ns=self.stamp_ns, frame_id="camera"))
+        record = FrameRecord("", 0, 0, 0, ProjectedPattern(kind), self.stamp_ns, exposure_s, 0)
         self._exposures.publish(exposure_message(record, frame_id="camera"))
 
     def read(self, strain: float) -> tuple[float, float]:
@@ -64,13 +82,28 @@ class Rig(Peer):
     def _numbers(self, messages: list[Float64]) -> list[float]:
         return [message.data for message in messages if not np.isnan(message.data)]
 
-    def publish_stage(self, stage: int, *, reference: bool = False) -> None:
-        self._steps.publish(StepStatus(stage=stage, reference=reference))
+    def send_early(self, strain: float, **options: Any) -> None:
+        """One frame that may not become the reference."""
+        self.forget()
+        self.send(strain, **options)
+        self.wait(lambda: self.strains, "the answer to the frame")
+        assert not any(flag.data for flag in self.valid)
+
+    def publish_stage(self, stage: int, *, reference: bool = False, stamp_ns: int | None = None) -> None:
+        message = StepStatus(stage=stage, reference=reference)
+        message.header.stamp = to_msg(self.get_clock().now().nanoseconds if stamp_ns is None else stamp_ns)
+        self._steps.publish(message)
         assert self._steps.wait_for_all_acked(Duration(seconds=180))
         self.meet("extensometer")  # before it answers, a node takes one message of each topic
 
     def zero(self) -> None:
         self.ask(self._zero, Trigger.Request(), "the zero")
+
+    def change_subset(self) -> None:
+        """Change the size of the gauge subsets, and restore it: each change requests a reference."""
+        for size in (40, 48):
+            change = Parameter("pad_px", value=size).to_parameter_msg()
+            self.ask(self._set_parameters, SetParameters.Request(parameters=[change]), "the change of parameters")
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +143,38 @@ def test_the_frame_after_a_reference_step_is_the_reference(rig: Rig) -> None:
         read = [rig.read(strain)[0] for strain in (0.005, 0.010)]
         expected = 1.010 / 1.005 - 1 if reference else 0.010
         assert read[1] == pytest.approx(expected, abs=1e-4), reference
+
+
+@pytest.mark.parametrize("requested_by", ["step", "zero", "parameters"])
+def test_a_frame_of_before_the_request_does_not_become_the_reference(rig: Rig, requested_by: str) -> None:
+    """Such frames are queued after the process stood still."""
+    rig.read(0.0)
+    before = rig.stamp_ns + 1
+    if requested_by == "step":
+        rig.publish_stage(StepStatus.END, reference=True, stamp_ns=before)
+    elif requested_by == "zero":
+        rig.zero()
+    else:
+        rig.change_subset()
+    rig.send_early(0.002, stamp_ns=before)
+    rig.read(0.005)
+    assert rig.read(0.010)[0] == pytest.approx(1.010 / 1.005 - 1, abs=1e-4)
+
+
+def test_a_frame_that_was_being_exposed_at_the_request_does_not_become_the_reference(rig: Rig) -> None:
+    rig.send_early(0.002, stamp_ns=rig.get_clock().now().nanoseconds, exposure_s=3600)
+    rig.read(0.005)
+    assert rig.read(0.010)[0] == pytest.approx(1.010 / 1.005 - 1, abs=1e-4)
+
+
+def test_the_end_of_a_step_does_not_replace_a_later_request_of_zero(rig: Rig) -> None:
+    rig.read(0.0)
+    last_exposure = rig.stamp_ns + 1
+    rig.zero()
+    rig.publish_stage(StepStatus.END, reference=True, stamp_ns=last_exposure)
+    rig.send_early(0.002, stamp_ns=last_exposure + 1000, exposure_s=1e-6)
+    rig.read(0.005)
+    assert rig.read(0.010)[0] == pytest.approx(1.010 / 1.005 - 1, abs=1e-4)
 
 
 def test_frames_with_a_pattern_are_ignored(rig: Rig) -> None:
