@@ -57,6 +57,7 @@ ANSWER_S = 10.0
 LOOKS_S = 0.1  # between two looks for a service
 PRESENCE_S = 1.0
 MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
+REFUSED = "the experiment node refuses the step; wait until it has started"
 MEASURING = ("run", "by_hand")  # the procedures with a dataset
 IN_PLANE = {"dic/displacement": ("displacement_x", "displacement_y")}
 IN_PLANE |= {"dic/sigma": ("displacement_sigma_x", "displacement_sigma_y")}
@@ -204,12 +205,20 @@ class OperatorNode(RigNode):
             raise OperatorError("no experiment node is running: start measuring by hand, or a programme")
         self._by_hand.used = True
         goal = MeasureStep.Goal(mode=MODES[command.mode], set_reference=command.set_reference, controller="operator")
-        handle = await _answer(self._measure.send_goal_async(goal), "measure_step")
+        sent = self._measure.send_goal_async(goal)
+        sent.add_done_callback(self._follow)  # also of an answer that comes too late for the browser
+        handle = await _answer(sent, "measure_step")
         if not handle.accepted:
-            raise OperatorError("measure_step: the experiment node refuses the step; wait until it has started")
+            raise OperatorError(f"measure_step: {REFUSED}")
+        return ""
+
+    def _follow(self, sent: Future) -> None:
+        handle = sent.result()
+        if not handle.accepted:
+            self._state.set_hand(f"not measured: {REFUSED}")
+            return
         self._state.set_hand("measuring")
         handle.get_result_async().add_done_callback(self._take_result)
-        return ""
 
     def _take_result(self, future: Future) -> None:
         try:
@@ -314,7 +323,10 @@ async def _answer(future: Future, what: str) -> Any:
     try:
         await asyncio.wait_for(arrived.wait(), ANSWER_S)
     except TimeoutError as error:
-        raise OperatorError(f"{what} does not answer: see the states of the nodes, and try again") from error
+        raise OperatorError(
+            f"{what} does not answer: the request may still be carried out; see the states of the nodes before you try "
+            "again"
+        ) from error
     return future.result()
 
 
