@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
@@ -103,9 +102,10 @@ class ActiveGoal:
             await self.wait_polling(
                 client.service_is_ready, timeout_s, lambda: (code, f"{what}: there is no service {name}")
             )
-        deadline = time.monotonic() + timeout_s
-        future = await self._ask(client, request, min(timeout_s, again_s))
-        while not future.done() and not self._cancelled and (left := deadline - time.monotonic()) > 0:
+        left = timeout_s
+        future = await self._ask(client, request, min(left, again_s))
+        # without the clock, which runs on while this process stands still
+        while not future.done() and not self._cancelled and (left := left - again_s) > 0:
             future = await self._ask(client, request, min(left, again_s))
         self._conclude(future.done, lambda: (code, f"{what}: {name} did not answer in {timeout_s:g} s"))
         return future.result()

@@ -6,13 +6,14 @@ import time
 
 from rclpy.node import Node
 
-from experiment_node.active_goal import StepFailure
+from experiment_node.active_goal import Failure, StepFailure
 from experiment_node.running_step import RunningStep
 from experiment_node.topics import PROCESSING_INPUTS
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.srv import QueryStep
 
 ANSWER_S = 5.0  # longest wait for the answer of a node
+AGAIN_S = 5.0  # at most, after which a node without inputs is asked once more
 
 
 class InputWatch:
@@ -33,6 +34,9 @@ class InputWatch:
     async def check(self, step: RunningStep, name: str, patience_s: float) -> None:
         """End the step if a node lacks inputs, `patience_s` after the last frame or the result of the node before it.
 
+        A node that stood still takes one message of each topic before the request, and the others after it. It is
+        therefore asked a second time, unless a result arrives in between.
+
         Raises
         ------
         StepFailure
@@ -41,12 +45,23 @@ class InputWatch:
         client = self._clients[name]
         if time.monotonic() - max(step.exposed, step.answered) < patience_s or not client.service_is_ready():
             return
-        request = QueryStep.Request(experiment=step.experiment.name, step=step.number)
         lost = (MeasureStep.Result.PROCESSING_TIMEOUT, f"{name} has not received the inputs of the step")
+        if not await self._lacks_inputs(step, name, lost):
+            return
+        answered = step.answered
         try:
-            response = await step.goal.call(client, request, ANSWER_S, *lost)
+            await step.goal.wait(lambda: step.answered != answered, min(patience_s, AGAIN_S), lambda: lost)
         except StepFailure:
             step.goal.check()
-            return  # a node without processor time: it has the time that is left
-        if not response.received and name not in step.statuses:
-            raise StepFailure(*lost)
+            if await self._lacks_inputs(step, name, lost):
+                raise
+
+    async def _lacks_inputs(self, step: RunningStep, name: str, lost: Failure) -> bool:
+        """Return whether a node reports that it lacks inputs; one without processor time has the time that is left."""
+        request = QueryStep.Request(experiment=step.experiment.name, step=step.number)
+        try:
+            response = await step.goal.call(self._clients[name], request, ANSWER_S, *lost)
+        except StepFailure:
+            step.goal.check()
+            return False
+        return not response.received and name not in step.statuses

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Collection, Iterable
 
 from rcl_interfaces.msg import Parameter
@@ -18,6 +17,7 @@ from fringedic.steps.recorded_parameters import present_name
 from fringedic_msgs.msg import NodeParameters, NodeStatus, StepStatus
 from fringedic_ros.matching import Matching
 from fringedic_ros.qos import EVENTS
+from fringedic_ros.waiting import Patience
 
 
 class PlaybackNodes:
@@ -184,9 +184,9 @@ class PlaybackNodes:
         self._wait(lambda: not silent(), lambda: f"no answer from {silent()}")
 
     def _wait(self, done: Callable[[], bool], message: Callable[[], str]) -> None:
-        end = time.monotonic() + self._timeout_s
+        patience = Patience(self._timeout_s)
         while not done():
-            if time.monotonic() > end:
+            if patience.is_over():
                 raise WaitTimeoutError(f"{message()} after {self._timeout_s:g} s")
             self._executor.spin_once(timeout_sec=0.05)
 

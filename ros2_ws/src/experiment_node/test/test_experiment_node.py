@@ -47,7 +47,7 @@ from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
 
 FRAMES = 7
-EXPOSURE_NS = 1_000_000  # short: the clock of the rig, which adds exposures up, stays near the real time
+EXPOSURE_NS = 100_000  # short: the clock of the rig, which adds exposures up, stays behind the real time
 START_TIMEOUT = 3.0  # [s]
 PARAMETERS = {
     "projector_width_px": 64,
@@ -104,7 +104,10 @@ class Rig(Peer):
         self.create_service(Trigger, "load_frame/hold", self._hold, callback_group=group)
         for name in self.statuses:
             self.create_service(CountReaders, f"{name}/count_readers", self._count_readers, callback_group=group)
-            self.create_service(QueryStep, f"{name}/query_step", self._query_step, callback_group=group)
+        self.queries = {
+            name: self.create_service(QueryStep, f"{name}/query_step", self._query_step, callback_group=group)
+            for name in self.statuses
+        }
         self.measure = ActionClient(self, MeasureStep, "measure_step")
         self.start = self.create_client(StartExperiment, "experiment/start")
         self.set_reference = self.create_client(SetReference, "experiment/set_reference")
@@ -120,7 +123,7 @@ class Rig(Peer):
         response.shown = to_msg(self.time())
         return response
 
-    def time(self, passed_ns: int = 1_000_000) -> int:
+    def time(self, passed_ns: int = EXPOSURE_NS) -> int:
         """Return the time of the rig after some time."""
         passed = self.clock_ns + passed_ns
         # even from frame to frame: a drift per frame is one per time on a busy computer, too
@@ -481,6 +484,29 @@ def test_a_fault_ends_the_step_with_its_code_and_the_next_one_works(
     rig.wait(lambda: rig.holds == 1, "the request to hold")
     rig.behave()
     assert rig.step().error_code == Result.NONE
+
+
+def test_a_node_that_took_its_inputs_after_the_first_question_does_not_end_the_step(rig: Rig) -> None:
+    """One that stood still answers after one message of each topic."""
+    asked: list[bool] = []
+
+    async def lacks_at_first(request: QueryStep.Request, response: QueryStep.Response) -> QueryStep.Response:
+        response.received = bool(asked)
+        asked.append(response.received)
+        if response.received:
+            rig.silent = set()
+            rig.publish_statuses(request.experiment, request.step, rig.last_stamp)
+        return response
+
+    query, rig.queries["dic"].callback = rig.queries["dic"].callback, lacks_at_first
+    rig.change(processing_timeout_s=60.0)
+    rig.silent = {"dic", "coupling"}
+    try:
+        assert rig.step().error_code == Result.NONE
+    finally:
+        rig.queries["dic"].callback = query
+        rig.change(processing_timeout_s=PARAMETERS["processing_timeout_s"])
+    assert asked[:2] == [False, True]
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,12 @@ import numpy as np
 import pytest
 import rclpy
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue, SetParametersResult
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image
 
+from experiment_node.playback_nodes import PlaybackNodes
 from experiment_node.recorded_steps import RecordedStep, split_steps
 from experiment_node.topics import EXPOSURE, IMAGE, PROCESSING_INPUTS, PUBLISHED, STEP
 from fringedic.frames.records import FrameRecord
@@ -263,6 +266,28 @@ def test_a_node_that_does_not_answer_is_named(graph: Callable[..., Any], tmp_pat
     played = play(tmp_path / "bag", timeout_s=5.0)
     assert played.returncode == 1
     assert "experiment 'test', step 0: no status from dic" in played.stderr
+
+
+def test_statuses_that_came_while_the_player_stood_still_are_taken(spinning: Spinning) -> None:
+    """The player takes one message per turn, and its limit is over before the first."""
+    nodes = spinning.add(Node("nodes"))
+    player = Node("player")
+    playback = PlaybackNodes(player, recorder=False, timeout_s=0.6)
+    publishers = {name: nodes.create_publisher(NodeStatus, f"{name}/status", EVENTS) for name in PROCESSING_INPUTS}
+    for publisher in publishers.values():
+        while not publisher.get_subscription_count():
+            time.sleep(0.01)
+
+    def stand_still() -> None:
+        stop.cancel()
+        for name, publisher in publishers.items():
+            publisher.publish(NodeStatus(node=name, experiment="test", step=4))
+            assert publisher.wait_for_all_acked(Duration(seconds=60))
+        time.sleep(1.0)
+
+    stop = player.create_timer(0.0, stand_still)
+    assert playback.await_statuses(StepStatus(experiment="test", step=4)).keys() == publishers.keys()
+    player.destroy_node()
 
 
 @pytest.mark.usefixtures("graph")

@@ -17,6 +17,7 @@ import time
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, Self
@@ -41,7 +42,7 @@ from fringedic_msgs.srv import PlaceReferencePlane, SetReference, StartExperimen
 from fringedic_ros.goals import RepeatedGoal
 from fringedic_ros.placing import PlaceWatch, placing_problem
 from fringedic_ros.qos import EVENTS, LATCHED, STATE
-from fringedic_ros.waiting import LOST_S, LongRequest, RepeatedRequest
+from fringedic_ros.waiting import LOST_S, LongRequest, Patience, RepeatedRequest
 
 MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
 START_TIMEOUT_S = 60.0
@@ -115,7 +116,8 @@ class RigClient:
         self.node.create_subscription(StepStatus, "experiment/step", self._take_step, EVENTS)
         self._load: LoadState | None = None
         self._strain = self._strain_of_step = math.nan
-        self._strain_came, self._strain_periods = -math.inf, deque[float](maxlen=9)
+        self._strain_came = deque[float](maxlen=10)
+        self._strain_silence = Patience(STRAIN_S)
         self.node.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
         self.node.create_subscription(Float64, "extensometer/strain", self._take_strain, STATE)
         self._sent: RepeatedGoal | None = None  # goal whose acceptance is pending; a server may run it already
@@ -201,12 +203,9 @@ class RigClient:
         """Latest force [N] and strain [-]; NaN before the first sample."""
         return Reading(math.nan if self._load is None else self._load.force, self._strain)
 
-    def _reading_since(self, begun: float) -> Reading:
-        """Return the latest force and strain; a strain that no longer arrives since `begun` [s] is NaN."""
-        usual = statistics.median(self._strain_periods) if self._strain_periods else 0.0
-        silence = time.monotonic() - max(self._strain_came, begun)
-        is_known = silence <= max(STRAIN_S, MISSED * usual)
-        return self.reading if is_known else self.reading._replace(strain=math.nan)
+    def _present_reading(self) -> Reading:
+        """Return the latest force and strain; a strain that no longer arrives is NaN."""
+        return self.reading._replace(strain=math.nan) if self._strain_silence.is_over() else self.reading
 
     @property
     def strain_of_step(self) -> float:
@@ -251,12 +250,13 @@ class RigClient:
             return self._act(self._move, goal, what, lambda _: None)
         self.wait_for(lambda: self._load is not None, START_TIMEOUT_S, lambda: "load_frame/state: no sample")
         sent = self._send(self._move, goal, what, lambda _: None)
-        begun, stopped, again = time.monotonic(), False, 0.0
+        self._strain_silence.renew()
+        stopped, again = False, 0.0
 
         def over() -> bool:
             nonlocal stopped, again
             ended = sent.request_result()
-            stopped = stopped or bool(not ended and until(self._reading_since(begun)))
+            stopped = stopped or bool(not ended and until(self._present_reading()))
             if stopped and not ended and time.monotonic() > again:  # a request may be lost
                 again = time.monotonic() + CANCEL_AGAIN_S
                 sent.handle.cancel_goal_async()
@@ -493,9 +493,9 @@ class RigClient:
         """
         self.request_cancel()  # before it places another plane
         request = PlaceReferencePlane.Request(kind=PlaceReferencePlane.Request.SPECIMEN)
-        end = time.monotonic() + timeout_s
+        patience = Patience(timeout_s)
         with LongRequest(self.node, self._place, request) as sent:
-            while self._place.service_is_ready() and not sent.is_answered() and time.monotonic() < end:
+            while self._place.service_is_ready() and not sent.is_answered() and not patience.is_over():
                 self._participant.spin_once(0.1)
 
     def serve_placing(self, place: Callable[[int, float, float], str]) -> None:
@@ -583,9 +583,9 @@ class RigClient:
         WaitTimeoutError
             The condition is not true in time.
         """
-        end = time.monotonic() + timeout_s
-        while not done():  # also after the last turn, which may have taken long and brought the answer
-            if time.monotonic() > end:
+        patience = Patience(timeout_s)
+        while not done():
+            if patience.is_over():
                 raise WaitTimeoutError(f"{what()} after {timeout_s:g} s")
             self._spin_once()
 
@@ -657,15 +657,16 @@ class RigClient:
         WaitTimeoutError
             There is no answer in time, or the node is missing; the message names it.
         """
-        begun = seen = time.monotonic()
-        node = self._servers[client]
+        silence, absence = Patience(timeout_s), Patience(LOST_S)
+        node, sign_s = self._servers[client], last_sign_s()
         while not done():
-            now = time.monotonic()
             if client.server_is_ready():
-                seen = now
-            if now - seen > LOST_S:
+                absence.renew()
+            elif absence.is_over():
                 raise WaitTimeoutError(f"{what}: the node {node} is missing: start it, or connect its computer")
-            if now - max(begun, last_sign_s()) > timeout_s:
+            if sign_s != (sign_s := last_sign_s()):
+                silence.renew()
+            elif silence.is_over():
                 raise WaitTimeoutError(f"{what}: no answer after {timeout_s:g} s")
             self._spin_once()
 
@@ -683,10 +684,11 @@ class RigClient:
         self._load = message
 
     def _take_strain(self, message: Float64) -> None:
-        now = time.monotonic()
-        if math.isfinite(self._strain_came):
-            self._strain_periods.append(now - self._strain_came)
-        self._strain, self._strain_came = message.data, now
+        self._strain_came.append(time.monotonic())
+        periods = [later - earlier for earlier, later in pairwise(self._strain_came)]
+        usual = statistics.median(periods) if periods else 0.0
+        self._strain_silence = Patience(max(STRAIN_S, MISSED * usual))
+        self._strain = message.data
         if math.isfinite(message.data):
             self._strain_of_step = message.data
 

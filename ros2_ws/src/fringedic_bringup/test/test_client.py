@@ -8,8 +8,10 @@ from collections.abc import Iterator
 
 import pytest
 import rclpy
+from rclpy.action import ActionClient
 from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.duration import Duration
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
@@ -97,21 +99,78 @@ def test_a_move_may_take_as_long_as_it_reports(monkeypatch: pytest.MonkeyPatch) 
             controller.move(SILENT)
 
 
-@pytest.mark.usefixtures("rig")
-def test_what_came_while_the_client_stood_still_is_not_missing() -> None:
-    """A busy computer, or Ctrl-Z: one turn of the loop takes longer than the whole wait."""
-    came: list[float] = []
+def test_what_came_while_the_client_stood_still_is_not_missing(rig: Rig) -> None:
+    """A busy computer, or Ctrl-Z: a turn takes longer than the whole wait; each of the next ones takes one message."""
+    stops: list[float] = []
 
     def stand_still() -> None:
-        came.append(time.monotonic())
-        time.sleep(1.2)
+        if stops:
+            for number in range(3):
+                rig.steps.publish(StepStatus(experiment="plate", step=number))
+            assert rig.steps.wait_for_all_acked(Duration(seconds=60))
+            time.sleep(stops.pop())
 
     with RigClient(watch=stand_still) as controller:
-        controller.sleep(0.1)
-        came.clear()
-        controller.wait_for(lambda: bool(came), 0.1, lambda: "the answer")
-        with pytest.raises(WaitTimeoutError, match=r"another answer after 0.1 s"):
-            controller.wait_for(lambda: False, 0.1, lambda: "another answer")
+        controller.wait_for(rig.steps.get_subscription_count, 30, lambda: "the subscription of the client")
+        stops.append(1.5)
+        controller.wait_for(lambda: controller.highest_step("plate") == 2, 1.0, lambda: "the steps")
+
+
+@pytest.mark.usefixtures("rig")
+def test_a_wait_ends_also_when_every_turn_is_long() -> None:
+    with (
+        RigClient(watch=lambda: time.sleep(0.2)) as controller,
+        pytest.raises(WaitTimeoutError, match=r"the answer after 0.1 s"),
+    ):
+        controller.wait_for(lambda: False, 0.1, lambda: "the answer")
+
+
+@pytest.mark.usefixtures("rig")
+@pytest.mark.parametrize("is_absent", [True, False], ids=["node", "feedback"])
+def test_a_step_goes_on_after_its_client_stood_still(is_absent: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its feedback waits in the queue, and the middleware may have to discover its node again."""
+    monkeypatch.setattr(client, "STEP_TIMEOUT_S", 1.0)
+    monkeypatch.setattr(client, "LOST_S", 1.0)
+    begun, stops = list[MeasureStep.Feedback](), [1.5]
+
+    def stand_still() -> None:
+        if len(begun) > 5 and stops:  # the goal is accepted
+            time.sleep(stops.pop())
+            if is_absent:
+                looks = iter([False])
+                monkeypatch.setattr(ActionClient, "server_is_ready", lambda _: next(looks, True))
+
+    def cancel_after_stop(feedback: MeasureStep.Feedback) -> None:
+        begun.append(feedback)
+        if not stops:
+            controller.request_cancel()
+
+    with (
+        RigClient(watch=stand_still) as controller,
+        pytest.raises(StepFailedError, match=f"error {MeasureStep.Result.CANCELLED}"),
+    ):
+        controller.measure(feedback=cancel_after_stop)
+
+
+def test_a_strain_is_known_after_its_client_stood_still(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A strain that is not known ends a move."""
+    monkeypatch.setattr(client, "STRAIN_S", 0.5)
+    seen: list[float] = []
+
+    def stand_still(reading: Reading) -> bool:
+        seen.append(reading.strain)
+        if len(seen) == 1:
+            time.sleep(0.8)
+        return False
+
+    with RigClient() as controller:
+        for publisher in (rig.strains, rig.loads):
+            controller.wait_for(publisher.get_subscription_count, 30, lambda: "the subscription of the client")
+        rig.loads.publish(LoadState())
+        rig.strains.publish(Float64(data=0.01))
+        controller.wait_for(lambda: controller.reading.strain == 0.01, 30, lambda: "the strain")
+        controller.move(SLOW, until=stand_still)
+    assert seen[1] == 0.01
 
 
 @pytest.mark.usefixtures("rig")

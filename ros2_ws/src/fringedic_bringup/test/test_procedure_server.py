@@ -7,15 +7,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from std_msgs.msg import Bool
 
 from fringedic.rig_setup.check_list import CheckList, ItemState, SetupItem
 from fringedic_bringup.launch.environment import private_domain
 from fringedic_bringup.operating import server
 from fringedic_bringup.operating.procedures import Place, Request
 from fringedic_bringup.operating.server import ProcedureServer
-from fringedic_bringup.operating.status import STOPPED, Job, Outcome
+from fringedic_bringup.operating.status import STOPPED, Job, Outcome, State
 from fringedic_bringup.participant import Participant
 from fringedic_msgs.srv import StartProcedure
+from fringedic_ros.qos import LATEST
 
 HOLDS, FAILS = Outcome(["The rig holds its calibration."]), Outcome(["The rig does not hold it."], good=False)
 
@@ -72,3 +74,52 @@ def test_a_check_that_was_not_passed_replaces_the_one_before(
     assert found.state is state
     assert found.record is not None
     assert list(found.record.words) == words
+
+
+def test_a_programme_goes_on_after_the_server_stood_still(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The signs of the driver's page wait in the queue; without any the programme pauses."""
+    monkeypatch.setattr(server, "LOST_S", 1.0)
+    (tmp_path / "rig.yaml").write_text("{camera: {source: virtual}, virtual_rig: {preset: plate, size: tiny}}")
+    jobs: list[Job] = []
+
+    def execute(_: Place, job: Job, request: Request) -> None:
+        if request.procedure != "live":
+            job.controlled = job.holds_without_driver = True
+            jobs.append(job)
+        while not job.is_stopping:
+            time.sleep(0.01)
+
+    monkeypatch.setattr(server, "execute", execute)
+    with private_domain() as domain, ProcedureServer(Place(tmp_path / "rig.yaml", domain)) as running:
+        page = Participant("page", "rig", domain=domain)
+        start = page.node.create_client(StartProcedure, "procedures/start")
+        signs = page.node.create_publisher(Bool, "operator/driver_present", LATEST)
+
+        def serve_until(done: Callable[[], bool], *, present: bool = True) -> None:
+            end = time.monotonic() + 60
+            while not done():
+                assert time.monotonic() < end
+                if present:
+                    signs.publish(Bool(data=True))
+                running.spin_once()
+                page.spin_once(0.0)
+
+        def serve(turns: int) -> None:
+            left = iter(range(turns))
+            serve_until(lambda: next(left, None) is None)
+
+        serve_until(lambda: start.service_is_ready() and signs.get_subscription_count() == 1)
+        serve(20)
+        answer = start.call_async(StartProcedure.Request(procedure="check"))
+        serve_until(answer.done)
+        assert answer.result().success, answer.result().message
+        serve_until(lambda: bool(jobs))
+        for _ in range(5):
+            running.spin_once()  # no sign is left
+        time.sleep(1.5)
+        running.spin_once()
+        assert jobs[0].status.state is State.RUNNING
+        serve(20)
+        assert jobs[0].status.state is State.RUNNING
+        serve_until(lambda: jobs[0].status.state is State.PAUSING, present=False)
+        page.close()

@@ -7,6 +7,7 @@ A coroutine occupies its callback group while it waits. Every callback that wait
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Callable, Iterator
 from typing import Any, Self
@@ -24,6 +25,48 @@ _STEADY = Clock(clock_type=ClockType.STEADY_TIME)
 _POLL_S = 0.01
 AGAIN_S = 2.0  # after which a request without response is sent again
 LOST_S = 10.0  # without its server, after which a request fails; a node that is started again is back earlier
+LONGEST_TURN_S = 0.5  # between two looks of a wait at its time limit: few, because a wait may last hours
+TURNS = 4  # at least, in a time limit
+
+
+class Patience:
+    """Time limit that counts only the time in which this process could have taken an answer.
+
+    When a process stands still (busy computer, Ctrl-Z, suspended laptop), the clock passes the limit while the answer
+    waits unread in its queue, from which the executor takes one message per turn. Of the time between two looks
+    therefore at most two turns count, and after the first stop near the end of the limit some turns are left.
+
+    Parameters
+    ----------
+    limit_s
+        Time limit [s].
+
+    Attributes
+    ----------
+    turn_s
+        Longest time [s] to the next look, `is_over`.
+    """
+
+    def __init__(self, limit_s: float) -> None:
+        self._limit_s = max(limit_s, 0.0)
+        self.turn_s = self._limit_s / max(TURNS, math.ceil(self._limit_s / LONGEST_TURN_S))
+        self.renew()
+
+    def renew(self) -> None:
+        """Begin again, as after a sign of the other side."""
+        self._left_s, self._reserve_s = self._limit_s, TURNS * self.turn_s
+        self._looked_s = time.monotonic()
+
+    def is_over(self) -> bool:
+        """Return whether the limit has passed; look at least every `turn_s`."""
+        now = time.monotonic()
+        passed, self._looked_s = now - self._looked_s, now
+        most = 2 * self.turn_s  # two: a timer that is a little late is counted in full
+        if self._left_s > 0:
+            self._left_s -= min(passed, most)
+            if passed > most > self._left_s:
+                self._left_s, self._reserve_s = max(self._left_s, self._reserve_s), 0.0
+        return self._left_s <= 0
 
 
 async def wait_for(node: Node, future: Future, timeout_s: float, what: str = "an answer") -> Any:
@@ -34,12 +77,17 @@ async def wait_for(node: Node, future: Future, timeout_s: float, what: str = "an
     WaitTimeoutError
         The future was not done within `timeout_s`; `what` names it in the message.
     """
-    gate = Future()
+    gate, patience = Future(), Patience(timeout_s)
     open_gate = _opener(node, gate)
+
+    def look() -> None:
+        if patience.is_over():
+            open_gate()
+
     if not future.done():
         future.add_done_callback(open_gate)
         try:
-            with _timer(node, timeout_s, open_gate):
+            with _timer(node, patience.turn_s, look):
                 await gate
         finally:
             future.remove_done_callback(open_gate)
@@ -64,11 +112,10 @@ async def until(node: Node, predicate: Callable[[], bool], timeout_s: float, wha
     WaitTimeoutError
         The predicate was false for `timeout_s`.
     """
-    deadline = time.monotonic() + timeout_s
-    gate = Future()
+    gate, patience = Future(), Patience(timeout_s)
 
     def look() -> None:
-        if not gate.done() and (predicate() or time.monotonic() >= deadline):
+        if not gate.done() and (predicate() or patience.is_over()):
             gate.set_result(None)
 
     look()
@@ -79,20 +126,17 @@ async def until(node: Node, predicate: Callable[[], bool], timeout_s: float, wha
 
 
 async def call(node: Node, client: Client, request: Any, timeout_s: float) -> Any:
-    """Return the response of a service; waits for the service and for the response, both within `timeout_s`.
+    """Return the response of a service; waits for the service and then for the response, `timeout_s` for each.
 
     Raises
     ------
     WaitTimeoutError
         There is no such service, or no response in time; the pending request is removed.
     """
-    deadline = time.monotonic() + timeout_s
     await until(node, client.service_is_ready, timeout_s, f"service {client.srv_name}")
     future = client.call_async(request)
     try:
-        return await wait_for(
-            node, future, max(deadline - time.monotonic(), 0.0), f"the answer of service {client.srv_name}"
-        )
+        return await wait_for(node, future, timeout_s, f"the answer of service {client.srv_name}")
     except WaitTimeoutError:
         client.remove_pending_request(future)
         raise
@@ -159,7 +203,7 @@ class LongRequest(RepeatedRequest):
     def __init__(self, node: Node, client: Client, request: Any) -> None:
         super().__init__(client, request)
         self._node = node
-        self._servers, self._seen_s = 0, time.monotonic()
+        self._servers, self._absence = 0, Patience(LOST_S)
         self._most_sent = 1
         self.loss = ""
 
@@ -168,14 +212,14 @@ class LongRequest(RepeatedRequest):
         return self.is_answered() or bool(self.loss)
 
     def _send_when_due(self) -> None:
-        now, servers = time.monotonic(), self._node.count_services(self._client.srv_name)
+        servers = self._node.count_services(self._client.srv_name)
         if servers < self._servers:
             # twice: a server that was started again may not know the reader of its responses yet
             self._most_sent, self._next_s = len(self._sent) + 2, 0.0
         self._servers = servers
         if servers:
-            self._seen_s = now
-        elif now - self._seen_s > LOST_S:
+            self._absence.renew()
+        elif self._absence.is_over():
             name = self._client.srv_name
             self.loss = f"the service {name} is missing: start its node again, and repeat the measurement"
         if len(self._sent) < self._most_sent:
@@ -202,27 +246,36 @@ class Condition:
         WaitTimeoutError
             The predicate was false for `timeout_s`.
         """
-        deadline = time.monotonic() + timeout_s
-        while True:
-            changed = self._changed  # taken before the check, so that no change is missed between check and wait
-            if predicate():
-                return
-            left = deadline - time.monotonic()
-            if left <= 0:  # also when there is a change in every turn of the executor
-                raise WaitTimeoutError(f"{what} did not come within {timeout_s:g} s")
-            with contextlib.suppress(WaitTimeoutError):
-                await wait_for(self._node, changed, left)
+        patience = Patience(timeout_s)
+
+        def look() -> None:
+            if patience.is_over():
+                self.notify()
+
+        with _timer(self._node, patience.turn_s, look):
+            while True:
+                changed = self._changed  # taken before the check, so that no change is missed between check and wait
+                if predicate():
+                    return
+                if patience.is_over():  # also when there is a change in every turn of the executor
+                    raise WaitTimeoutError(f"{what} did not come within {timeout_s:g} s")
+                changed.add_done_callback(lambda _: _wake(self._node))
+                await changed
 
 
 def _opener(node: Node, gate: Future) -> Callable[..., None]:
     def open_gate(*_: object) -> None:
         if not gate.done():
             gate.set_result(None)
-            # the executor may sleep while another thread completes the future
-            if node.executor is not None:
-                node.executor.wake()
+            _wake(node)
 
     return open_gate
+
+
+def _wake(node: Node) -> None:
+    """Wake the executor, which may sleep while another thread completes a future."""
+    if node.executor is not None:
+        node.executor.wake()
 
 
 @contextlib.contextmanager

@@ -18,21 +18,26 @@ import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.task import Future
 from sensor_msgs.msg import Image
+from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
 
 from fringedic.errors import WaitTimeoutError
 from fringedic_msgs.msg import Exposure
+from fringedic_ros import waiting
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.images import image_message
 from fringedic_ros.pairing import ImageExposurePairs
 from fringedic_ros.qos import DIAGNOSTICS, IMAGES
 from fringedic_ros.spinning import Spinning
 from fringedic_ros.stamps import to_msg, to_nanoseconds
-from fringedic_ros.waiting import Condition, call, sleep, until, wait_for
+from fringedic_ros.waiting import Condition, LongRequest, Patience, RepeatedRequest, call, sleep, until, wait_for
 from fringedic_ros.work import Worker
+
+LIMIT_S = 0.4  # of a wait in which the process stands still
 
 
 def test_waiting_is_exact_and_leaves_nothing(spinning: Spinning) -> None:
@@ -125,6 +130,138 @@ def test_call_answers_or_gives_up(spinning: Spinning) -> None:
     hang.set_result(None)
     assert list(node.timers) == []
     gc.collect()
+
+
+class StoppedClock:
+    """A clock that a test sets."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s = 0.0
+        monkeypatch.setattr(waiting.time, "monotonic", lambda: self.now_s)
+
+    def looks(self, patience: Patience, turn_s: float) -> int:
+        """Return how often one can look at a limit, once per turn, until it is over."""
+        for count in range(1, 1000):
+            self.now_s += turn_s
+            if patience.is_over():
+                return count
+        raise AssertionError("the limit is never over")
+
+
+@pytest.mark.parametrize(("limit_s", "looks"), [(0.1, 4), (2.0, 4), (3.0, 6), (30.0, 60)])
+def test_a_limit_is_over_after_its_turns(limit_s: float, looks: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, patience = StoppedClock(monkeypatch), Patience(limit_s)
+    assert clock.looks(patience, patience.turn_s + 1e-9) == looks
+    clock.now_s += 100.0
+    assert patience.is_over(), "a stop afterwards changes nothing"
+    patience.renew()
+    assert clock.looks(patience, patience.turn_s + 1e-9) == looks
+
+
+def test_a_stop_of_the_process_is_followed_by_some_turns(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the beginning and at the end of a limit."""
+    clock, early, late = StoppedClock(monkeypatch), Patience(2.0), Patience(2.0)
+    clock.now_s += 60.0
+    assert not early.is_over()
+    assert clock.looks(early, 0.01) > 50
+    late.renew()
+    clock.now_s += 0.9
+    assert not late.is_over()
+    clock.now_s += 0.9
+    assert not late.is_over()
+    clock.now_s += 60.0
+    assert not late.is_over()
+    assert clock.looks(late, 0.01) > 50
+
+
+def test_a_limit_ends_also_when_every_turn_is_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = StoppedClock(monkeypatch)
+    assert clock.looks(Patience(0.1), 60.0) < 10
+    assert clock.looks(Patience(10.0), 60.0) < 30
+    assert Patience(0.0).is_over()
+    assert Patience(-1.0).is_over()
+
+
+@pytest.mark.parametrize("way", ["future", "condition", "predicate"])
+def test_what_came_while_the_executor_stood_still_is_taken(spinning: Spinning, way: str) -> None:
+    """Of a queue, the executor takes one message per turn, and the limit is over before the first."""
+    node = spinning.add(Node("waiter"))
+    taken: list[Empty] = []
+    condition, third = Condition(node), Future()
+
+    def take(message: Empty) -> None:
+        taken.append(message)
+        condition.notify()
+        if len(taken) == 3:
+            third.set_result(None)
+
+    node.create_subscription(Empty, "answers", take, 10)
+    answers = node.create_publisher(Empty, "answers", 10)
+
+    def stand_still() -> None:
+        stop.cancel()
+        for _ in range(3):
+            answers.publish(Empty())
+        assert answers.wait_for_all_acked(Duration(seconds=60))
+        time.sleep(1.5 * LIMIT_S)
+
+    async def wait() -> None:
+        nonlocal stop
+        await until(node, lambda: answers.get_subscription_count() == 1, 60.0)
+        stop = node.create_timer(0.0, stand_still, callback_group=ReentrantCallbackGroup())
+        if way == "future":
+            await wait_for(node, third, LIMIT_S)
+        elif way == "condition":
+            await condition.wait(lambda: len(taken) == 3, LIMIT_S)
+        else:
+            await until(node, lambda: len(taken) == 3, LIMIT_S)
+
+    stop = node.create_timer(60.0, lambda: None)
+    spinning.run(wait, timeout_s=120.0)
+
+
+def test_a_response_that_came_while_the_caller_stood_still_is_taken(spinning: Spinning) -> None:
+    """The responses to two other requests wait before it."""
+    node = spinning.add(Node("caller"))
+    client = node.create_client(Trigger, "serve")
+    served: list[Trigger.Request] = []
+
+    def serve(request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        served.append(request)
+        return response
+
+    def stand_still() -> None:
+        stop.cancel()
+        while len(served) < 4:
+            time.sleep(0.01)
+        time.sleep(1.5 * LIMIT_S)
+
+    async def calls() -> None:
+        nonlocal stop
+        with RepeatedRequest(client, Trigger.Request()) as first:
+            await until(node, first.is_answered, 60.0)
+        for _ in range(2):
+            client.call_async(Trigger.Request())
+        stop = node.create_timer(0.0, stand_still, callback_group=ReentrantCallbackGroup())
+        await call(node, client, Trigger.Request(), LIMIT_S)
+
+    stop = node.create_timer(60.0, lambda: None)
+    with Spinning() as beside:
+        beside.add(Node("server")).create_service(Trigger, "serve", serve)
+        spinning.run(calls, timeout_s=120.0)
+
+
+def test_a_service_is_not_missing_because_its_client_stood_still(
+    spinning: Spinning, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(waiting, "LOST_S", LIMIT_S)
+    node = spinning.add(Node("client"))
+    with LongRequest(node, node.create_client(Trigger, "nobody"), Trigger.Request()) as sent:
+        time.sleep(1.5 * LIMIT_S)
+        assert not sent.is_over()
+        while not sent.is_over():
+            time.sleep(0.01)
+        assert "the service nobody is missing" in sent.loss
 
 
 def test_worker_keeps_order_and_survives_errors(spinning: Spinning) -> None:

@@ -23,6 +23,7 @@ from fringedic_msgs.msg import SetupItem as SetupItemMessage
 from fringedic_msgs.srv import ControlProcedure, StartProcedure
 from fringedic_ros.qos import LATCHED, LATEST
 from fringedic_ros.stamps import to_msg
+from fringedic_ros.waiting import Patience
 
 CONFIRM = "confirm"  # the procedure that records an item of the live view as done
 LIVE_ITEMS = (SetupItem.AXES, SetupItem.CAMERA_FOCUS, SetupItem.PROJECTOR_FOCUS)
@@ -56,7 +57,7 @@ class ProcedureServer:
         self._figures: tuple[str, ...] = ()  # of the last live view
         self._list_file = place.own_file("setup.yaml")
         self._list = CheckList.load(self._list_file)
-        self._driver_seen = time.monotonic()
+        self._driver_silence = Patience(LOST_S)
         # the result of the last procedure stays there while the live view runs
         self._statuses = {
             live: node.create_publisher(ProcedureStatus, f"procedures/{topic}", LATCHED)
@@ -197,11 +198,11 @@ class ProcedureServer:
 
     def _see_driver(self, present: Bool) -> None:
         if present.data:
-            self._driver_seen = time.monotonic()
+            self._driver_silence.renew()
 
     def _pause_without_driver(self) -> None:
-        job = self._running
-        if job is not None and job.holds_without_driver and time.monotonic() - self._driver_seen > LOST_S:
+        job, is_lost = self._running, self._driver_silence.is_over()  # looked at also while nothing runs
+        if is_lost and job is not None and job.holds_without_driver:
             job.note_pause("the page of the driver is closed: the programme pauses after the present step")
 
     def _publish(self) -> None:
