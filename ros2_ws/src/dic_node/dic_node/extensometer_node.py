@@ -25,6 +25,7 @@ from fringedic_ros.parameters import declare
 from fringedic_ros.qos import EVENTS, STATE
 from fringedic_ros.rig_node import RigNode
 from fringedic_ros.stamps import to_nanoseconds
+from fringedic_ros.waiting import Patience
 from fringedic_ros.work import Worker
 
 MEASURED = (PatternKind.OTHER, PatternKind.WHITE)  # frames of a free run, and of steps in white light
@@ -68,8 +69,7 @@ class ExtensometerNode(RigNode):
         self._reference_after_ns = -math.inf  # stamp after which the exposure of the reference begins
         self._newest: deque[tuple[Image, Exposure]] = deque(maxlen=1)
         self._step_takes_frames = False
-        self._look_period_s = 0.5 * self.parameters.value.frame_timeout_s
-        self._silence_s, self._looked_s = 0.0, time.monotonic()
+        self._silence = Patience(self.parameters.value.frame_timeout_s)
         self._published_invalid = False
         self._strain = self.create_publisher(Float64, "extensometer/strain", STATE)
         self._sigma = self.create_publisher(Float64, "extensometer/sigma", STATE)
@@ -77,14 +77,15 @@ class ExtensometerNode(RigNode):
         self._frames = ImageExposurePairs(self, self._take_frame)
         self.create_subscription(StepStatus, "experiment/step", self._take_step, EVENTS)
         self.create_service(Trigger, "extensometer/zero", self._zero)
-        self.create_timer(self._look_period_s, self._check_frames)
+        self.create_timer(0.5 * self.parameters.value.frame_timeout_s, self._check_frames)
 
     def destroy_node(self) -> None:
         """End the background thread and the node."""
         self._worker.stop()
         super().destroy_node()
 
-    def _take_parameters(self, _: ExtensometerParameters) -> None:
+    def _take_parameters(self, parameters: ExtensometerParameters) -> None:
+        self._silence = Patience(parameters.frame_timeout_s)
         self._request_reference(time.time_ns())
 
     def _zero(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -110,7 +111,7 @@ class ExtensometerNode(RigNode):
     def _take_frame(self, message: Image, exposure: Exposure) -> None:
         if exposure.kind not in MEASURED or (exposure.kind == PatternKind.OTHER and self._step_takes_frames):
             return
-        self._silence_s, self._looked_s = 0.0, time.monotonic()
+        self._silence.renew()
         if self._newest:
             self.diagnostics.drop()  # replaced before it was measured
         self._newest.append((message, exposure))
@@ -143,13 +144,9 @@ class ExtensometerNode(RigNode):
         return self._extensometer.measure(image).limited(p.largest_sigma)
 
     def _check_frames(self) -> None:
-        now = time.monotonic()
-        # the executor runs timers before subscriptions: after a standstill of this process frames may be queued, so
-        # the time between two looks counts as one period at most
-        self._silence_s += min(now - self._looked_s, self._look_period_s)
-        self._looked_s = now
-        if self._silence_s > self.parameters.value.frame_timeout_s and not self._published_invalid:
-            self._publish(StrainReading.invalid(f"no frame for {self._silence_s:.2f} s"))
+        # the executor runs timers before subscriptions: after a standstill of this process frames may be queued
+        if self._silence.is_over() and not self._published_invalid:
+            self._publish(StrainReading.invalid(f"no frame for {self.parameters.value.frame_timeout_s:g} s"))
 
     def _publish(self, reading: StrainReading) -> None:
         self._published_invalid = not reading.valid

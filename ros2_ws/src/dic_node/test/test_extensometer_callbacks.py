@@ -20,6 +20,7 @@ from fringedic.correlation.extensometer import StrainReading
 from fringedic.frames.records import FrameRecord
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic_msgs.msg import Exposure
+from fringedic_ros import waiting
 from fringedic_ros.images import image_message
 from fringedic_ros.qos import IMAGES, STATE
 from fringedic_ros.records import exposure_message
@@ -82,7 +83,8 @@ def camera() -> Iterator[Camera]:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
-    monkeypatch.setattr(extensometer_node, "time", clock)
+    for module in (extensometer_node, waiting):
+        monkeypatch.setattr(module, "time", clock)
     return clock
 
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from unittest.mock import MagicMock
 
 import pytest
-import rclpy
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
@@ -31,14 +29,6 @@ class Server(Node):
     def _serve(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         self.served += 1
         return response
-
-
-@pytest.fixture
-def spinning() -> Iterator[Spinning]:
-    rclpy.init()
-    with Spinning() as loop:
-        yield loop
-    rclpy.try_shutdown()
 
 
 def test_a_response_that_came_while_the_caller_stood_still_is_taken(spinning: Spinning) -> None:

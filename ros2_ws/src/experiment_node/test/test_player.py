@@ -5,13 +5,12 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import rclpy
 from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue, SetParametersResult
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -124,14 +123,6 @@ class ScriptedNode(Node):
         if not self._silent and (self.get_name(), "answer", step) not in self._journal:
             self._note("answer", step)
             self._status.publish(NodeStatus(node=self.get_name(), experiment=experiment, step=step))
-
-
-@pytest.fixture
-def spinning() -> Iterator[Spinning]:
-    rclpy.init()
-    with Spinning() as loop:
-        yield loop
-    rclpy.shutdown()
 
 
 @pytest.fixture

@@ -74,22 +74,24 @@ class DeviceClock:
     ----------
     device
         Name of the device in messages.
-    wall_minus_steady
+    wall_minus_monotonic
         Returns this computer's clock minus its monotonic clock [ns].
 
     Examples
     --------
-    >>> clock = DeviceClock(wall_minus_steady=lambda: 0)
+    >>> clock = DeviceClock(wall_minus_monotonic=lambda: 0)
     >>> clock.arrival(device_ns=1_000, arrived_ns=51_000)
     51000
     >>> clock.arrival(device_ns=2_000_000, arrived_ns=2_090_000)  # arrived 40 us late
     2050200
     """
 
-    def __init__(self, device: str = "camera", wall_minus_steady: Callable[[], int] = wall_minus_monotonic_ns) -> None:
+    def __init__(
+        self, device: str = "camera", wall_minus_monotonic: Callable[[], int] = wall_minus_monotonic_ns
+    ) -> None:
         self._device = device
-        self._wall_minus_steady = wall_minus_steady
-        self._wall = wall_minus_steady()
+        self._wall_minus_monotonic = wall_minus_monotonic
+        self._wall = wall_minus_monotonic()
         self._line = _Line()
         self._frames = 0
         self._without_pause = 0  # latest frames
@@ -151,7 +153,7 @@ class DeviceClock:
         return device_ns + self._smallest
 
     def _refuse_jump(self, device_ns: int, difference: int) -> None:
-        last, self._wall = self._wall, self._wall_minus_steady()
+        last, self._wall = self._wall, self._wall_minus_monotonic()
         if not self._frames:
             return
         passed = device_ns - self._device_ns

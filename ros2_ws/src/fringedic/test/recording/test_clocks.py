@@ -18,7 +18,7 @@ class Clocks:
     def __init__(self, drift: float) -> None:
         self.drift = drift
         self.set_by_ns = 0
-        self.clock = DeviceClock(wall_minus_steady=lambda: START_NS + self.set_by_ns)
+        self.clock = DeviceClock(wall_minus_monotonic=lambda: START_NS + self.set_by_ns)
         self._random = np.random.default_rng(3)
 
     def device_ns(self, at_s: float) -> int:
