@@ -14,9 +14,11 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.utilities import get_default_context
 
 from fringedic.errors import FringedicError
 from fringedic_ros.parameters import report_unknown_parameters
+from fringedic_ros.participant_number import choose_participant_number
 from fringedic_ros.presence import announce
 
 ENDING = (signal.SIGINT, signal.SIGTERM)
@@ -40,6 +42,7 @@ def run(make_node: Callable[[], Node]) -> int:
     node: Node | None = None
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+        choose_participant_number(get_default_context().get_domain_id())
         node = make_node()
         announce(node)
         report_unknown_parameters(node)

@@ -16,8 +16,8 @@ from pathlib import Path
 from fringedic.errors import ProcessError
 from fringedic_bringup.launch.address import own_address
 from fringedic_bringup.launch.rig_files import configuration
+from fringedic_ros.participant_number import AUTOMATIC, SHARED_MEMORY, VARIABLE
 
-SHARED_MEMORY = Path("/dev/shm")
 # Of each node, for the images that it sends. A container may have only 64 MB for all nodes of two runs.
 SEGMENT_BYTES = 16_000_000
 SEGMENTS = 32
@@ -45,6 +45,7 @@ def node_environment(domain: int | None = None) -> dict[str, str]:
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(configuration("fastdds.xml")))
     environment.setdefault("FRINGEDIC_SEGMENT_BYTES", str(_segment_bytes()))
+    environment.setdefault(VARIABLE, str(AUTOMATIC))  # until a node chooses it
     environment.setdefault("FRINGEDIC_ADDRESS", own_address(environment["ROS_AUTOMATIC_DISCOVERY_RANGE"]))
     environment |= {
         "OPENBLAS_NUM_THREADS": "1",
@@ -105,9 +106,9 @@ def remove_stale_segments() -> set[str]:
 
     Killed processes leave their segments behind, others their ports. A segment is in use when a process has mapped it
     or locked one of its files (``_el``: exclusively, ``_sl``: shared). It is removed when it is unused twice in
-    succession, because a process maps a new segment only after it was created. A node that is started again opens the
-    port of its predecessor, and nobody would hear it on a removed one: the ports of a domain stay as long as a process
-    uses one of them.
+    succession, because a process maps a new segment only after it was created. A client may open the port of one that
+    was killed, and nobody would hear it on a removed one: the ports of a domain stay as long as a process uses one of
+    them.
     """
     stale = _unused_segments()
     if stale:

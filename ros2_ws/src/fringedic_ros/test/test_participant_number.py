@@ -1,0 +1,105 @@
+"""Numbers of processes: a node that is started again does not take the ports of its predecessor."""
+
+from __future__ import annotations
+
+import mmap
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+from rclpy.node import Node
+from std_msgs.msg import Int64
+
+from fringedic_ros.participant_number import (
+    AUTOMATIC,
+    NUMBERS,
+    VARIABLE,
+    choose_participant_number,
+    port_files,
+)
+from fringedic_ros.spinning import Spinning
+
+HEARD_S = 30.0  # on a busy computer; a deaf node hears nothing for ever
+READER = """
+from fringedic_ros.main import run
+from rclpy.node import Node
+from std_msgs.msg import Int64
+def make():
+    node = Node("reader")
+    node.create_subscription(Int64, "counted", lambda message: print(message.data, flush=True), 10)
+    return node
+run(make)
+"""
+
+
+@contextmanager
+def reader(log: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a node that writes the numbers which it hears into a file."""
+    with log.open("w") as out, subprocess.Popen([sys.executable, "-c", READER], stdout=out) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def hears(log: Path) -> bool:
+    end = time.monotonic() + HEARD_S
+    while not (heard := any(line.isdecimal() for line in log.read_text().splitlines())) and time.monotonic() < end:
+        time.sleep(0.05)
+    return heard
+
+
+def own_port(pid: int) -> Path:
+    """Return the memory of a process's port for user data; it has the lock open. Ports below serve the graph."""
+    opened = [os.readlink(link) for link in Path(f"/proc/{pid}/fd").iterdir() if link.is_symlink()]
+    locked = [found for path in opened if (found := re.fullmatch(r"(/dev/shm/fastrtps_port(\d+))_el", path))]
+    (port,) = [found[1] for found in locked if int(found[2]) >= 7400]
+    return Path(port)
+
+
+def let_its_listener_neither_wait_nor_process(port: Path) -> None:
+    """Change the state of the only listener of a port, as an interruption between two messages leaves it.
+
+    1024 states of 20 bytes stand before the name of the memory; the lowest bit of one says that it is in use.
+    """
+    with port.open("r+b") as file, mmap.mmap(file.fileno(), 0) as memory:
+        state = memory.find(b"fastrtps\0") - 1024 * 20
+        assert memory[state] & 1, "the layout of another version of Fast DDS"
+        memory[state] = 1
+
+
+def test_a_node_is_heard_whose_predecessor_was_killed_between_two_messages(tmp_path: Path, spinning: Spinning) -> None:
+    node = spinning.add(Node("counter"))
+    publisher = node.create_publisher(Int64, "counted", 10)
+    node.create_timer(0.05, lambda: publisher.publish(Int64(data=1)))
+    with reader(tmp_path / "first") as killed:
+        assert hears(tmp_path / "first")
+        os.kill(killed.pid, signal.SIGSTOP)
+        let_its_listener_neither_wait_nor_process(own_port(killed.pid))
+    with reader(tmp_path / "second"):
+        assert hears(tmp_path / "second")
+
+
+def test_a_number_is_chosen_whose_port_does_not_exist(domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(VARIABLE, str(AUTOMATIC))
+    left = [Path(f"/dev/shm/fastrtps_port{7400 + 250 * domain + 2 * number + 11}_el") for number in range(NUMBERS)]
+    made = [path for path in left if not path.exists()]
+    try:
+        for path in made:
+            path.touch()
+        assert choose_participant_number(domain) == AUTOMATIC
+        made[7].unlink()
+        assert choose_participant_number(domain) == left.index(made[7])
+        assert os.environ[VARIABLE] == str(left.index(made[7]))
+    finally:
+        for path in made:
+            with suppress(FileNotFoundError):
+                path.unlink()
+    assert not port_files(domain, left.index(made[7]))
