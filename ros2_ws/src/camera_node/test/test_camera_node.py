@@ -311,13 +311,16 @@ def test_stopped_process_goes_on(studio: Studio, tmp_path: Path) -> None:
         assert len(studio.images) == 2
 
 
-# starts one node after the other, as its own process would: loading all that a node needs takes longer than that
+# starts one node after the other, each in a process of its own that has loaded already what a node needs
 STARTS = """
-import json, sys
+import json, os, sys
 from camera_node.camera_node import main
 for line in sys.stdin:
     sys.argv = ["camera", "--ros-args", *(word for each in json.loads(line) for word in ("-p", each))]
-    print(f"code {main()}", flush=True)
+    if not os.fork():
+        print(f"code {main()}", flush=True)
+        os._exit(0)
+    os.wait()
 """
 
 
