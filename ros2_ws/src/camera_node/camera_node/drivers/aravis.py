@@ -228,8 +228,8 @@ class AravisDriver:
         transfer = min(_TRANSFER_S, self._settings.timeout)
         buffer = connection.stream.timeout_pop_buffer(round(1e6 * (begun + transfer)))
         if buffer is None and connection.ignores_frame:
-            self.dropped += 1
             if self._rate is None:
+                self.dropped += 1  # those of a stream are counted by their numbers
                 connection.stop()  # a frame that comes later must not be taken for the next one
             connection.restart_receiver(self._aravis)
             raise IncompleteFrameError("Aravis ignored a frame as an old one; check which cameras use this network")

@@ -1,4 +1,4 @@
-"""Numbers of processes: a node that is started again does not take the ports of its predecessor."""
+"""Ports in shared memory: of a node that is started again, and of one that stands still."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from fringedic_ros.participant_number import (
 )
 from fringedic_ros.spinning import Spinning
 
+STOOD_STILL_S = 4.0  # a busy computer lets threads wait as long
 HEARD_S = 30.0  # on a busy computer; a deaf node hears nothing for ever
 READER = """
 from fringedic_ros.main import run
@@ -75,16 +76,36 @@ def let_its_listener_neither_wait_nor_process(port: Path) -> None:
         memory[state] = 1
 
 
-def test_a_node_is_heard_whose_predecessor_was_killed_between_two_messages(tmp_path: Path, spinning: Spinning) -> None:
+@pytest.fixture
+def counting(spinning: Spinning) -> None:
+    """Publish what the reader reads."""
     node = spinning.add(Node("counter"))
     publisher = node.create_publisher(Int64, "counted", 10)
     node.create_timer(0.05, lambda: publisher.publish(Int64(data=1)))
+
+
+@pytest.mark.usefixtures("counting")
+def test_a_node_is_heard_whose_predecessor_was_killed_between_two_messages(tmp_path: Path) -> None:
     with reader(tmp_path / "first") as killed:
         assert hears(tmp_path / "first")
         os.kill(killed.pid, signal.SIGSTOP)
         let_its_listener_neither_wait_nor_process(own_port(killed.pid))
     with reader(tmp_path / "second"):
         assert hears(tmp_path / "second")
+
+
+@pytest.mark.usefixtures("counting")
+def test_the_port_of_a_node_that_stood_still_is_not_replaced(tmp_path: Path) -> None:
+    with reader(tmp_path / "log") as stopped:
+        assert hears(tmp_path / "log")
+        port = own_port(stopped.pid)
+        before = port.stat().st_ino
+        os.kill(stopped.pid, signal.SIGSTOP)
+        time.sleep(STOOD_STILL_S)
+        os.kill(stopped.pid, signal.SIGCONT)
+        (tmp_path / "log").write_text("")
+        assert hears(tmp_path / "log")
+        assert port.stat().st_ino == before
 
 
 def test_a_number_is_chosen_whose_port_does_not_exist(domain: int, monkeypatch: pytest.MonkeyPatch) -> None:
