@@ -1,12 +1,16 @@
-"""A ROS domain of its own for every test module that starts nodes: modules and whole test runs go side by side."""
+"""A ROS domain for every test module that starts nodes, so that test runs go side by side, and a context per test."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from fringedic_ros.spinning import Spinning
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the nodes, and before NumPy is loaded
 LIBRARY = Path(__file__).parent / "fringedic"  # imports no ROS
@@ -24,3 +28,22 @@ def domain(request: pytest.FixtureRequest) -> Iterator[int | None]:
         for name, value in node_environment(number).items():
             patch.setenv(name, value)
         yield number
+
+
+@pytest.fixture
+def ros() -> Iterator[None]:
+    """Initialise the default context."""
+    import rclpy
+
+    rclpy.init()
+    yield
+    rclpy.try_shutdown()
+
+
+@pytest.fixture
+def spinning(ros: None) -> Iterator[Spinning]:  # noqa: ARG001 (the context comes first)
+    """Run an executor in a thread; nodes are added to it."""
+    from fringedic_ros.spinning import Spinning
+
+    with Spinning() as loop:
+        yield loop

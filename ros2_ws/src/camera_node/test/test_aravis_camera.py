@@ -222,7 +222,8 @@ def test_stream_of_a_region_is_counted_and_stamped_by_the_camera(own_stamps: lis
         assert 0 < delays_ms[32:].min() <= delays_ms[32:].max() < 5, "the shortest delay, not that of late frames"
         # from frame to frame the ramp moves by one grey level
         moved = np.median(np.diff([frame.image[0, :] for frame in frames], axis=0), axis=1)
-        assert moved.sum() == 63 + missing, "none is missing or repeated without being counted"
+        assert moved.min() >= 1, "none is repeated"
+        assert moved.sum() == 63 + missing, "none is missing without being counted"
         assert clock is not None
         assert clock.samples == 4
         assert opened.expose(SCENE).image.shape == (240, 320)

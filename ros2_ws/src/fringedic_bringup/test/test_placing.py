@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
 
 import pytest
-import rclpy
 from rclpy.action.server import ActionServer, ServerGoalHandle
 from rclpy.node import Node
 
@@ -62,14 +61,6 @@ class Stage(Node):
         return state.header.stamp
 
 
-@pytest.fixture
-def loop() -> Iterator[Spinning]:
-    rclpy.init()
-    with Spinning() as loop:
-        yield loop
-    rclpy.try_shutdown()
-
-
 def await_stage(rig: RigClient) -> None:
     rig.wait_for(lambda: rig.node.count_services("reference_plane/place") > 0, 60, lambda: "the stage")
 
@@ -80,17 +71,17 @@ def short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(client, "STEP_TIMEOUT_S", 60.0)
 
 
-def test_a_stage_is_requested_once_however_long_it_needs(loop: Spinning) -> None:
-    stage = loop.add(Stage(delay_s=5.0))
+def test_a_stage_is_requested_once_however_long_it_needs(spinning: Spinning) -> None:
+    stage = spinning.add(Stage(delay_s=5.0))
     with RigClient() as rig:
         await_stage(rig)
         rig.place(PLANE, height=5e-3)
     assert len(stage.requests) == 1
 
 
-def test_a_stage_that_leaves_its_place_fails_the_plane(loop: Spinning) -> None:
+def test_a_stage_that_leaves_its_place_fails_the_plane(spinning: Spinning) -> None:
     """Its driver was started again and moved it to its zero, where the camera saw the plane."""
-    stage = loop.add(Stage())
+    stage = spinning.add(Stage())
     with RigClient() as rig:
         await_stage(rig)
         rig.place(PLANE, height=5e-3)
@@ -146,8 +137,8 @@ def calibrating(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[...
 
 
 @pytest.mark.parametrize("placing", [lambda: Stage(delay_s=20.0), Calibrating], ids=["stage", "person"])
-def test_stop_ends_the_wait_for_a_place(loop: Spinning, calibrating: Any, placing: Callable[[], Node]) -> None:
-    loop.add(placing())
+def test_stop_ends_the_wait_for_a_place(spinning: Spinning, calibrating: Any, placing: Callable[[], Node]) -> None:
+    spinning.add(placing())
     job = Job("check", "", lambda: None)
     threading.Timer(5.0, job.stop).start()
     begun = time.monotonic()
@@ -156,17 +147,17 @@ def test_stop_ends_the_wait_for_a_place(loop: Spinning, calibrating: Any, placin
     assert time.monotonic() - begun < 18.0
 
 
-def test_after_an_error_the_stage_is_requested_to_put_the_specimen_back(loop: Spinning, calibrating: Any) -> None:
-    stage = loop.add(Stage())
+def test_after_an_error_the_stage_is_requested_to_put_the_specimen_back(spinning: Spinning, calibrating: Any) -> None:
+    stage = spinning.add(Stage())
     with pytest.raises(ZeroDivisionError), calibrating(lambda _: True) as rig:
         1 / rig.place(PLANE).height
     assert [each.kind for each in stage.requests] == [PLANE, SPECIMEN]
 
 
 def test_a_person_may_place_a_plane_the_next_morning(
-    loop: Spinning, calibrating: Any, monkeypatch: pytest.MonkeyPatch
+    spinning: Spinning, calibrating: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    experiment = loop.add(Calibrating())
+    experiment = spinning.add(Calibrating())
     monkeypatch.setattr(client, "STEP_TIMEOUT_S", 1.0)
 
     def ask(_: str) -> bool:
@@ -212,7 +203,7 @@ def test_a_check_ends_with_the_first_plane_that_is_not_in_its_place(
     assert rig.measure.call_count == 2
 
 
-@pytest.mark.usefixtures("loop")
+@pytest.mark.usefixtures("spinning")
 def test_a_plane_fails_when_its_stage_was_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(waiting, "LOST_S", 1.0)
     with killed_stage("rig"), RigClient() as rig:
@@ -221,9 +212,9 @@ def test_a_plane_fails_when_its_stage_was_killed(monkeypatch: pytest.MonkeyPatch
             rig.place(PLANE, height=5e-3)
 
 
-def test_a_stage_that_is_started_again_gets_the_request_again(loop: Spinning) -> None:
+def test_a_stage_that_is_started_again_gets_the_request_again(spinning: Spinning) -> None:
     again: list[Stage] = []
-    with killed_stage("rig", then=lambda: again.append(loop.add(Stage()))), RigClient() as rig:
+    with killed_stage("rig", then=lambda: again.append(spinning.add(Stage()))), RigClient() as rig:
         await_stage(rig)
         assert rig.place(PLANE, height=5e-3).height == 5e-3
     assert again[0].requests[0].height == 5e-3

@@ -1,4 +1,4 @@
-"""The number of a node's process in its ROS domain, from which Fast DDS derives the ports that it listens to."""
+"""The number of a node's process in its ROS domain, from which Fast DDS derives the ports on which it receives."""
 
 from __future__ import annotations
 
@@ -9,6 +9,11 @@ VARIABLE = "FRINGEDIC_PARTICIPANT"  # fastdds.xml contains it
 AUTOMATIC = -1  # Fast DDS takes the lowest free number
 NUMBERS = 32  # discovery on one computer asks so many
 SHARED_MEMORY = Path("/dev/shm")
+# DDS-RTPS 2.5, 9.6.2.3
+_PORT_BASE = 7400
+_DOMAIN_GAIN = 250
+_PARTICIPANT_GAIN = 2
+_USER_UNICAST = 11
 
 
 def choose_participant_number(domain: int) -> int:
@@ -18,18 +23,22 @@ def choose_participant_number(domain: int) -> int:
 
     By itself a process takes the lowest free number, and one that is started again that of its predecessor. The memory
     of a port counts as alive when its reader was killed neither while it waited nor while it processed a message
-    (Fast DDS 2.14.5, SharedMemGlobal.hpp). Those who sent to the predecessor then go on to write there, and the
-    successor never hears them.
+    (Fast DDS 2.14.5, SharedMemGlobal.hpp). Processes that sent to the predecessor then go on to write there, and the
+    successor never receives their messages.
     """
     first = os.getpid()  # processes that start together begin at different numbers
     numbers = ((first + turn) % NUMBERS for turn in range(NUMBERS))
-    number = next((number for number in numbers if not port_files(domain, number)), AUTOMATIC)
+    number = next((number for number in numbers if not port_exists(domain, number)), AUTOMATIC)
     os.environ[VARIABLE] = str(number)
     return number
 
 
-def port_files(domain: int, number: int) -> list[Path]:
-    """Return the files that exist of a port: its memory, and the lock of its reader."""
-    port = 7400 + 250 * domain + 2 * number + 11  # for user data, DDS-RTPS 2.5, 9.6.2.3
-    names = (f"fastrtps_port{port}", f"fastrtps_port{port}_el")
-    return [path for path in (SHARED_MEMORY / name for name in names) if path.exists()]
+def port_exists(domain: int, number: int) -> bool:
+    """Return whether a process has the port for user data of a number, or left its memory or the lock of its reader."""
+    port = _PORT_BASE + _DOMAIN_GAIN * domain + _PARTICIPANT_GAIN * number + _USER_UNICAST
+    return any((SHARED_MEMORY / f"fastrtps_port{port}{lock}").exists() for lock in ("", "_el"))
+
+
+def domain_of_port(port: int) -> int:
+    """Return the ROS domain of a port."""
+    return (port - _PORT_BASE) // _DOMAIN_GAIN

@@ -17,17 +17,11 @@ import pytest
 from rclpy.node import Node
 from std_msgs.msg import Int64
 
-from fringedic_ros.participant_number import (
-    AUTOMATIC,
-    NUMBERS,
-    VARIABLE,
-    choose_participant_number,
-    port_files,
-)
+from fringedic_ros.participant_number import AUTOMATIC, NUMBERS, VARIABLE, choose_participant_number, port_exists
 from fringedic_ros.spinning import Spinning
 
 STOOD_STILL_S = 4.0  # a busy computer lets threads wait as long
-HEARD_S = 30.0  # on a busy computer; a deaf node hears nothing for ever
+RECEIVED_S = 30.0  # on a busy computer; on a port without publishers nothing is ever received
 READER = """
 from fringedic_ros.main import run
 from rclpy.node import Node
@@ -42,7 +36,7 @@ run(make)
 
 @contextmanager
 def reader(log: Path) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a node that writes the numbers which it hears into a file."""
+    """Run a node that writes the numbers which it receives into a file."""
     with log.open("w") as out, subprocess.Popen([sys.executable, "-c", READER], stdout=out) as process:
         try:
             yield process
@@ -50,11 +44,11 @@ def reader(log: Path) -> Iterator[subprocess.Popen[bytes]]:
             process.kill()
 
 
-def hears(log: Path) -> bool:
-    end = time.monotonic() + HEARD_S
-    while not (heard := any(line.isdecimal() for line in log.read_text().splitlines())) and time.monotonic() < end:
+def receives(log: Path) -> bool:
+    end = time.monotonic() + RECEIVED_S
+    while not (received := any(line.isdecimal() for line in log.read_text().splitlines())) and time.monotonic() < end:
         time.sleep(0.05)
-    return heard
+    return received
 
 
 def own_port(pid: int) -> Path:
@@ -85,26 +79,26 @@ def counting(spinning: Spinning) -> None:
 
 
 @pytest.mark.usefixtures("counting")
-def test_a_node_is_heard_whose_predecessor_was_killed_between_two_messages(tmp_path: Path) -> None:
+def test_a_node_receives_whose_predecessor_was_killed_between_two_messages(tmp_path: Path) -> None:
     with reader(tmp_path / "first") as killed:
-        assert hears(tmp_path / "first")
+        assert receives(tmp_path / "first")
         os.kill(killed.pid, signal.SIGSTOP)
         let_its_listener_neither_wait_nor_process(own_port(killed.pid))
     with reader(tmp_path / "second"):
-        assert hears(tmp_path / "second")
+        assert receives(tmp_path / "second")
 
 
 @pytest.mark.usefixtures("counting")
 def test_the_port_of_a_node_that_stood_still_is_not_replaced(tmp_path: Path) -> None:
     with reader(tmp_path / "log") as stopped:
-        assert hears(tmp_path / "log")
+        assert receives(tmp_path / "log")
         port = own_port(stopped.pid)
         before = port.stat().st_ino
         os.kill(stopped.pid, signal.SIGSTOP)
         time.sleep(STOOD_STILL_S)
         os.kill(stopped.pid, signal.SIGCONT)
         (tmp_path / "log").write_text("")
-        assert hears(tmp_path / "log")
+        assert receives(tmp_path / "log")
         assert port.stat().st_ino == before
 
 
@@ -123,4 +117,4 @@ def test_a_number_is_chosen_whose_port_does_not_exist(domain: int, monkeypatch: 
         for path in made:
             with suppress(FileNotFoundError):
                 path.unlink()
-    assert not port_files(domain, left.index(made[7]))
+    assert not port_exists(domain, left.index(made[7]))

@@ -16,7 +16,7 @@ from pathlib import Path
 from fringedic.errors import ProcessError
 from fringedic_bringup.launch.address import own_address
 from fringedic_bringup.launch.rig_files import configuration
-from fringedic_ros.participant_number import AUTOMATIC, SHARED_MEMORY, VARIABLE
+from fringedic_ros.participant_number import AUTOMATIC, SHARED_MEMORY, VARIABLE, domain_of_port
 
 # Of each node, for the images that it sends. A container may have only 64 MB for all nodes of two runs.
 SEGMENT_BYTES = 16_000_000
@@ -45,9 +45,9 @@ def node_environment(domain: int | None = None) -> dict[str, str]:
     environment.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     environment.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(configuration("fastdds.xml")))
     environment.setdefault("FRINGEDIC_SEGMENT_BYTES", str(_segment_bytes()))
-    environment.setdefault(VARIABLE, str(AUTOMATIC))  # until a node chooses it
     environment.setdefault("FRINGEDIC_ADDRESS", own_address(environment["ROS_AUTOMATIC_DISCOVERY_RANGE"]))
     environment |= {
+        VARIABLE: str(AUTOMATIC),  # until a node chooses it
         "OPENBLAS_NUM_THREADS": "1",
         "MKL_NUM_THREADS": "1",
         "PYTHONUNBUFFERED": "1",
@@ -107,7 +107,7 @@ def remove_stale_segments() -> set[str]:
     Killed processes leave their segments behind, others their ports. A segment is in use when a process has mapped it
     or locked one of its files (``_el``: exclusively, ``_sl``: shared). It is removed when it is unused twice in
     succession, because a process maps a new segment only after it was created. A client may open the port of one that
-    was killed, and nobody would hear it on a removed one: the ports of a domain stay as long as a process uses one of
+    was killed, and would receive nothing on a removed one: the ports of a domain stay as long as a process uses one of
     them.
     """
     stale = _unused_segments()
@@ -135,9 +135,9 @@ def _unused_segments() -> dict[Path, str]:
 
 
 def _domain_of(name: str) -> int | None:
-    """Return the ROS domain of a port (DDS-RTPS 2.5, 9.6.2.3); None for the memory of a process."""
+    """Return the ROS domain of a port; None for the memory of a process."""
     port = name.removeprefix("fastrtps_port")
-    return (int(port) - 7400) // 250 if port != name else None
+    return domain_of_port(int(port)) if port != name else None
 
 
 def mapped_segments() -> set[str]:
