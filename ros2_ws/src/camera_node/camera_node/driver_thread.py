@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 from rclpy.node import Node
@@ -76,9 +75,7 @@ class DriverThread:
 
     def await_idle(self, timeout_s: float) -> None:
         """Block until all queued calls have returned."""
-        deadline = time.monotonic() + timeout_s
-        while self.pending and time.monotonic() < deadline:
-            time.sleep(0.01)
+        self._worker.await_idle(timeout_s)
 
     def replace(self, timeout_s: float = 5.0) -> None:
         """Discard the queued calls, wait for the running one, and continue with a new thread."""

@@ -14,8 +14,10 @@ from rclpy.task import Future
 
 from fringedic.errors import WaitTimeoutError
 from fringedic_msgs.action import MeasureStep
+from fringedic_ros.matching import discovered_servers
 from fringedic_ros.waiting import Condition, until
 
+LOOK_S = 0.5  # between two looks for the server of a request
 Failure = tuple[int, str]  # error code of the action, and message
 
 
@@ -95,31 +97,37 @@ class ActiveGoal:
         """Return the response of a service; without service or response in time the goal ends with `code`.
 
         A server that has just started may not have discovered the reader of its responses yet. A request without effect
-        or with the same effect every time is therefore sent again after `again_s` without response.
+        or with the same effect every time is therefore sent again after `again_s` without response. Any other one fails
+        when its server ends: the successor, which this node may discover later, has not received it.
         """
         name = client.srv_name
         if not client.service_is_ready():
             await self.wait_polling(
                 client.service_is_ready, timeout_s, lambda: (code, f"{what}: there is no service {name}")
             )
-        left = timeout_s
-        future = await self._ask(client, request, min(left, again_s))
+        response, why, left = Future(), "", timeout_s
         # without the clock, which runs on while this process stands still
-        while not future.done() and not self._cancelled and (left := left - again_s) > 0:
-            future = await self._ask(client, request, min(left, again_s))
-        self._conclude(future.done, lambda: (code, f"{what}: {name} did not answer in {timeout_s:g} s"))
-        return future.result()
+        while not response.done() and not self._cancelled and left > 0:
+            response, ended = await self._ask(client, request, min(left, again_s))
+            why = f"the node of {name} has ended" if ended else f"{name} did not answer in {timeout_s:g} s"
+            left -= again_s
+        self._conclude(response.done, lambda: (code, f"{what}: {why}"))
+        return response.result()
 
-    async def _ask(self, client: Client, request: Any, timeout_s: float) -> Future:
-        """Send a request and return its response, which is not done when there was none in time."""
-        future = client.call_async(request)
-        future.add_done_callback(lambda _: self._changed.notify())
+    async def _ask(self, client: Client, request: Any, timeout_s: float) -> tuple[Future, bool]:
+        """Send a request; return its response, which may not be done, and whether a server of it has ended."""
+        servers, ended, left = discovered_servers(self._node, client.srv_name), False, timeout_s
+        response = client.call_async(request)
+        response.add_done_callback(lambda _: self._changed.notify())
         try:
-            with suppress(WaitTimeoutError):
-                await self._changed.wait(lambda: self._cancelled or future.done(), timeout_s)
+            while not response.done() and not self._cancelled and not ended and left > 0:
+                with suppress(WaitTimeoutError):
+                    await self._changed.wait(lambda: self._cancelled or response.done(), min(left, LOOK_S))
+                left -= LOOK_S
+                ended = not servers <= discovered_servers(self._node, client.srv_name)
         finally:
-            client.remove_pending_request(future)
-        return future
+            client.remove_pending_request(response)
+        return response, ended
 
     def _conclude(self, predicate: Callable[[], bool], failure: Callable[[], Failure]) -> None:
         self.check()

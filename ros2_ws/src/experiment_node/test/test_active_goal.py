@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from unittest.mock import MagicMock
 
@@ -9,10 +10,11 @@ import pytest
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
+from rclpy.task import Future
 from std_srvs.srv import Trigger
 
 from experiment_node.active_goal import ActiveGoal, StepFailure
-from fringedic_ros.spinning import Spinning
+from fringedic_ros.spinning import Spinning, end_node
 from fringedic_ros.waiting import Condition
 
 LIMIT_S = 0.4
@@ -55,6 +57,36 @@ def test_a_response_that_came_while_the_caller_stood_still_is_taken(spinning: Sp
     with Spinning() as beside:
         beside.add(server)
         spinning.run(calls, timeout_s=120.0)
+
+
+def test_a_request_to_a_node_that_has_ended_fails_at_once(spinning: Spinning) -> None:
+    """The successor, discovered before the end of the first server is known or after it, has not received it."""
+    node = spinning.add(Node("caller"))
+    goal = ActiveGoal(node, Condition(node), MagicMock(spec=ServerGoalHandle), "step 0")
+    client = node.create_client(Trigger, "serve")
+    received = threading.Event()
+
+    async def never(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        received.set()
+        await Future()
+        return response
+
+    async def call_in_vain() -> None:
+        with pytest.raises(StepFailure, match="frame 0: the node of serve has ended"):
+            await goal.call(client, Trigger.Request(), 60.0, 1, "frame 0")
+
+    def replace() -> None:
+        received.wait(60.0)
+        successor.add(Node("server")).create_service(Trigger, "serve", lambda _, response: response)
+        end_node(first)
+
+    with Spinning() as beside, Spinning() as successor:
+        first = beside.add(Node("server"))
+        first.create_service(Trigger, "serve", never)
+        replacing = threading.Thread(target=replace)
+        replacing.start()
+        spinning.run(call_in_vain, timeout_s=120.0)
+        replacing.join()
 
 
 def test_a_request_is_sent_again_until_its_limit(spinning: Spinning) -> None:

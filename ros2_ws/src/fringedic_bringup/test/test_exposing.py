@@ -74,7 +74,7 @@ def domain() -> Iterator[int]:
         thread = threading.Thread(target=executor.spin)
         thread.start()
         yield domain
-        executor.shutdown()
+        executor.create_task(executor.shutdown)  # in its own thread, as `Spinning` does
         thread.join()
         node.destroy_node()
         rclpy.try_shutdown(context=context)

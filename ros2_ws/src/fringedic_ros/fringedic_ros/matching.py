@@ -38,6 +38,16 @@ def discovered_readers(node: Node, topic: str) -> str:
     return " ".join(sorted(bytes(each.endpoint_gid).hex() for each in found))
 
 
+def discovered_servers(node: Node, service: str) -> frozenset[bytes]:
+    """Return the GIDs of the servers of a service that a node has discovered, those of the writers of their responses.
+
+    Neither the number of servers nor their names change when a node is replaced by its successor. Responses have a
+    topic of their own (design.ros2.org, "Topic and Service name mapping to DDS").
+    """
+    responses = f"rr{node.resolve_service_name(service)}Reply"
+    return frozenset(bytes(each.endpoint_gid) for each in node.get_publishers_info_by_topic(responses, no_mangle=True))
+
+
 def is_read_by(node: Node, topic: str, witness: str) -> bool:
     """Return whether a process that publishes the topic `witness` subscribes to `topic`, as `node` has discovered them.
 

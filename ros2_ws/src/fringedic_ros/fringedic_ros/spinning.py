@@ -31,8 +31,10 @@ class Spinning:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._executor.shutdown()
+        # in its own thread: from another one it destroys what a callback that has just been taken still uses
+        self._executor.create_task(self._executor.shutdown)
         self._thread.join()
+        self._executor.shutdown()  # when the context ended first
         for node in self._nodes:
             end_node(node)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable
 
 from rclpy.node import Node
@@ -64,6 +65,12 @@ class Worker:
 
         self._put(job)
         return future
+
+    def await_idle(self, timeout_s: float) -> None:
+        """Block until all jobs have returned, for `timeout_s` at most."""
+        deadline = time.monotonic() + timeout_s
+        while self._pending and time.monotonic() < deadline:
+            time.sleep(0.01)
 
     def stop(self, timeout_s: float = 5.0) -> bool:
         """Discard the queued jobs and wait for the running one; return False when it still runs after `timeout_s`."""

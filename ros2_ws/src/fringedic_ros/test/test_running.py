@@ -21,6 +21,7 @@ from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.task import Future
+from rclpy.waitable import NumberOfEntities, Waitable
 from sensor_msgs.msg import Image
 from std_msgs.msg import Empty
 from std_srvs.srv import Trigger
@@ -98,6 +99,47 @@ def test_a_condition_that_changes_in_every_turn_still_gives_up(spinning: Spinnin
             await condition.wait(lambda: False, 0.2, "the camera")
 
     spinning.run(wait_in_vain)
+
+
+class SlowToTake(Waitable):
+    """Is always ready, and takes its data for longer than the program needs to end the executor."""
+
+    def __init__(self) -> None:
+        super().__init__(ReentrantCallbackGroup())
+        self.taking = threading.Event()
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def get_num_entities(self) -> NumberOfEntities:
+        return NumberOfEntities()
+
+    def add_to_wait_set(self, _: object) -> None:
+        pass
+
+    def is_ready(self, _: object) -> bool:
+        return True
+
+    def take_data(self) -> None:
+        self.taking.set()
+        time.sleep(0.2)
+
+    async def execute(self, _: object) -> None:
+        pass
+
+
+@pytest.mark.usefixtures("ros")
+def test_nodes_end_while_a_callback_is_taken() -> None:
+    """An exception of the thread fails the test; rclpy's executor triggers what its end in another thread destroyed."""
+    waitable = SlowToTake()
+    with Spinning() as spinning:
+        node = spinning.add(Node("taking"))
+        node.add_waitable(waitable)
+        node.create_timer(0.0, lambda: None)
+        assert waitable.taking.wait(30.0)
 
 
 def test_call_answers_or_gives_up(spinning: Spinning) -> None:

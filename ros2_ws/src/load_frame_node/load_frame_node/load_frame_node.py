@@ -20,6 +20,7 @@ from fringedic_ros.qos import LATCHED, SAMPLES
 from fringedic_ros.records import clock_message
 from fringedic_ros.rig_node import LOAD_FRAME, frame_id
 from fringedic_ros.stamps import to_msg
+from fringedic_ros.work import Worker
 from load_frame_node.crosshead import Crosshead
 from load_frame_node.machines import Sample
 from load_frame_node.move_server import MoveServer
@@ -28,6 +29,7 @@ from load_frame_node.sampler import Sampler
 
 JOINT = "crosshead"
 _LAST_HOLD_S = 10.0  # longest wait for the hold at the end; a lost machine is tried again after 8 s at most
+_PUBLISHED_S = 3.0  # longest wait for the last samples to be published
 _CLOCK_PERIOD_S = 1.0  # between two messages about the clock of the machine
 
 
@@ -39,6 +41,7 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
         self._frame = frame_id(self, LOAD_FRAME)
         self._crosshead = Crosshead(self)
         self._sampler: Sampler | None = None
+        self._publishing: Worker | None = None
         self._machine_clock = DeviceClock("testing machine")
         self._device_ns = 0  # of the latest sample, on the clock of the machine
         self._clock_published = 0.0
@@ -57,6 +60,7 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
         """Start sampling."""
         self._machine_clock, self._device_ns = DeviceClock("testing machine"), 0
         rate = self.parameters.value.rate_hz
+        self._publishing = Worker(self)
         self._sampler = Sampler(self._crosshead, rate, self._take_sample, self._report, self.diagnostics)
 
     def deactivate(self) -> None:
@@ -64,6 +68,10 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
         if self._sampler is not None:
             self._sampler.stop()
             self._sampler = None
+        if self._publishing is not None:
+            self._publishing.await_idle(_PUBLISHED_S)
+            self._publishing.stop()
+            self._publishing = None
         if self._crosshead.machine is not None and self.parameters.value.source != "controller":
             try:
                 self._crosshead.hold_at_last(_LAST_HOLD_S)
@@ -93,7 +101,23 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
     # in the thread of the sampler
 
     def _take_sample(self, sample: Sample) -> None:
-        """Publish a sample on its three topics."""
+        """Let the crosshead act on a sample, and publish it in another thread.
+
+        The middleware keeps a publisher waiting when it opens the port of another process, for a second and more. The
+        end of a move must not wait for it, nor the next sample.
+        """
+        self._crosshead.take(sample)
+        assert self._publishing is not None, "it ends after the sampler"
+        self._publishing.submit(self._publish, sample)
+
+    def _report(self, error: MachineError) -> None:
+        self.get_logger().error(str(error), throttle_duration_sec=1.0)
+        self.diagnostics.failure(str(error))
+
+    # in the thread of the publisher
+
+    def _publish(self, sample: Sample) -> None:
+        """Publish a sample on its three topics, and once a second the drift of the machine's clock."""
         state = LoadState(mode=int(sample.mode), force=sample.force, position=sample.position)
         state.header.stamp, state.header.frame_id = to_msg(sample.stamp_ns), self._frame
         wrench = WrenchStamped(header=state.header)
@@ -103,14 +127,8 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
         self._wrenches.publish(wrench)
         self._joints.publish(joint)
         self._compare_clocks(sample)
-        self._crosshead.take(sample)
-
-    def _report(self, error: MachineError) -> None:
-        self.get_logger().error(str(error), throttle_duration_sec=1.0)
-        self.diagnostics.failure(str(error))
 
     def _compare_clocks(self, sample: Sample) -> None:
-        """Publish the drift of the clock of the machine, once a second."""
         if sample.device_ns is None or sample.device_ns == self._device_ns:
             return
         self._device_ns = sample.device_ns

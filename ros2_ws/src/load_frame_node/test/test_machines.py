@@ -449,7 +449,7 @@ def test_a_hold_that_the_machine_does_not_follow_is_a_fault(how: str, operator: 
         NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters),
     ):
         switch(port, DEAF, on=True)
-        goal = operator.start(0.2 * MM, 0.05 * MM, **({"force_above": [20.0]} if how == "limit" else {}))
+        goal = operator.start(0.2 * MM, 0.03 * MM, **({"force_above": [20.0]} if how == "limit" else {}))
         operator.until(LoadState.MOVING)
         if how == "cancel":
             goal.cancel_goal_async()
