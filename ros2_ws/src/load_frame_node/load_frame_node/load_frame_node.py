@@ -64,19 +64,19 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
         self._sampler = Sampler(self._crosshead, rate, self._take_sample, self._report, self.diagnostics)
 
     def deactivate(self) -> None:
-        """Stop sampling and request a hold."""
+        """Stop sampling, request a hold, and publish the last samples."""
         if self._sampler is not None:
             self._sampler.stop()
             self._sampler = None
-        if self._publishing is not None:
-            self._publishing.await_idle(_PUBLISHED_S)
-            self._publishing.stop()
-            self._publishing = None
         if self._crosshead.machine is not None and self.parameters.value.source != "controller":
             try:
                 self._crosshead.hold_at_last(_LAST_HOLD_S)
             except MachineError as error:
                 self.get_logger().error(f"no hold was accepted: {error}; if the machine moves, stop it by hand")
+        if self._publishing is not None:
+            self._publishing.await_idle(_PUBLISHED_S)
+            self._publishing.stop()
+            self._publishing = None
 
     def close(self) -> None:
         """Release the machine."""
