@@ -105,13 +105,13 @@ class ActiveGoal:
             await self.wait_polling(
                 client.service_is_ready, timeout_s, lambda: (code, f"{what}: there is no service {name}")
             )
-        response, why, left = Future(), "", timeout_s
+        response, how, left = Future(), "", timeout_s
         # without the clock, which runs on while this process stands still
         while not response.done() and not self._cancelled and left > 0:
             response, ended = await self._ask(client, request, min(left, again_s))
-            why = f"the node of {name} has ended" if ended else f"{name} did not answer in {timeout_s:g} s"
+            how = ": its node has ended, or stands still" if ended else f" in {timeout_s:g} s"
             left -= again_s
-        self._conclude(response.done, lambda: (code, f"{what}: {why}"))
+        self._conclude(response.done, lambda: (code, f"{what}: {name} did not answer{how}"))
         return response.result()
 
     async def _ask(self, client: Client, request: Any, timeout_s: float) -> tuple[Future, bool]:

@@ -72,7 +72,7 @@ def test_a_request_to_a_node_that_has_ended_fails_at_once(spinning: Spinning) ->
         return response
 
     async def call_in_vain() -> None:
-        with pytest.raises(StepFailure, match="frame 0: the node of serve has ended"):
+        with pytest.raises(StepFailure, match="frame 0: serve did not answer: its node has ended"):
             await goal.call(client, Trigger.Request(), 60.0, 1, "frame 0")
 
     def replace() -> None:
