@@ -229,6 +229,21 @@ def test_stream_of_a_region_is_counted_and_stamped_by_the_camera(own_stamps: lis
         assert opened.expose(SCENE).image.shape == (240, 320)
 
 
+@pytest.mark.usefixtures("camera")
+def test_frames_wait_while_the_middleware_keeps_the_publisher_waiting() -> None:
+    """Of the 36 frames of this time 20 were lost."""
+    with driver(region=SMALL_REGION) as opened:
+        opened.start(30.0)
+        eventually(lambda: opened.expose(SCENE))
+        before = opened.dropped
+        time.sleep(1.2)
+        for _ in range(40):
+            with suppress(IncompleteFrameError):
+                opened.expose(SCENE)
+        assert opened.dropped - before < 10, "a busy computer may lose single ones"
+        opened.stop()
+
+
 _ENDLESS = f"""
 from camera_node.drivers import AravisDriver, AravisSettings, Scene
 opened = AravisDriver(AravisSettings(exposure_time={EXPOSURE_S}, camera="{FakeCamera.address}", region={SMALL_REGION}))

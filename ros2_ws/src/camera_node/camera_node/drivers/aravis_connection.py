@@ -14,7 +14,9 @@ from camera_node.drivers.aravis_settings import PIXEL_TYPES, AravisSettings, Tri
 from fringedic.errors import CameraError, number_text
 from fringedic.recording.clocks import DeviceClock
 
-_BUFFERS = 16  # frames that may wait in this process: half a second at 30 frames/s
+# Frames that may wait in this process. The middleware may keep a publisher waiting for a second (decision 0104), and
+# 64 are two seconds at 30 frames/s; cameras with large images have fewer.
+_LEAST_BUFFERS, _MOST_BUFFERS, _BUFFER_BYTES = 16, 64, 256_000_000
 # A stream that may read packets of the network card receives those of all programs for some milliseconds, until its
 # filter is set, and takes them for parts of a frame. It reads them within 5 ms, and drops them as long as it has no
 # buffers; but the number of the first one is then its last frame, and it ignores frames up to 100 numbers before.
@@ -69,8 +71,9 @@ class AravisConnection:
             time.sleep(_OTHER_PACKETS_S)
             self._counted_before = self._counted()
         self.expect_frame()
-        for _ in range(_BUFFERS):
-            self.stream.push_buffer(aravis.module.Buffer.new_allocate(self.camera.get_payload()))
+        payload = self.camera.get_payload()
+        for _ in range(min(max(_BUFFER_BYTES // max(payload, 1), _LEAST_BUFFERS), _MOST_BUFFERS)):
+            self.stream.push_buffer(aravis.module.Buffer.new_allocate(payload))
 
     @property
     def clock(self) -> DeviceClock:
