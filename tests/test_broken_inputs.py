@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -100,7 +101,8 @@ def test_a_replay_whose_recorder_stops_does_not_succeed(experiment: RunReport, t
         while not stopping.wait(0.05):
             pid = node_pids(tmp_path).get("recorder")
             if pid is not None:
-                resource.prlimit(pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
+                with suppress(ProcessLookupError):  # it has just ended
+                    resource.prlimit(pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
 
     disk = threading.Thread(target=fill_disk)
     disk.start()

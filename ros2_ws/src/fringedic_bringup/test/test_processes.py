@@ -47,6 +47,18 @@ def shared_memory_of(pid: int) -> set[str]:
     return {Path(path).name.removesuffix("_el") for path in opened if path.startswith("/dev/shm/fastrtps_")}
 
 
+def users(segment: str) -> dict[str, str]:
+    """Return the files of `/proc` that name a segment, maps and open files, with the command of their process."""
+    found: dict[str, str] = {}
+    for process in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            command = (process / "cmdline").read_bytes().replace(b"\0", b" ").decode(errors="replace")
+            if segment in (process / "maps").read_text():
+                found[f"{process}/maps"] = command
+            found |= {str(link): command for link in (process / "fd").iterdir() if segment in os.readlink(link)}
+    return found
+
+
 def test_a_node_that_cannot_start_fails_the_run_with_the_end_of_its_log(tmp_path: Path) -> None:
     with private_domain() as domain:
         graph = Graph("rig", (NodeEntry("camera", "camera_node", "camera", {"source": "files", "files": "nowhere"}),))
@@ -175,7 +187,8 @@ def test_a_graph_leaves_no_process_and_no_shared_memory(tmp_path: Path) -> None:
         assert programme.experiment == "tiny"
     assert largest >= int(node_environment()["FRINGEDIC_SEGMENT_BYTES"])  # as asked for, not the middleware's default
     assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
-    assert owned & {path.name for path in SHARED_MEMORY.iterdir()} == set()
+    left = owned & {path.name for path in SHARED_MEMORY.iterdir()}
+    assert not left, f"used by {[users(name) for name in left]}"
 
 
 def test_a_client_that_has_ended_keeps_no_shared_memory() -> None:
