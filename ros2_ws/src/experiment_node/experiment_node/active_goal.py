@@ -124,7 +124,7 @@ class ActiveGoal:
                 with suppress(WaitTimeoutError):
                     await self._changed.wait(lambda: self._cancelled or response.done(), min(left, LOOK_S))
                 left -= LOOK_S
-                ended = not servers <= discovered_servers(self._node, client.srv_name)
+                ended = not response.done() and not servers <= discovered_servers(self._node, client.srv_name)
         finally:
             client.remove_pending_request(response)
         return response, ended
