@@ -53,7 +53,7 @@ while True:
         continue
     begin = time.time_ns()
     time.sleep(exposure)
-    offset = now["clock_offset_s"] + (now["jump_s"] if sent >= 30 else 0.0)
+    offset = now["clock_offset_s"] + now["jump_s"] * (sent // 30)
     colours = now["encoding"] == "rgb8"
     pixels = np.full((24, 32, 3) if colours else (24, 32), 100, np.uint16 if now["encoding"] == "16UC1" else np.uint8)
     if not colours:
@@ -84,7 +84,11 @@ class CameraDriver:
         clock_offset_s: float = 0.0,
         jump_s: float = 0.0,
     ) -> None:
-        """Publish anew: with this reliability (None: no more), encoding, clock, and jump of it after 30 images."""
+        """Publish anew: with this reliability (None: no more), encoding, clock, and jump of it every 30 images.
+
+        It jumps again and again because the driver knows a reader before that reader knows the driver: a single jump
+        may come before the first image that the reader receives.
+        """
         behaviour = {
             "reliability": reliability,
             "encoding": encoding,
