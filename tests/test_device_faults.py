@@ -26,7 +26,6 @@ pytestmark = [pytest.mark.hardware, pytest.mark.slow]
 RIG_FILE = Path(__file__).parent / "rigs" / "devices.yaml"
 MACHINE = {
     "protocol": "scpi",
-    "timeout_s": 0.3,
     "force": {"query": "MEAS:FORC?", "unit": "kN"},
     "position": {"query": "MEAS:POS?", "unit": "um"},
     "status": {"query": "STAT?", "idle": ["IDLE"], "moving": ["RUN"], "hold": ["HOLD"]},

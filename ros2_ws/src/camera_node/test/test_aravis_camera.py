@@ -390,6 +390,24 @@ def test_lost_packets_are_counted_and_their_frames_taken_again(camera: FakeCamer
         assert_complete(eventually(lambda: opened.expose(SCENE)).image)
 
 
+def test_lost_frames_of_a_stream_are_counted_without_their_first_packets_and_across_the_largest_number(
+    camera: FakeCamera,
+) -> None:
+    """The camera begins at 65 400, and 1 follows on 65 535. A frame whose first packet is lost has no number."""
+    camera.pull()
+    camera.plug_in(lost_per_thousand=100)
+    with driver(region=SMALL_REGION, packet_size=8000) as opened:
+        opened.start(60.0)
+        frames = [eventually(lambda: opened.expose(SCENE))]
+        before = opened.dropped
+        while len(frames) < 64:  # of about 230
+            with suppress(IncompleteFrameError):
+                frames.append(opened.expose(SCENE))
+        moved = np.median(np.diff([frame.image[0, :] for frame in frames], axis=0), axis=1)
+        assert moved.min() >= 1, "none is repeated"
+        assert moved.sum() == 63 + opened.dropped - before
+
+
 def test_nothing_gets_through(camera: FakeCamera) -> None:
     camera.pull()
     camera.plug_in(lost_per_thousand=1000)

@@ -252,19 +252,19 @@ class AravisDriver:
             connection.stream.push_buffer(buffer)
 
     def _frame(self, connection: AravisConnection, buffer: Any) -> Frame:
-        number, status, statuses = buffer.get_frame_id(), buffer.get_status(), self._aravis.module.BufferStatus
-        if connection.last_frame is not None and number > connection.last_frame + 1:
-            self.dropped += number - connection.last_frame - 1
-        connection.last_frame = number
+        status, statuses = buffer.get_status(), self._aravis.module.BufferStatus
         if status != statuses.SUCCESS:
             self.dropped += 1
+            connection.count_frame_without_number()
         if status == statuses.SIZE_MISMATCH:
-            raise CameraError(f"frame {number} has another size or pixel format than the camera was set to")
+            raise CameraError("a frame has another size or pixel format than the camera was set to")
         if status != statuses.SUCCESS:
             raise IncompleteFrameError(
-                f"frame {number} is incomplete ({status.value_nick}, {self.counts.get('packets_lost', 0)} packets lost "
+                f"a frame is incomplete ({status.value_nick}, {self.counts.get('packets_lost', 0)} packets lost "
                 "since the camera was connected); check cable, packet size and network load"
             )
+        number = buffer.get_frame_id()
+        self.dropped += connection.missing_before(number)
         sent = buffer.get_image_pixel_format()
         if sent != getattr(self._aravis.module, _PIXEL_FORMATS[self._settings.pixel_format]):
             raise CameraError(

@@ -29,6 +29,7 @@ _COUNTED = {
     "frames_incomplete": "n_failures",
     "packets_without_buffer": "n_underruns",
 }
+_NUMBERS = 65_535  # of frames in GigE Vision: 1 follows on the largest one, and 0 is none
 _LARGEST_DEVIATION = 0.05  # of the exposure time that a camera sets, relative to the requested one
 _LARGEST_RATE_DEVIATION = 0.01  # of its frame rate
 
@@ -48,7 +49,7 @@ class AravisConnection:
     clocks
         Clock of the camera by exposure time: cameras stamp the start or the end of an exposure without reporting which.
     last_frame
-        Number that the camera gave to the last frame.
+        Number that the camera gave to the last frame; None before the first one.
     running
         Whether the acquisition runs.
     """
@@ -119,6 +120,17 @@ class AravisConnection:
         If that thread releases the camera last, it waits for its own end, and GLib ends the process.
         """
         return self.camera.is_gv_device() and not self.camera.get_device().is_controller()
+
+    def missing_before(self, number: int) -> int:
+        """Return how many frames are missing between the last one and the one of this number, which is the last now."""
+        last, self.last_frame = self.last_frame, number
+        missing = 0 if last is None else (number - last - 1) % _NUMBERS
+        return missing if missing < _NUMBERS // 2 else 0  # otherwise it is no later frame
+
+    def count_frame_without_number(self) -> None:
+        """Take an incomplete frame for the one after the last: without its first packet its number is not known."""
+        if self.last_frame is not None:
+            self.last_frame += 1
 
     def abandon(self) -> None:
         """Release a camera that does not answer, in a thread: Aravis needs ten seconds for it."""
