@@ -121,6 +121,7 @@ class RigClient:
         self.node.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
         self.node.create_subscription(Float64, "extensometer/strain", self._take_strain, STATE)
         self._sent: RepeatedGoal | None = None  # goal whose acceptance is pending; a server may run it already
+        self._cancels_sent = False  # it is cancelled when its acceptance arrives
         self._running: RepeatedGoal | None = None  # goal whose result is pending
         # the last of all, because a node discovers the endpoints of another in the order of their creation
         self._pings = {
@@ -300,6 +301,7 @@ class RigClient:
         """Request the end of the move or the step that is running, without waiting; also from its feedback."""
         if self._running is not None:
             self._running.handle.cancel_goal_async()
+        self._cancels_sent = self._sent is not None  # feedback may come before the answer to the goal
 
     def cancel(self, timeout_s: float = 10.0) -> None:
         """Cancel the move or the step whose wait was interrupted by `watch`, if there is one.
@@ -602,6 +604,7 @@ class RigClient:
 
     def _send(self, client: ActionClient, goal: Any, what: str, feedback: Callable[[Any], None]) -> RepeatedGoal:
         sent = self._sent = RepeatedGoal(client, goal, feedback)
+        self._cancels_sent = False
         self._await_server(client, sent.send, START_TIMEOUT_S, what)
         self._take_answer(sent)
         if not sent.is_accepted:
@@ -610,6 +613,8 @@ class RigClient:
 
     def _take_answer(self, sent: RepeatedGoal) -> None:
         self._sent, self._running = None, sent if sent.is_accepted else None
+        if self._running is not None and self._cancels_sent:
+            self._running.handle.cancel_goal_async()
 
     def _take_number(self, result: Any) -> None:
         """Keep the number of a step that has ended; a refused step has none."""

@@ -129,9 +129,9 @@ def test_a_wait_ends_also_when_every_turn_is_long() -> None:
 @pytest.mark.parametrize("is_absent", [True, False], ids=["node", "feedback"])
 def test_a_step_goes_on_after_its_client_stood_still(is_absent: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its feedback waits in the queue, and the middleware may have to discover its node again."""
-    monkeypatch.setattr(client, "STEP_TIMEOUT_S", 1.0)
-    monkeypatch.setattr(client, "LOST_S", 1.0)
-    begun, stops = list[MeasureStep.Feedback](), [1.5]
+    monkeypatch.setattr(client, "STEP_TIMEOUT_S", 3.0)
+    monkeypatch.setattr(client, "LOST_S", 3.0)
+    begun, stops = list[MeasureStep.Feedback](), [4.5]
 
     def stand_still() -> None:
         if len(begun) > 5 and stops:  # the goal is accepted
@@ -171,6 +171,24 @@ def test_a_strain_is_known_after_its_client_stood_still(rig: Rig, monkeypatch: p
         controller.wait_for(lambda: controller.reading.strain == 0.01, 30, lambda: "the strain")
         controller.move(SLOW, until=stand_still)
     assert seen[1] == 0.01
+
+
+@pytest.mark.usefixtures("rig")
+def test_a_cancel_that_is_requested_before_the_goal_is_answered_is_sent_with_the_answer() -> None:
+    """Feedback may come before the answer, and is where a script asks for the end of its step."""
+    asked: list[int] = []
+
+    def watch() -> None:
+        if measuring and not asked:  # the answer, if it is there, is taken after this
+            asked.append(1)
+            controller.request_cancel()
+
+    measuring = False
+    with RigClient(watch=watch) as controller:
+        controller.sleep(0.2)
+        measuring = True
+        with pytest.raises(StepFailedError, match=f"error {MeasureStep.Result.CANCELLED}"):
+            controller.measure()
 
 
 @pytest.mark.usefixtures("rig")
