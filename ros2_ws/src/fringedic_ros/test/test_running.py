@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import IO
 
@@ -31,6 +31,7 @@ from fringedic_msgs.msg import Exposure
 from fringedic_ros import waiting
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.images import image_message
+from fringedic_ros.matching import discovered_servers
 from fringedic_ros.pairing import ImageExposurePairs
 from fringedic_ros.qos import DIAGNOSTICS, IMAGES
 from fringedic_ros.spinning import Spinning
@@ -304,6 +305,33 @@ def test_a_service_is_not_missing_because_its_client_stood_still(
         while not sent.is_over():
             time.sleep(0.01)
         assert "the service nobody is missing" in sent.loss
+
+
+def test_a_long_request_is_sent_again_to_a_server_that_took_the_place_of_another_between_two_looks(
+    spinning: Spinning,
+) -> None:
+    """The number of servers is the same at both looks."""
+    asker, silent = spinning.add(Node("asker")), Node("silent")  # nobody spins the second one
+    silent.create_service(Trigger, "serve", lambda _, response: response)
+    client = asker.create_client(Trigger, "serve")
+
+    def eventually(done: Callable[[], bool]) -> None:
+        end = time.monotonic() + 60.0
+        while not done():
+            assert time.monotonic() < end
+            time.sleep(0.01)
+
+    def servers() -> frozenset[bytes]:
+        return discovered_servers(asker, "serve")
+
+    eventually(lambda: client.service_is_ready() and len(servers()) == 1)
+    first = servers()
+    with LongRequest(asker, client, Trigger.Request()) as sent:
+        assert not sent.is_over()
+        silent.destroy_node()
+        spinning.add(Node("successor")).create_service(Trigger, "serve", lambda _, response: response)
+        eventually(lambda: len(servers()) == 1 and servers() != first)
+        eventually(sent.is_answered)
 
 
 def test_worker_keeps_order_and_survives_errors(spinning: Spinning) -> None:
