@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import deque
 from typing import Self
 
 from pydantic import BaseModel, Field, model_validator
@@ -62,7 +63,7 @@ class LiveViewNode(RigNode):
         self.diagnostics = NodeDiagnostics(self)
         self._worker = Worker(self, self._fail)
         self._view = self._new_view()
-        self._newest: tuple[Image, Exposure] | None = None
+        self._newest = deque[tuple[Image, Exposure]](maxlen=1)
         self._figures = self.create_publisher(LiveViewMessage, "live_view/figures", DERIVED)
         self._pictures = self.create_publisher(Image, "live_view/image", DERIVED)
         self._pairs = ImageExposurePairs(self, self._take_pair)
@@ -91,18 +92,16 @@ class LiveViewNode(RigNode):
         return response
 
     def _take_pair(self, image: Image, exposure: Exposure) -> None:
-        if self._newest is not None:
+        if self._newest:
             self.diagnostics.drop()  # replaced before it was evaluated
-        self._newest = image, exposure
-        if not self._worker.pending:
-            self._worker.submit(self._evaluate_newest)
+        self._newest.append((image, exposure))
+        self._worker.submit(self._evaluate_newest)
 
     def _evaluate_newest(self) -> None:
-        """Evaluate frames until none waits; in the thread of the worker."""
-        while (pair := self._newest) is not None:
-            self._newest = None
+        """Evaluate the newest frame, unless it has been evaluated; in the thread of the worker."""
+        if self._newest:
             begin = time.monotonic()
-            self._evaluate(*pair)
+            self._evaluate(*self._newest.pop())
             time.sleep(max(0.0, 1 / self.parameters.value.maximum_rate_hz - (time.monotonic() - begin)))
 
     def _evaluate(self, message: Image, exposure: Exposure) -> None:
