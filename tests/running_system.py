@@ -37,7 +37,7 @@ MACHINES = ROOT / "ros2_ws" / "src" / "load_frame_node" / "test"
 MACHINE: dict[str, Any] = {
     "protocol": "modbus",
     "host": "127.0.0.1",
-    "timeout_s": 1.0,  # on a busy computer the server of the test has needed more than 0.3 s
+    "timeout_s": 3.0,  # on a busy computer the server of the test has needed more than 0.3 s
     "force": {"register": 0},
     "position": {"register": 2},
     "status": {"register": 4, "idle": [0], "moving": [11], "hold": [12], "fault": [99]},

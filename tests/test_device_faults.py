@@ -26,6 +26,7 @@ pytestmark = [pytest.mark.hardware, pytest.mark.slow]
 RIG_FILE = Path(__file__).parent / "rigs" / "devices.yaml"
 MACHINE = {
     "protocol": "scpi",
+    "timeout_s": 1.0,
     "force": {"query": "MEAS:FORC?", "unit": "kN"},
     "position": {"query": "MEAS:POS?", "unit": "um"},
     "status": {"query": "STAT?", "idle": ["IDLE"], "moving": ["RUN"], "hold": ["HOLD"]},
@@ -49,7 +50,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
     folder = tmp_path_factory.mktemp("devices")
     (folder / "screen").mkdir()
     content = yaml.safe_load(RIG_FILE.read_text())
-    content["camera"]["settle_ms"] = 80.0  # eight frames take longer than the machine's time-out
+    content["camera"]["settle_ms"] = 160.0  # eight frames take longer than the machine's time-out
     (folder / RIG_FILE.name).write_text(yaml.safe_dump(content))
     with (
         FakeCamera() as camera,

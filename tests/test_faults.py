@@ -84,7 +84,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     path = CONFIG / "tiny.yaml"
     rig_file, _ = load_rig(path, None, None)
     graph = rig_graph(rig_file, path, folder, experiment="faults")
-    graph = _with(graph, "experiment", camera_timeout_s=2.0, start_timeout_s=10.0)
+    graph = _with(graph, "experiment", camera_timeout_s=10.0, start_timeout_s=10.0)
     graph = _with(graph, "camera", settle_time_s=SETTLE_S)
     with (
         RunningGraph(graph, folder / "logs") as running,

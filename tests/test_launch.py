@@ -89,7 +89,10 @@ def test_a_wrong_argument_is_named(
 def test_two_sides_measure_and_a_step_that_ctrl_c_cuts_off_has_an_error_record(
     domain: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = {"rig": "tiny", "folder": str(tmp_path / "run")}
+    content = yaml.safe_load((CONFIG / "tiny.yaml").read_text())
+    content["camera"]["settle_ms"] = 150.0  # so that Ctrl-C comes before the last frame on a busy computer, too
+    (tmp_path / "slow.yaml").write_text(yaml.safe_dump(content))
+    folder = {"rig": str(tmp_path / "slow.yaml"), "folder": str(tmp_path / "run")}
     here = launched(monkeypatch, **folder, nodes=",".join(PROCESSING))
     there = launched(monkeypatch, **folder, nodes="camera,projector,load_frame,stage")
     names = [node.name for node in (*here, *there)]
@@ -113,7 +116,7 @@ def test_two_sides_measure_and_a_step_that_ctrl_c_cuts_off_has_an_error_record(
 
 def _interrupt(frame: int, processes: Iterable[subprocess.Popen[bytes]]) -> None:
     """Press Ctrl-C after the third frame, for the nodes too: the step would have ended before the client has."""
-    if frame == 3:
+    if frame >= 3:
         for process in processes:
             process.send_signal(signal.SIGINT)
         raise KeyboardInterrupt

@@ -51,6 +51,7 @@ def _running(folder: Path, server: ModbusServer) -> Iterator[Rig]:
     (folder / "machine.yaml").write_text(yaml.safe_dump({**MACHINE, "port": server.port}))
     content = yaml.safe_load((CONFIG / "tiny.yaml").read_text())
     content["load_frame"] = {"source": "machine", "file": "machine.yaml"}
+    content["camera"]["settle_ms"] = 150.0  # so that a fault comes before the last frame on a busy computer, too
     (folder / "rig.yaml").write_text(yaml.safe_dump(content))
     rig_file, _ = load_rig(folder / "rig.yaml", None, None)
     graph = rig_graph(rig_file, folder / "rig.yaml", folder, experiment="faults")

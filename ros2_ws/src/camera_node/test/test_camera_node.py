@@ -188,7 +188,7 @@ def test_a_load_frame_that_has_ended_leaves_its_last_position(studio: Studio, tm
 def test_pattern_that_never_comes_and_then_the_next(studio: Studio, tmp_path: Path) -> None:
     studio.add_projector()
     white = np.full((75, 100), 250, np.uint8)
-    with NodeProcess(MODULE, tmp_path, {"virtual_rig": '"{preset: plate, size: tiny}"', "timeout_s": 0.5}):
+    with NodeProcess(MODULE, tmp_path, {"virtual_rig": '"{preset: plate, size: tiny}"', "timeout_s": 3.0}):
         announced = to_msg(studio.get_clock().now().nanoseconds + 10**9)
         response = studio.capture(3, shown=announced)
         assert response.error_code == Request.CAMERA_TIMEOUT
@@ -213,7 +213,7 @@ def test_files_with_faults_and_what_comes_after(studio: Studio, tmp_path: Path) 
     os.mkfifo(folder / "2.png")  # a camera that does not answer: reading waits for a writer
     save(folder, "3.png", pictures[3])
     save(folder, "4.tif", np.full((3, 4), 60000, np.uint16))
-    parameters = {"source": "files", "files": str(folder), "timeout_s": 1.0}
+    parameters = {"source": "files", "files": str(folder), "timeout_s": 3.0}
     with NodeProcess(MODULE, tmp_path, parameters):
         first = studio.capture(0)
         np.testing.assert_array_equal(image_array(studio.frame(first.stamp)[0]), pictures[0])
@@ -222,7 +222,7 @@ def test_files_with_faults_and_what_comes_after(studio: Studio, tmp_path: Path) 
         assert "1.png is not an image" in unreadable.error_message
         hanging = studio.capture(2)
         assert hanging.error_code == Request.CAMERA_TIMEOUT
-        assert "the frame did not come within 1.01 s" in hanging.error_message
+        assert "the frame did not come within 3.01 s" in hanging.error_message
         third = studio.capture(3)
         np.testing.assert_array_equal(image_array(studio.frame(third.stamp)[0]), pictures[3])
         heard = [studio.count_subscribers(name) for name in ("load_frame/state", "projector/image", "experiment/step")]
@@ -358,7 +358,7 @@ def test_clock_that_is_set_back(studio: Studio, tmp_path: Path, monkeypatch: pyt
         responses = []
         studio.wait(lambda: responses.append(studio.capture()) or responses[-1].error_code, "the error")
         assert responses[-1].error_code == Request.CAMERA_FAILED
-        assert re.search("the clock jumped back by (59|60)", responses[-1].error_message)
+        assert re.search("the clock jumped back by (5[5-9]|60)", responses[-1].error_message)
         response = studio.capture()
         assert response.error_code == Request.NONE, response.error_message
         assert abs(response.stamp.sec + 60 - time.time()) < 30

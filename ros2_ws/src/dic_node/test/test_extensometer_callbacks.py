@@ -123,6 +123,7 @@ def test_silence_is_reported_when_callbacks_could_run(clock: Clock, camera: Came
     assert not camera.valid[-1].data
 
 
+@pytest.mark.usefixtures("clock")  # no silence is reported before the first frame
 def test_a_zero_is_answered_after_the_frame_that_is_being_measured(
     monkeypatch: pytest.MonkeyPatch, camera: Camera, node: ExtensometerNode
 ) -> None:

@@ -53,7 +53,7 @@ PARAMETERS = {
     "projector_timeout_s": 2.0,
     "processing_timeout_s": 5.0,
     "start_timeout_s": 3.0,
-    "placing_timeout_s": 2.0,
+    "placing_timeout_s": 20.0,
 }
 
 
@@ -338,7 +338,9 @@ def test_a_stage_that_refuses_or_hangs(rig: Rig, tmp_path: Path) -> None:
     assert "+0.00 degree" in result.error_message
     rig.behave()
     rig.hang = Future()
+    rig.change(placing_timeout_s=2.0)
     result = rig.calibrate(tmp_path)
+    rig.change(placing_timeout_s=PARAMETERS["placing_timeout_s"])
     rig.hang.set_result(None)
     assert result.error_code == CalibrateRig.Result.PLACING_TIMEOUT
     assert "did not answer" in result.error_message
@@ -378,6 +380,7 @@ def test_a_stage_that_leaves_its_place_during_the_frames(rig: Rig, tmp_path: Pat
     """Its driver was started again, and moves it to its zero."""
     rig.states = rig.create_publisher(ReferencePlane, "reference_plane/state", LATCHED)
     rig.wait(rig.states.get_subscription_count, "the experiment node")
+    rig.meet("experiment")
     rig.goes_to_zero = True
     result = rig.calibrate(tmp_path, angles=[0.1, *ANGLES[1:]])
     rig.goes_to_zero = False
@@ -421,7 +424,7 @@ def test_a_folder_that_cannot_be_written(rig: Rig, tmp_path: Path) -> None:
 @pytest.mark.parametrize("again", [False, True])
 def test_a_stage_that_was_killed(rig: Rig, tmp_path: Path, again: bool) -> None:
     """Without it the plane fails long before the time of a slow stage; started again, it gets the request again."""
-    rig.change(placing_timeout_s=90.0)
+    rig.change(placing_timeout_s=90.0, start_timeout_s=60.0)
     rig.destroy_service(rig.stage)
     rig.stage = None
     killed = threading.Event()
@@ -433,7 +436,7 @@ def test_a_stage_that_was_killed(rig: Rig, tmp_path: Path, again: bool) -> None:
         if again:
             rig.install_stage()
         result = rig.result(handle)[1]
-    rig.change(placing_timeout_s=2.0)
+    rig.change(**{name: PARAMETERS[name] for name in ("placing_timeout_s", "start_timeout_s")})
     if again:
         assert (result.error_code, result.error_message) == (0, "")
     else:

@@ -48,14 +48,15 @@ from fringedic_ros.testing import NodeProcess, Peer
 
 FRAMES = 7
 EXPOSURE_NS = 100_000  # short: the clock of the rig, which adds exposures up, stays behind the real time
+SAMPLES_NS = 500_000_000  # longest time between two samples of the load frame
 START_TIMEOUT = 3.0  # [s]
 PARAMETERS = {
     "projector_width_px": 64,
     "projector_height_px": 48,
     "pitches_px": [64.0, 8.0],
     "shifts": [3, 4],
-    "camera_timeout_s": 1.0,
-    "projector_timeout_s": 1.0,
+    "camera_timeout_s": 4.0,
+    "projector_timeout_s": 4.0,
     "processing_timeout_s": 2.0,
     "input_timeout_s": 0.2,
     "start_timeout_s": START_TIMEOUT,
@@ -132,6 +133,10 @@ class Rig(Peer):
 
     def _sample_load(self) -> None:
         if self.load_mode is not None and not self.capturing:
+            # a machine has samples of the time in which this process, or its clock during the frames, stood still
+            while self.clock_ns + SAMPLES_NS < time.time_ns():
+                self.clock_ns += SAMPLES_NS
+                self.publish_load(self.load_mode, stamp=self.clock_ns)
             self.time(passed_ns=1)
             self.publish_load(self.load_mode)
 
@@ -281,6 +286,7 @@ class Rig(Peer):
             if getattr(self, topic) is not None:
                 self.destroy_publisher(getattr(self, topic))
                 setattr(self, topic, None)
+        self.meet("experiment")
         self.behave()
 
     def behave(self) -> None:
@@ -458,7 +464,7 @@ def test_cancel_while_the_machine_settles(rig: Rig) -> None:
         ({"capture_error": CaptureFrame.Request.CAMERA_FAILED}, Result.CAMERA_FAILED, "no frame"),
         ({"capture_error": CaptureFrame.Request.CAMERA_TIMEOUT}, Result.CAMERA_TIMEOUT, "no frame"),
         ({"capture_error": CaptureFrame.Request.NO_SUBSCRIBER}, Result.NO_SUBSCRIBER, "no frame"),
-        ({"hang": True}, Result.CAMERA_TIMEOUT, "camera/capture did not answer in 4 s"),
+        ({"hang": True}, Result.CAMERA_TIMEOUT, "camera/capture did not answer in 7 s"),
         ({"answers": {"dic": NodeStatus.NO_CORRELATION}}, Result.DIC_FAILED, "dic: scripted"),
         ({"answers": {"phase": NodeStatus.PATTERN_NOT_SEEN}}, Result.PATTERN_NOT_SEEN, "phase: scripted"),
         ({"jump_before": 4}, Result.CAMERA_FAILED, "s before frame 3: the clock jumped back"),
@@ -636,7 +642,7 @@ def test_a_load_frame_with_a_clock_ahead_proves_nothing(rig: Rig) -> None:
     assert (not_held.error_code, rig.captured) == (Result.LOAD_NOT_HELD, [])
     told = re.search(r"the clock of the load frame is (\S+) s ahead", not_held.error_message)
     assert told is not None, not_held.error_message
-    assert float(told[1]) == pytest.approx(3.0, abs=0.5)
+    assert 1.5 < float(told[1]) <= 3.0, "a busy computer delays a sample"
     try:
         for limit in (50.0, 0.0):  # without a limit, force and position of the step would be those of another time
             rig.change(hold_required=False, load_drift_n=limit)
@@ -646,7 +652,7 @@ def test_a_load_frame_with_a_clock_ahead_proves_nothing(rig: Rig) -> None:
         rig.load_clock_ahead_ns = -1_500_000_000
         behind = re.search(r"the clock of the load frame is (\S+) s behind", rig.step().error_message)
         assert behind is not None
-        assert float(behind[1]) == pytest.approx(1.5, abs=0.5)  # a busy computer delays a sample
+        assert 1.5 <= float(behind[1]) < 3.0
         rig.load_clock_ahead_ns = 0
         assert rig.step().error_code == Result.NONE
     finally:
@@ -660,7 +666,7 @@ def test_a_camera_with_another_clock_proves_no_hold(rig: Rig, ahead_s: int, word
     rig.say_load(LoadState.HOLD)
     not_held = rig.step()
     assert not_held.error_code == Result.LOAD_NOT_HELD
-    assert re.search(rf"the clock of the camera is [23]\.\d s {words} the clock of the", not_held.error_message)
+    assert re.search(rf"the clock of the camera is [1-4]\.\d s {words} the clock of the", not_held.error_message)
     rig.camera_clock_ahead_ns = 0
     assert rig.step().error_code == Result.NONE
 
@@ -702,6 +708,7 @@ def test_no_step_without_the_recorder(rig: Rig) -> None:
     rig.change(recording_required=True, start_timeout_s=1.0)
     failed = rig.step()
     assert (failed.error_code, rig.captured) == (Result.RECORDER_FAILED, [])
+    rig.change(start_timeout_s=60.0)
     rig.publish_recorder(RecorderStatus.STARTING)
     running = rig.request()
     rig.serve(0.3)
@@ -714,6 +721,7 @@ def test_no_step_without_the_recorder(rig: Rig) -> None:
     result = rig.result(running)[1]
     assert (result.error_code, result.recorded_frames) == (Result.NONE, FRAMES)
     assert result.recorded_crc == rig.recorder_status(RecorderStatus.RECORDING, FRAMES).step_crc
+    rig.change(start_timeout_s=1.0)
     silent = rig.step()  # as if killed: its last status was good, but it does not answer
     assert silent.error_code == Result.RECORDER_FAILED
     assert "does not answer" in silent.error_message
@@ -746,12 +754,12 @@ def test_a_recorder_of_results_that_stops_is_no_longer_waited_for(rig: Rig) -> N
 def test_absent_node_is_named(rig: Rig) -> None:
     rig.change(start_timeout_s=1.0)
     rig.destroy_publisher(rig.statuses.pop("coupling"))
-    rig.wait(lambda: not rig.count_publishers("coupling/status"), "the end of a publisher")
-    rig.serve(0.5)
+    rig.meet("experiment")
     failed = rig.step()
     assert failed.error_code == Result.NO_SUBSCRIBER
     assert "coupling/status" in failed.error_message
     rig.statuses["coupling"] = rig.create_publisher(NodeStatus, "coupling/status", EVENTS)
+    rig.change(start_timeout_s=60.0)
     assert rig.step().error_code == Result.NONE
 
 
@@ -761,6 +769,7 @@ def test_the_camera_waits_for_what_the_stage_has_placed(rig: Rig) -> None:
     state.header.stamp = to_msg(rig.time())
     stage.publish(state)
     rig.wait(stage.get_subscription_count, "the experiment node")
+    rig.taken(stage)
     assert rig.step().error_code == Result.NONE
     assert {to_nanoseconds(each.placed) for each in rig.captured[-FRAMES:]} == {to_nanoseconds(state.header.stamp)}
     rig.destroy_publisher(stage)
@@ -769,6 +778,7 @@ def test_the_camera_waits_for_what_the_stage_has_placed(rig: Rig) -> None:
 def test_a_subscriber_that_ends_after_it_was_counted_costs_one_request(rig: Rig) -> None:
     """A killed recorder is counted until its lease ends; a viewer may be closed at any time."""
     viewer = rig.create_subscription(Image, "camera/image_raw", lambda _: None, IMAGES)
+    rig.meet("experiment")
     capture = rig.capture.callback
 
     async def ended(request: CaptureFrame.Request, response: CaptureFrame.Response) -> CaptureFrame.Response:
@@ -797,6 +807,7 @@ def test_a_node_that_appears_beside_its_predecessor_while_connections_are_awaite
     rig.wait(rig.statuses["phase"].get_subscription_count, "the experiment node")
     running = rig.request()
     successor = rig.create_publisher(NodeStatus, "phase/status", EVENTS)
+    rig.meet("experiment")
     rig.serve(3.0)
     assert not rig.captured
     rig.destroy_publisher(successor)
@@ -805,7 +816,6 @@ def test_a_node_that_appears_beside_its_predecessor_while_connections_are_awaite
 
 
 def test_results_that_would_not_reach_the_next_node_are_waited_for(rig: Rig) -> None:
-    rig.change(start_timeout_s=1.0)
     rig.reaches_all = False
     publisher = rig.statuses.pop("phase")  # a new publisher makes the experiment node check all connections again
     rig.destroy_publisher(publisher)

@@ -131,7 +131,7 @@ def test_split_recording_loses_nothing_between_its_files(rig: Rig, tmp_path: Pat
             rig.image(1000 + index, pixels)
             rig.exposure(1000 + index, index, len(frames))
         rig.end_step()
-        rig.wait(lambda: rig.statuses[-1].messages >= 2 * len(frames) + 1, "all messages to be written")
+        rig.wait(lambda: "/experiment/step" in BagReader(tmp_path / "bag").counts, "all messages to be written")
 
     bag = BagReader(tmp_path / "bag")
     assert not bag.lost
@@ -178,7 +178,7 @@ def test_derived_topics_are_recorded_on_request(rig: Rig, tmp_path: Path) -> Non
         rig.connect()
         rig.wait(rig.phase.get_subscription_count, "subscription to phase/status")
         rig.phase.publish(NodeStatus(node="phase", step=7))
-        rig.wait(lambda: rig.statuses[-1].messages >= 2, "the message to be written")
+        rig.wait(lambda: "/phase/status" in BagReader(tmp_path / "bag").counts, "the message to be written")
     (status,) = [message for _, message, _ in BagReader(tmp_path / "bag").messages(["/phase/status"])]
     assert status.step == 7
 

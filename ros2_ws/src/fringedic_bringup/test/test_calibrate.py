@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import rclpy
+from rcl_interfaces.srv import GetParameters
 
 from fringedic.configuration.rig_file import load_rig_file
 from fringedic.errors import ConfigurationError
@@ -16,6 +17,7 @@ from fringedic_bringup.launch.rig_files import configuration
 from fringedic_bringup.procedures.calibrate import calibrate, placing_by, with_angles
 from fringedic_msgs.srv import PlaceReferencePlane
 from fringedic_ros.testing import Peer
+from fringedic_ros.waiting import RepeatedRequest
 
 Request = PlaceReferencePlane.Request
 
@@ -56,6 +58,9 @@ def test_operator_places_the_plane_until_one_stops() -> None:
                 return future.result()
 
             peer.wait(lambda: client.sleep(0.05) or place.service_is_ready(), "the service")
+            parameters = peer.create_client(GetParameters, "rig/client/get_parameters")
+            with RepeatedRequest(parameters, GetParameters.Request()) as met:  # a response may be lost before
+                peer.wait(lambda: client.sleep(0.05) or met.is_answered(), "the client to know the peer")
             assert answer(kind=Request.GRID).success
             turned = answer(kind=Request.PLANE, angle=0.25)
             assert (turned.success, turned.angle) == (True, 0.25)

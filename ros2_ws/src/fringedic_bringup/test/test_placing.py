@@ -11,7 +11,9 @@ from typing import Any
 from unittest.mock import MagicMock
 
 import pytest
+from rcl_interfaces.srv import GetParameters
 from rclpy.action.server import ActionServer, ServerGoalHandle
+from rclpy.duration import Duration
 from rclpy.node import Node
 
 from fringedic.configuration.rig_file import load_rig_file
@@ -61,8 +63,15 @@ class Stage(Node):
         return state.header.stamp
 
 
-def await_stage(rig: RigClient) -> None:
-    rig.wait_for(lambda: rig.node.count_services("reference_plane/place") > 0, 60, lambda: "the stage")
+def meet(rig: RigClient, node: str) -> None:
+    """Wait until a node knows all clients of the rig's client: a response to one that it does not know is lost."""
+    rig.call_again(rig.node.create_client(GetParameters, f"{node}/get_parameters"), GetParameters.Request(), 60)
+
+
+def meet_all(rig: RigClient) -> None:
+    rig.wait_for(lambda: {"stage", "experiment"} & set(rig.node.get_node_names()), 60, lambda: "the node of the test")
+    for node in {"stage", "experiment"} & set(rig.node.get_node_names()):
+        meet(rig, node)
 
 
 @pytest.fixture(autouse=True)
@@ -74,7 +83,7 @@ def short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_stage_is_requested_once_however_long_it_needs(spinning: Spinning) -> None:
     stage = spinning.add(Stage(delay_s=5.0))
     with RigClient() as rig:
-        await_stage(rig)
+        meet(rig, "stage")
         rig.place(PLANE, height=5e-3)
     assert len(stage.requests) == 1
 
@@ -83,13 +92,14 @@ def test_a_stage_that_leaves_its_place_fails_the_plane(spinning: Spinning) -> No
     """Its driver was started again and moved it to its zero, where the camera saw the plane."""
     stage = spinning.add(Stage())
     with RigClient() as rig:
-        await_stage(rig)
+        meet(rig, "stage")
         rig.place(PLANE, height=5e-3)
         rig.wait_for(stage.states.get_subscription_count, 30, lambda: "the subscription of the client")
         stage.report(PLANE, 0.0, 5.01e-3)
         rig.sleep(0.5)
         rig.require_place()
         stage.report(PLANE, 0.0, 0.0)
+        assert stage.states.wait_for_all_acked(Duration(seconds=60))
         rig.sleep(0.5)
         with pytest.raises(StepFailedError, match=r"\+0.00 degree and \+0.000 mm instead of .*\+5.000 mm"):
             rig.require_place()
@@ -127,7 +137,7 @@ def calibrating(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[...
     """Return a function that yields the client of a calibration whose nodes are those of the test."""
     monkeypatch.setattr(calibrate, "calibration_graph", lambda *_: Graph("rig", ()))
     monkeypatch.setattr(calibrate, "RunningGraph", Nodes)
-    monkeypatch.setattr(RigClient, "wait_until_ready", lambda rig, _: rig.sleep(2.0))  # the nodes are discovered
+    monkeypatch.setattr(RigClient, "wait_until_ready", lambda rig, _: meet_all(rig))
 
     def client_of(ask: Callable[[str], bool], **options: Any) -> AbstractContextManager[RigClient]:
         path, job = configuration("tiny.yaml"), Job("calibrate", "", lambda: None)
@@ -207,7 +217,7 @@ def test_a_check_ends_with_the_first_plane_that_is_not_in_its_place(
 def test_a_plane_fails_when_its_stage_was_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(waiting, "LOST_S", 1.0)
     with killed_stage("rig"), RigClient() as rig:
-        await_stage(rig)
+        meet(rig, "stage")
         with pytest.raises(WaitTimeoutError, match=r"5.000 mm .*: the service reference_plane/place is missing: start"):
             rig.place(PLANE, height=5e-3)
 
@@ -215,6 +225,6 @@ def test_a_plane_fails_when_its_stage_was_killed(monkeypatch: pytest.MonkeyPatch
 def test_a_stage_that_is_started_again_gets_the_request_again(spinning: Spinning) -> None:
     again: list[Stage] = []
     with killed_stage("rig", then=lambda: again.append(spinning.add(Stage()))), RigClient() as rig:
-        await_stage(rig)
+        meet(rig, "stage")
         assert rig.place(PLANE, height=5e-3).height == 5e-3
     assert again[0].requests[0].height == 5e-3

@@ -10,7 +10,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
@@ -248,7 +247,14 @@ class Bench(Peer):
     ----------
     tested
         Name of the node.
+
+    Attributes
+    ----------
+    unread
+        Topics that the node does not read.
     """
+
+    unread: tuple[str, ...] = ()
 
     def __init__(self, tested: str) -> None:
         super().__init__("bench")
@@ -264,13 +270,10 @@ class Bench(Peer):
         """Wait until the node is present and every topic between it and this one is connected."""
         self.wait(lambda: self.count_publishers(f"{self._tested}/status"), f"the {self._tested} node")
         self.wait(self._set_parameters.service_is_ready, "its parameters")
-        for publisher in self.publishers:
-            if not publisher.topic_name.endswith(("/parameter_events", "/rosout")):
-                self.wait(partial(self._all_connected, publisher), f"the readers of {publisher.topic_name}")
         self.meet(self._tested)
-
-    def _all_connected(self, publisher: Publisher) -> bool:
-        return publisher.get_subscription_count() >= self.count_subscribers(publisher.topic_name)
+        for publisher in self.publishers:
+            if not publisher.topic_name.endswith(("/parameter_events", "/rosout", *self.unread)):
+                self.wait(publisher.get_subscription_count, f"a reader of {publisher.topic_name}")
 
     def until_read(self, topic: str) -> None:
         """Wait until the node has discovered a subscription to one of its topics."""

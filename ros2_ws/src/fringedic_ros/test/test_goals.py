@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -152,11 +153,18 @@ def test_a_long_move_does_not_collect_requests_of_its_result(
     request = ClientGoalHandle.get_result_async
     monkeypatch.setattr(ClientGoalHandle, "get_result_async", lambda it: requested.append(it) or request(it))
     monkeypatch.setattr(goals, "AGAIN_S", 0.5)
+    clock = SimpleNamespace(now=0.0, monotonic=lambda: clock.now)
+    monkeypatch.setattr(goals, "time", clock)
+
+    def pass_time(_: MoveCrosshead.Feedback) -> None:
+        clock.now += 0.4
+
     client, machine = ActionClient(controller, MoveCrosshead, "move_crosshead"), SlowMachine(peer)
-    goal = RepeatedGoal(client, MoveCrosshead.Goal(position=1e-3), lambda _: None)
+    goal = RepeatedGoal(client, MoveCrosshead.Goal(position=1e-3), pass_time)
     peer.wait(goal.send, "the answer to the goal", 30)
     peer.wait(goal.request_result, "the result", 30)
     assert goal.result.position == 1e-3
+    assert clock.now > 2.0
     assert len(requested) == 1
     client.destroy()
     machine.server.destroy()

@@ -75,7 +75,7 @@ def operator(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Operator]:
 
 def test_reaches_the_position_and_holds_in_tension(operator: Operator) -> None:
     operator.feedback.clear()
-    answer = operator.move(0.5 * MM, 1.0 * MM)
+    answer = operator.move(0.5 * MM, 0.2 * MM)
     assert (answer.status, answer.result.error_code) == (GoalStatus.STATUS_SUCCEEDED, Result.NONE)
     assert answer.result.position == pytest.approx(0.5 * MM, abs=1e-9)
     state = operator.now()
@@ -103,21 +103,24 @@ def test_three_topics_say_the_same(operator: Operator) -> None:
 def test_move_until_a_force(operator: Operator) -> None:
     """The node stops the machine by itself: 0.4 N per sample at 0.02 mm/s, 2000 N/mm and 100 Hz."""
     operator.move(0.1 * MM, 5.0 * MM)
+    operator.forget()
     goal = operator.start(1.0 * MM, 0.02 * MM, force_above=[300.0])
     ended = operator.end(goal)
     assert (ended.status, ended.result.error_code) == (GoalStatus.STATUS_SUCCEEDED, Result.NONE)
     assert ended.result.force_reached
-    assert 300.0 <= ended.result.reached_force < 305.0
     assert operator.now().mode == LoadState.HOLD
-    assert operator.now().force < 310.0
+    assert ended.result.reached_force == next(each.force for each in operator.states if each.force >= 300.0)
+    assert operator.now().force < 380.0, "2 s at 40 N/s, for a busy computer"
+    operator.forget()
     unloaded = operator.end(operator.start(0.0, 0.1 * MM, force_above=[900.0], force_below=[100.0]))
-    assert 90.0 < unloaded.result.reached_force <= 100.0
+    assert operator.now().mode == LoadState.HOLD
+    assert unloaded.result.reached_force == next(each.force for each in operator.states if each.force <= 100.0)
     assert not operator.move(0.05 * MM, 1.0 * MM).result.force_reached, "limits belong to one move"
 
 
 def test_second_goal_is_busy_and_the_first_goes_on(operator: Operator) -> None:
     operator.move(0.0, 5.0 * MM)
-    first = operator.start(0.4 * MM, 0.4 * MM, "tension")
+    first = operator.start(0.4 * MM, 0.1 * MM, "tension")
     second = operator.move(0.1 * MM, 1.0 * MM, "fatigue")
     assert (second.status, second.result.error_code) == (GoalStatus.STATUS_ABORTED, Result.BUSY)
     assert "another goal, of tension to 0.4 mm; fatigue has to wait" in second.result.error_message

@@ -42,6 +42,7 @@ DEAF = 4  # coil of the Modbus machine
 LIMITS = {"lowest_mm": 0.0, "highest_mm": 1.0, "fastest_mm_per_s": 5.0}
 MODBUS: dict[str, Any] = {
     "protocol": "modbus",
+    "timeout_s": 5.0,
     "host": "127.0.0.1",
     "force": {"register": 0},
     "position": {"register": 2},
@@ -52,6 +53,7 @@ MODBUS: dict[str, Any] = {
 }
 SCPI: dict[str, Any] = {
     "protocol": "scpi",
+    "timeout_s": 5.0,
     "force": {"query": "MEAS:FORC?", "unit": "kN"},
     "position": {"query": "MEAS:POS?", "unit": "um"},
     "status": {"query": "STAT?", "idle": ["IDLE"], "moving": ["RUN"], "hold": ["HOLD"]},
@@ -149,7 +151,7 @@ def test_mode_from_motion_when_the_machine_reports_no_status(kind: str, tmp_path
 
 @pytest.mark.parametrize("kind", ["modbus", "scpi"])
 def test_server_that_dies_and_comes_back(kind: str, tmp_path: Path) -> None:
-    with machine(kind, tmp_path, timeout_s=0.3) as (connected, process, port):
+    with machine(kind, tmp_path) as (connected, process, port):
         process.kill()
         process.wait()
         with pytest.raises(MachineError, match=f"testing machine at .*{port}.*: sample: "):
@@ -198,7 +200,7 @@ def test_modbus_machine_that_refuses_or_sends_nonsense(tmp_path: Path) -> None:
     ("command", "words"), [("BABBLE", r"'\?#!', which is not a number"), ("SILENT", "has no answer: .*[Tt]imeout")]
 )
 def test_scpi_machine_that_babbles_or_is_silent(command: str, words: str, tmp_path: Path) -> None:
-    with machine("scpi", tmp_path, timeout_s=0.3, hold=[command]) as (connected, _, _):
+    with machine("scpi", tmp_path, timeout_s=2.0, hold=[command]) as (connected, _, _):
         connected.hold()
         with pytest.raises(MachineError, match=words):
             connected.sample()
@@ -207,11 +209,15 @@ def test_scpi_machine_that_babbles_or_is_silent(command: str, words: str, tmp_pa
 def test_scpi_machine_that_acknowledges_its_commands_is_refused(tmp_path: Path) -> None:
     """Each acknowledgement would shift all later answers by one, the position to the place of the status."""
     with machine("scpi", tmp_path, hold=["ACKNOWLEDGE"]) as (connected, _, _):
-        for _ in range(3):
-            connected.sample()
+
+        def sample(times: int) -> None:
+            for _ in range(times):
+                connected.sample()
+
+        sample(3)
         connected.hold()
         with pytest.raises(MachineError, match=r"sent more than was requested, .* acknowledges commands"):
-            connected.sample()
+            sample(10)  # the first one finds an acknowledgement, unless it comes a millisecond too late for it
 
 
 def test_modbus_value_that_does_not_fit_its_register(tmp_path: Path) -> None:
@@ -375,7 +381,7 @@ def operator() -> Iterator[Operator]:
 
 def test_node_drives_a_modbus_machine_that_is_lost_and_found(operator: Operator, tmp_path: Path) -> None:
     with (
-        modbus(tmp_path, timeout_s=0.3) as (process, port, parameters),
+        modbus(tmp_path) as (process, port, parameters),
         NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters),
     ):
         arrived = operator.move(0.3 * MM, 1.0 * MM)
@@ -406,15 +412,14 @@ def test_node_drives_a_modbus_machine_that_is_lost_and_found(operator: Operator,
 def test_a_hold_that_was_not_accepted_is_requested_again(operator: Operator, tmp_path: Path) -> None:
     """The machine does not answer for longer than the time-out in a move until a force, and goes on moving."""
     with (
-        modbus(tmp_path, timeout_s=0.3) as (process, _, parameters),
+        modbus(tmp_path, timeout_s=1.0) as (process, _, parameters),
         NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters),
     ):
         goal = operator.start(1.0 * MM, 0.02 * MM, force_above=[1000.0])
         operator.until(LoadState.MOVING)
         process.send_signal(signal.SIGSTOP)
-        time.sleep(0.8)
-        process.send_signal(signal.SIGCONT)
         result = operator.end(goal)
+        process.send_signal(signal.SIGCONT)
         assert result.error_code == MoveCrosshead.Result.MACHINE_FAULT
         assert "a hold was not accepted and is requested again with every sample" in result.error_message
         assert operator.until(LoadState.HOLD).force < 500
@@ -522,7 +527,7 @@ def test_an_accepted_hold_is_owed_until_standstill(
 
 def test_a_node_that_ends_requests_the_hold_until_it_is_accepted(operator: Operator, tmp_path: Path) -> None:
     """It tried once, while there was no connection, and the machine moved on."""
-    with modbus(tmp_path, timeout_s=0.3) as (process, port, parameters):
+    with modbus(tmp_path, timeout_s=1.0) as (process, port, parameters):
         with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters):
             operator.start(1.0 * MM, 0.02 * MM)
             operator.until(LoadState.MOVING)
@@ -543,7 +548,7 @@ def test_a_node_that_was_killed_in_a_move_requests_the_hold_at_its_next_start(
     is_reached: bool, operator: Operator, tmp_path: Path
 ) -> None:
     """Whether the machine is reached at once or, as after a lost connection, later."""
-    with modbus(tmp_path, timeout_s=0.3) as (process, _, parameters):
+    with modbus(tmp_path, timeout_s=1.0) as (process, _, parameters):
         killed = NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters).__enter__().process
         operator.start(1.0 * MM, 0.02 * MM)
         operator.until(LoadState.MOVING)
@@ -630,12 +635,12 @@ def test_node_publishes_the_drift_of_the_clock_of_the_machine(operator: Operator
         parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 100.0}
         with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters):
             operator.wait(
-                lambda: clocks and clocks[-1].samples >= 6 and clocks[-1].drift_sigma < 0.003,
+                lambda: clocks and clocks[-1].samples >= 20 and clocks[-1].drift_sigma < 0.003,
                 "a drift whose uncertainty is a third of its value",
             )
     told = clocks[-1]
     assert told.clock == "load_frame"
-    error = told.drift - 0.01
+    error = told.drift - 0.01 / 1.01  # per second of the machine, whose clock is 1 % fast
     assert abs(error) < 4 * told.drift_sigma, f"drift {told.drift:.5f} +- {told.drift_sigma:.5f}, off by {error:.5f}"
 
 
