@@ -282,12 +282,12 @@ class Rig(Peer):
         for heard in (self.shown, self.captured, self.steps, self.references, self.feedback):
             heard.clear()
         self.holds = 0
+        self.behave()  # before the load frame ends, which would otherwise be started again
         for topic in ("load", "recorder"):
             if getattr(self, topic) is not None:
                 self.destroy_publisher(getattr(self, topic))
                 setattr(self, topic, None)
         self.meet("experiment")
-        self.behave()
 
     def behave(self) -> None:
         """Do everything right from now on."""
