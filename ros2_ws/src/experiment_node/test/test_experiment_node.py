@@ -642,7 +642,7 @@ def test_a_load_frame_with_a_clock_ahead_proves_nothing(rig: Rig) -> None:
     assert (not_held.error_code, rig.captured) == (Result.LOAD_NOT_HELD, [])
     told = re.search(r"the clock of the load frame is (\S+) s ahead", not_held.error_message)
     assert told is not None, not_held.error_message
-    assert 1.5 < float(told[1]) <= 3.0, "a busy computer delays a sample"
+    assert float(told[1]) == pytest.approx(3.0, abs=0.5)
     try:
         for limit in (50.0, 0.0):  # without a limit, force and position of the step would be those of another time
             rig.change(hold_required=False, load_drift_n=limit)
@@ -652,7 +652,7 @@ def test_a_load_frame_with_a_clock_ahead_proves_nothing(rig: Rig) -> None:
         rig.load_clock_ahead_ns = -1_500_000_000
         behind = re.search(r"the clock of the load frame is (\S+) s behind", rig.step().error_message)
         assert behind is not None
-        assert 1.5 <= float(behind[1]) < 3.0
+        assert float(behind[1]) == pytest.approx(1.5, abs=0.5)  # a busy computer delays a sample
         rig.load_clock_ahead_ns = 0
         assert rig.step().error_code == Result.NONE
     finally:
@@ -666,7 +666,7 @@ def test_a_camera_with_another_clock_proves_no_hold(rig: Rig, ahead_s: int, word
     rig.say_load(LoadState.HOLD)
     not_held = rig.step()
     assert not_held.error_code == Result.LOAD_NOT_HELD
-    assert re.search(rf"the clock of the camera is [1-4]\.\d s {words} the clock of the", not_held.error_message)
+    assert re.search(rf"the clock of the camera is [23]\.\d s {words} the clock of the", not_held.error_message)
     rig.camera_clock_ahead_ns = 0
     assert rig.step().error_code == Result.NONE
 

@@ -20,7 +20,7 @@ from std_msgs.msg import Int64
 from fringedic_ros.participant_number import AUTOMATIC, NUMBERS, VARIABLE, choose_participant_number, port_exists
 from fringedic_ros.spinning import Spinning
 
-STOOD_STILL_S = 2.2  # a busy computer lets threads wait as long
+STOOD_STILL_S = 2.5  # a busy computer lets threads wait as long
 STOPS = 3  # how long a port counts as alive without a sign depends on when it was looked at last
 RECEIVED_S = 30.0  # on a busy computer; on a port without publishers nothing is ever received
 READER = """
