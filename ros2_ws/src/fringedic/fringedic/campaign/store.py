@@ -9,7 +9,7 @@
     begun/NAME.json        a worker processes it, or died meanwhile; removed with its receipt or failure
     parts/NAME~0.json      receipt of a part of a recording, recordings/NAME~0 its group; both end with the recording
 
-Nothing is renamed, appended to or resized in place, so that the same rules hold for object stores.
+Nothing is appended to or resized in place. A file is seen as a whole or not at all, as an object of an object store.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from collections.abc import AsyncIterator, Container, Iterator, Mapping, Sequenc
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import numpy as np
 
@@ -39,7 +40,7 @@ RECORDINGS, RECEIPTS, FAILURES = "recordings", "receipts", "failures"
 BEGUN = "begun"  # recordings that a worker has begun, with the number of the attempt
 PARTS = "parts"  # receipts of parts of recordings
 _METADATA = "zarr.json"
-_PARTIAL = ".partial"  # ending of a file that zarr is writing
+_PARTIAL = ".partial"  # ending of a file that is being written, here and by zarr
 _STEPS_PER_CHUNK = 1024  # of values per step
 
 
@@ -85,10 +86,11 @@ class CampaignStore:
     def put(self, objects: Mapping[str, bytes]) -> None:
         """Write objects by their names."""
         with self._named("written"):
-            if self.local is not None:
-                for name in objects:
-                    (self.local / name).parent.mkdir(parents=True, exist_ok=True)
-            self._files.pipe({self._path(name): data for name, data in objects.items()})
+            if self.local is None:
+                self._files.pipe({self._path(name): data for name, data in objects.items()})
+                return
+            for name, data in objects.items():
+                _replace(self.local / name, data)
 
     def remove(self, name: str) -> None:
         """Remove an object or everything below a name, if there is something."""
@@ -147,6 +149,17 @@ class CampaignStore:
                 f"the store {self.address} cannot be {what}: {reason}; check the address, the rights and the "
                 "credentials, and repeat the command: what is committed stays"
             ) from error
+
+
+def _replace(file: Path, data: bytes) -> None:
+    """Write a file that other workers may read, or write as well, at the same time."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    partial = file.with_name(f"{file.name}.{uuid4().hex}{_PARTIAL}")
+    try:
+        partial.write_bytes(data)
+        partial.replace(file)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def _document(data: bytes) -> dict[str, Any] | None:

@@ -148,6 +148,16 @@ def test_without_receipts_the_same_bytes_are_written_again(done: Campaign) -> No
     assert status_of(store, plan).done["plate-2"].digest == before["plate-2"].digest
 
 
+def test_a_reader_sees_an_object_as_a_whole_while_a_worker_writes_it(tmp_path: Path) -> None:
+    store = CampaignStore(str(tmp_path))
+    store.write("plan.json", {"title": "first"})
+    with (tmp_path / "plan.json").open() as opened:
+        store.write("plan.json", {"title": "second"})
+        assert json.load(opened) == {"title": "first"}
+    assert store.read("plan.json") == {"title": "second"}
+    assert [file.name for file in tmp_path.iterdir()] == ["plan.json"]
+
+
 def test_segments_differ_far_less_than_the_uncertainty(done: Campaign, tmp_path: Path) -> None:
     """Without the steps that are measured before a segment the difference would be 0.2 sigma."""
     shutil.copytree(done.folder / "recordings" / "plate-1", tmp_path / "recordings" / "plate-1")
