@@ -163,7 +163,7 @@ def _replace(file: Path, data: bytes) -> None:
 
 
 def _document(data: bytes) -> dict[str, Any] | None:
-    """Return a JSON object; None when a killed process has left only a part of it."""
+    """Return a JSON object; None when a power cut, or a killed process of an earlier version, has left a part of it."""
     try:
         found = json.loads(data)
     except ValueError:
