@@ -29,6 +29,8 @@ _COUNTED = {
     "frames_incomplete": "n_failures",
     "packets_without_buffer": "n_underruns",
 }
+# A packet of another program that the receiver reads when it has its buffers already takes one, but begins no frame.
+_NO_FRAME = ("cleared", "payload-not-supported")  # the latter in Aravis after 0.8.26
 _NUMBERS = 65_535  # of frames in GigE Vision: 1 follows on the largest one, and 0 is none
 _LARGEST_DEVIATION = 0.05  # of the exposure time that a camera sets, relative to the requested one
 _LARGEST_RATE_DEVIATION = 0.01  # of its frame rate
@@ -80,6 +82,16 @@ class AravisConnection:
     def clock(self) -> DeviceClock:
         """Clock of the camera at the present exposure time."""
         return self.clocks.setdefault(self.exposure_time, DeviceClock())
+
+    def next_buffer(self, timeout: float) -> Any | None:
+        """Wait for a frame [s]; None when there was none."""
+        deadline = time.monotonic() + timeout
+        while True:
+            buffer = self.stream.timeout_pop_buffer(max(round(1e6 * (deadline - time.monotonic())), 0))
+            if buffer is None or buffer.get_status().value_nick not in _NO_FRAME:
+                return buffer
+            self.stream.push_buffer(buffer)
+            self.expect_frame()  # such a packet is counted as ignored, too
 
     def expect_frame(self) -> None:
         """Begin to look for packets that the receiver ignores."""
