@@ -226,7 +226,7 @@ class AravisDriver:
     def _next(self, connection: AravisConnection) -> Frame:
         begun = connection.exposure_time + 1 / (self._rate or np.inf)
         transfer = min(_TRANSFER_S, self._settings.timeout)
-        buffer = connection.next_buffer(begun + transfer)
+        buffer = connection.stream.timeout_pop_buffer(round(1e6 * (begun + transfer)))
         if buffer is None and connection.ignores_frame:
             if self._rate is None:
                 self.dropped += 1  # those of a stream are counted by their numbers
@@ -234,7 +234,7 @@ class AravisDriver:
             connection.restart_receiver(self._aravis)
             raise IncompleteFrameError("Aravis ignored a frame as an old one; check which cameras use this network")
         if buffer is None:
-            buffer = connection.next_buffer(self._settings.timeout - transfer)
+            buffer = connection.stream.timeout_pop_buffer(round(1e6 * (self._settings.timeout - transfer)))
         if buffer is None:
             connection.camera.get_exposure_time()  # raises an error when the camera is lost
             raise CameraTimeoutError(

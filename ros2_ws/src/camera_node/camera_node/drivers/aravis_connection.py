@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from contextlib import suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from camera_node.drivers.aravis_library import Aravis
@@ -18,9 +19,14 @@ from fringedic.recording.clocks import DeviceClock
 # 64 are two seconds at 30 frames/s; cameras with large images have fewer.
 _LEAST_BUFFERS, _MOST_BUFFERS, _BUFFER_BYTES = 16, 64, 256_000_000
 # A stream that may read packets of the network card receives those of all programs for some milliseconds, until its
-# filter is set, and takes them for parts of a frame. It reads them within 5 ms, and drops them as long as it has no
-# buffers; but the number of the first one is then its last frame, and it ignores frames up to 100 numbers before.
+# filter is set, and takes them for parts of a frame. The kernel hands them over within 5 ms, and the receiver drops
+# them as long as it has no buffers; but the number of the first one is then its last frame, and it ignores frames up to
+# 100 numbers before.
 _OTHER_PACKETS_S = 0.1
+_RECEIVER = "arv_gv_stream"  # name of its thread
+# [byte] Any other stream has a socket, which stores two frames of 300 kB unless it is told to store more. The kernel
+# limits it to net.core.rmem_max.
+_SOCKET_BUFFER = 2**25
 # counts of the receiver of a GigE Vision camera: name in the diagnostics, and name in Aravis
 _COUNTED = {
     "packets_lost": "n_missing_packets",
@@ -29,8 +35,6 @@ _COUNTED = {
     "frames_incomplete": "n_failures",
     "packets_without_buffer": "n_underruns",
 }
-# A packet of another program that the receiver reads when it has its buffers already takes one, but begins no frame.
-_NO_FRAME = ("cleared", "payload-not-supported")  # the latter in Aravis after 0.8.26
 _NUMBERS = 65_535  # of frames in GigE Vision: 1 follows on the largest one, and 0 is none
 _LARGEST_DEVIATION = 0.05  # of the exposure time that a camera sets, relative to the requested one
 _LARGEST_RATE_DEVIATION = 0.01  # of its frame rate
@@ -72,6 +76,8 @@ class AravisConnection:
         """Give the receiver its buffers, when it has dropped the packets of other programs."""
         if self.camera.is_gv_device():
             time.sleep(_OTHER_PACKETS_S)
+            while not _receiver_waits():  # the computer is busy
+                time.sleep(0.01)
             self._counted_before = self._counted()
         self.expect_frame()
         payload = self.camera.get_payload()
@@ -82,16 +88,6 @@ class AravisConnection:
     def clock(self) -> DeviceClock:
         """Clock of the camera at the present exposure time."""
         return self.clocks.setdefault(self.exposure_time, DeviceClock())
-
-    def next_buffer(self, timeout: float) -> Any | None:
-        """Wait for a frame [s]; None when there was none."""
-        deadline = time.monotonic() + timeout
-        while True:
-            buffer = self.stream.timeout_pop_buffer(max(round(1e6 * (deadline - time.monotonic())), 0))
-            if buffer is None or buffer.get_status().value_nick not in _NO_FRAME:
-                return buffer
-            self.stream.push_buffer(buffer)
-            self.expect_frame()  # such a packet is counted as ignored, too
 
     def expect_frame(self) -> None:
         """Begin to look for packets that the receiver ignores."""
@@ -211,9 +207,23 @@ def connect(aravis: Aravis, settings: AravisSettings) -> AravisConnection:
         ask("packet size", lambda: _set_packet_size(camera, settings.packet_size))
     set_trigger(aravis, camera, settings)
     stream = ask("stream", lambda: camera.create_stream(None, None))
+    if camera.is_gv_device():
+        stream.set_property("socket-buffer", aravis.module.GvStreamSocketBuffer.FIXED)
+        stream.set_property("socket-buffer-size", _SOCKET_BUFFER)
     connection = AravisConnection(camera, stream, settings.exposure_time, exposure_time, automatic)
     connection.supply(aravis)
     return connection
+
+
+def _receiver_waits() -> bool:
+    """Whether no receiver in this process has packets to read."""
+    for thread in Path("/proc/self/task").iterdir():
+        with suppress(OSError):  # it has ended
+            if (thread / "comm").read_text().strip() == _RECEIVER:
+                state = (thread / "stat").read_text().rpartition(")")[2].split()[0]
+                if state != "S":
+                    return False
+    return True
 
 
 def set_timed(aravis: Aravis, camera: Any) -> None:
