@@ -24,8 +24,8 @@ _LEAST_BUFFERS, _MOST_BUFFERS, _BUFFER_BYTES = 16, 64, 256_000_000
 # 100 numbers before.
 _OTHER_PACKETS_S = 0.1
 _RECEIVER = "arv_gv_stream"  # name of its thread
-# [byte] Any other stream has a socket, which stores two frames of 300 kB unless it is told to store more. The kernel
-# limits it to net.core.rmem_max.
+# [byte] Receive buffer of any other stream, which Aravis would make as large as one frame. The kernel limits it to
+# net.core.rmem_max.
 _SOCKET_BUFFER = 2**25
 # counts of the receiver of a GigE Vision camera: name in the diagnostics, and name in Aravis
 _COUNTED = {
@@ -219,10 +219,9 @@ def _receiver_waits() -> bool:
     """Whether no receiver in this process has packets to read."""
     for thread in Path("/proc/self/task").iterdir():
         with suppress(OSError):  # it has ended
-            if (thread / "comm").read_text().strip() == _RECEIVER:
-                state = (thread / "stat").read_text().rpartition(")")[2].split()[0]
-                if state != "S":
-                    return False
+            name, _, state = (thread / "stat").read_text().rpartition(") ")
+            if name.endswith(f"({_RECEIVER}") and not state.startswith("S"):
+                return False
     return True
 
 
