@@ -99,13 +99,13 @@ class SceneWatch:
             await self._changed.wait(
                 lambda: self._placed_ns >= placed_ns, timeout_s, "reference_plane/state of the placed object"
             )
-        with self._samples.listening():  # a load frame that has ended leaves its last sample
-            if self._node.count_publishers("load_frame/state"):
-                await self._changed.wait(
-                    lambda: self._load is not None and to_nanoseconds(self._load.header.stamp) >= stamp,
-                    timeout_s,
-                    "a sample of load_frame/state during the exposure",
-                )
+        with self._samples.listening():
+            # a load frame that has ended leaves its last sample; the graph may tell so while the next one is awaited
+            await self._changed.wait(
+                lambda: self._load_ns() >= stamp or not self._node.count_publishers("load_frame/state"),
+                timeout_s,
+                "a sample of load_frame/state during the exposure",
+            )
         position = 0.0 if self._load is None else self._load.position
         return Scene(stamp, self._shown(), position, self._plane, exposure_time)
 
@@ -134,6 +134,10 @@ class SceneWatch:
         self._plane = PlacedPlane(surface, message.angle, message.height) if there else None
         self._placed_ns = to_nanoseconds(message.header.stamp)
         self._changed.notify()
+
+    def _load_ns(self) -> int:
+        """Return the stamp of the latest sample of the load frame [ns]; 0 before the first."""
+        return 0 if self._load is None else to_nanoseconds(self._load.header.stamp)
 
     def _shown_ns(self) -> int:
         """Return the stamp of the latest pattern [ns]; 0 before the first."""

@@ -54,11 +54,15 @@ class Studio(testing.Studio):
         self._loads = self.create_publisher(LoadState, "load_frame/state", STATE)
         self._samples = self.create_timer(0.01, self._tell_load)
 
-    def end_load_frame(self) -> None:
-        """Publish a last sample, and end when all subscribers have acknowledged it."""
+    def end_load_frame(self, later_s: float) -> None:
+        """Publish a last sample, which all subscribers acknowledge, and end a time [s] after it."""
         self.destroy_timer(self._samples)
         self._tell_load()
         assert self._loads.wait_for_all_acked(Duration(seconds=180))
+        self._end = self.create_timer(later_s, self._leave)
+
+    def _leave(self) -> None:
+        self.destroy_timer(self._end)
         self.destroy_publisher(self._loads)
 
     def _tell_load(self) -> None:
@@ -168,7 +172,9 @@ def test_virtual_frames_are_those_of_the_twin(studio: Studio, tmp_path: Path) ->
         assert not truth.valid.isel(step=2).any()
 
 
-def test_a_load_frame_that_has_ended_leaves_its_last_position(studio: Studio, tmp_path: Path) -> None:
+def test_a_load_frame_that_ends_while_its_sample_is_awaited_leaves_its_last_position(
+    studio: Studio, tmp_path: Path
+) -> None:
     rig = VirtualRig.from_preset("plate", size="tiny")
     white = render_pattern(ProjectedPattern(PatternKind.WHITE), *reversed(rig.projector_shape))
     studio.add_projector()
@@ -177,7 +183,7 @@ def test_a_load_frame_that_has_ended_leaves_its_last_position(studio: Studio, tm
         for number, position in enumerate((0.1e-3, 0.4e-3)):
             studio.position = position
             if number:
-                studio.end_load_frame()
+                studio.end_load_frame(later_s=1.0)
             shown = studio.show(white)
             response = studio.capture(0, 1, step=number, shown=shown, kind=int(PatternKind.WHITE))
             assert response.error_code == Request.NONE, response.error_message

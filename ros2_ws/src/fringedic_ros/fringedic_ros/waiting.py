@@ -240,7 +240,9 @@ class Condition:
         changed.set_result(None)
 
     async def wait(self, predicate: Callable[[], bool], timeout_s: float, what: str = "the condition") -> None:
-        """Return when the predicate is true; it is evaluated now and after each `notify`.
+        """Return when the predicate is true; it is evaluated now, after each `notify`, and at least every 0.5 s.
+
+        The last for changes without `notify`, such as those of the graph.
 
         Raises
         ------
@@ -248,12 +250,7 @@ class Condition:
             The predicate was false for `timeout_s`.
         """
         patience = Patience(timeout_s)
-
-        def look() -> None:
-            if patience.is_over():
-                self.notify()
-
-        with _timer(self._node, patience.turn_s, look):
+        with _timer(self._node, patience.turn_s, self.notify):
             while True:
                 changed = self._changed  # taken before the check, so that no change is missed between check and wait
                 if predicate():

@@ -89,6 +89,13 @@ def test_condition_wakes_at_the_change(spinning: Spinning) -> None:
     assert spinning.run(wait_for_three) == 3
 
 
+def test_a_wait_looks_without_a_notification(spinning: Spinning) -> None:
+    """The graph of nodes changes without a callback."""
+    node = spinning.add(Node("waiter"))
+    condition, looks = Condition(node), iter([False, False, True])
+    spinning.run(lambda: condition.wait(lambda: next(looks), 6.0))  # which would look at the beginning and at the end
+
+
 def test_a_condition_that_changes_in_every_turn_still_gives_up(spinning: Spinning) -> None:
     """At 1000 samples/s of a load frame no wait of a step ended."""
     node = spinning.add(Node("waiter"))
