@@ -100,7 +100,7 @@ class SceneWatch:
                 lambda: self._placed_ns >= placed_ns, timeout_s, "reference_plane/state of the placed object"
             )
         with self._samples.listening():
-            # a load frame that has ended leaves its last sample; the graph may tell so while the next one is awaited
+            # a load frame that has ended leaves its last sample, also when its end is discovered during the wait
             await self._changed.wait(
                 lambda: self._load_ns() >= stamp or not self._node.count_publishers("load_frame/state"),
                 timeout_s,

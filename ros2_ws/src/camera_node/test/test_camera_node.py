@@ -172,9 +172,8 @@ def test_virtual_frames_are_those_of_the_twin(studio: Studio, tmp_path: Path) ->
         assert not truth.valid.isel(step=2).any()
 
 
-def test_a_load_frame_that_ends_while_its_sample_is_awaited_leaves_its_last_position(
-    studio: Studio, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("later_s", [0.0, 1.0], ids=["before the exposure", "while its sample is awaited"])
+def test_a_load_frame_that_has_ended_leaves_its_last_position(studio: Studio, tmp_path: Path, later_s: float) -> None:
     rig = VirtualRig.from_preset("plate", size="tiny")
     white = render_pattern(ProjectedPattern(PatternKind.WHITE), *reversed(rig.projector_shape))
     studio.add_projector()
@@ -183,7 +182,7 @@ def test_a_load_frame_that_ends_while_its_sample_is_awaited_leaves_its_last_posi
         for number, position in enumerate((0.1e-3, 0.4e-3)):
             studio.position = position
             if number:
-                studio.end_load_frame(later_s=1.0)
+                studio.end_load_frame(later_s)
             shown = studio.show(white)
             response = studio.capture(0, 1, step=number, shown=shown, kind=int(PatternKind.WHITE))
             assert response.error_code == Request.NONE, response.error_message

@@ -93,7 +93,7 @@ def test_a_wait_looks_without_a_notification(spinning: Spinning) -> None:
     """The graph of nodes changes without a callback."""
     node = spinning.add(Node("waiter"))
     condition, looks = Condition(node), iter([False, False, True])
-    spinning.run(lambda: condition.wait(lambda: next(looks), 6.0))  # which would look at the beginning and at the end
+    spinning.run(lambda: condition.wait(lambda: next(looks), 6.0))  # True is neither the first look nor that at the end
 
 
 def test_a_condition_that_changes_in_every_turn_still_gives_up(spinning: Spinning) -> None:
