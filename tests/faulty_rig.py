@@ -45,8 +45,8 @@ class Rig:
     def works(self) -> MeasureStep.Result:
         """Measure a step that has to succeed."""
         result = self.client.measure()
-        assert result.load_samples > 3
-        assert result.valid_fraction > WORKING or not self._measured
+        assert result.load_samples > 3, result
+        assert result.valid_fraction > WORKING or not self._measured, result
         return result
 
     def works_again(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from rclpy.node import Node
 from rclpy.subscription import Subscription
@@ -20,6 +20,26 @@ from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.waiting import Condition
 
 _KEPT_PATTERNS = 16  # the latest pattern and earlier ones that a slow projector may still show
+
+
+class KnownStamps(NamedTuple):
+    """Stamps of the latest messages about the scene that the client of a camera has received, or caused [ns].
+
+    The camera may receive them later.
+
+    Attributes
+    ----------
+    shown_ns
+        Of the pattern on the screen; 0 without projector.
+    placed_ns
+        Of the state of the reference plane; 0 without stage.
+    loaded_ns
+        Of a sample of the load frame; 0 without load frame.
+    """
+
+    shown_ns: int
+    placed_ns: int
+    loaded_ns: int
 
 
 class SceneWatch:
@@ -70,15 +90,13 @@ class SceneWatch:
         position = 0.0 if self._load is None else self._load.position
         return Scene(time.time_ns(), self._shown(), position, None, exposure_time)
 
-    async def scene(self, shown_ns: int, placed_ns: int, exposure_time: float, timeout_s: float) -> Scene:
+    async def scene(self, known: KnownStamps, exposure_time: float, timeout_s: float) -> Scene:
         """Return the scene of an exposure that begins now, as soon as all messages about it have arrived.
 
         Parameters
         ----------
-        shown_ns
-            Stamp of the pattern on the screen [ns]; 0 without projector.
-        placed_ns
-            Stamp of the state of the reference plane [ns]; 0 without stage.
+        known
+            What the client of the camera knows about the scene already.
         exposure_time
             Exposure time [s].
         timeout_s
@@ -94,15 +112,14 @@ class SceneWatch:
         stamp = time.time_ns() + round(exposure_time * 1e9 / 2)
         if self._samples is None:
             return Scene(stamp, (), 0.0, None, exposure_time)
-        await self._await_pattern(shown_ns, timeout_s)
-        if placed_ns > self._placed_ns:
+        await self._await_pattern(known.shown_ns, timeout_s)
+        if known.placed_ns > self._placed_ns:
             await self._changed.wait(
-                lambda: self._placed_ns >= placed_ns, timeout_s, "reference_plane/state of the placed object"
+                lambda: self._placed_ns >= known.placed_ns, timeout_s, "reference_plane/state of the placed object"
             )
         with self._samples.listening():
-            # a load frame that has ended leaves its last sample, also when its end is discovered during the wait
             await self._changed.wait(
-                lambda: self._load_ns() >= stamp or not self._node.count_publishers("load_frame/state"),
+                lambda: self._load_ns() >= stamp or self._has_last_sample(known.loaded_ns),
                 timeout_s,
                 "a sample of load_frame/state during the exposure",
             )
@@ -134,6 +151,14 @@ class SceneWatch:
         self._plane = PlacedPlane(surface, message.angle, message.height) if there else None
         self._placed_ns = to_nanoseconds(message.header.stamp)
         self._changed.notify()
+
+    def _has_last_sample(self, loaded_ns: int) -> bool:
+        """Return whether no sample of the load frame will follow those that have arrived.
+
+        A load frame that has ended leaves its last sample, also when its end is discovered during the wait. One that
+        its client knows, but this node has not discovered yet, has not ended.
+        """
+        return self._load_ns() >= loaded_ns and not self._node.count_publishers("load_frame/state")
 
     def _load_ns(self) -> int:
         """Return the stamp of the latest sample of the load frame [ns]; 0 before the first."""

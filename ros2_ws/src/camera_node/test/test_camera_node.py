@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -46,6 +47,10 @@ class Studio(testing.Studio):
     def __init__(self) -> None:
         super().__init__()
         self.position = 0.0
+        self._loaded = Time()  # of the latest sample
+
+    def capture(self, index: int = 0, count: int = 100, **fields: Any) -> CaptureFrame.Response:
+        return super().capture(index, count, **{"loaded": self._loaded, **fields})
 
     def add_projector(self) -> None:
         self._patterns = self.create_publisher(Image, "projector/image", LATCHED)
@@ -53,6 +58,17 @@ class Studio(testing.Studio):
     def add_load_frame(self) -> None:
         self._loads = self.create_publisher(LoadState, "load_frame/state", STATE)
         self._samples = self.create_timer(0.01, self._tell_load)
+        self._tell_load()
+
+    def begin_load_frame(self, later_s: float) -> None:
+        """Publish the first sample some time [s] after it is known to the client of the camera."""
+        self._loaded = self.get_clock().now().to_msg()
+
+        def begin() -> None:
+            timer.cancel()
+            self.add_load_frame()
+
+        timer = self.create_timer(later_s, begin)
 
     def end_load_frame(self, later_s: float) -> None:
         """Publish a last sample, which all subscribers acknowledge, and end a time [s] after it."""
@@ -67,7 +83,7 @@ class Studio(testing.Studio):
 
     def _tell_load(self) -> None:
         state = LoadState(mode=LoadState.HOLD, position=self.position)
-        state.header.stamp = self.get_clock().now().to_msg()
+        state.header.stamp = self._loaded = self.get_clock().now().to_msg()
         self._loads.publish(state)
 
     def show(self, pattern: np.ndarray) -> Time:
@@ -170,6 +186,22 @@ def test_virtual_frames_are_those_of_the_twin(studio: Studio, tmp_path: Path) ->
                 np.testing.assert_array_equal(written.values, written_as, err_msg=f"{name} of step {step}")
         assert np.isnan(truth.u.isel(step=2)).all()
         assert not truth.valid.isel(step=2).any()
+
+
+def test_a_load_frame_is_awaited_that_the_camera_has_not_discovered_yet(studio: Studio, tmp_path: Path) -> None:
+    """The first frames of a step showed the specimen at rest, the others at its position."""
+    rig = VirtualRig.from_preset("plate", size="tiny")
+    white = render_pattern(ProjectedPattern(PatternKind.WHITE), *reversed(rig.projector_shape))
+    studio.add_projector()
+    studio.position = 0.4e-3
+    with NodeProcess(MODULE, tmp_path, {"virtual_rig": '"{preset: plate, size: tiny}"'}):
+        assert studio.capture(0, 2, kind=int(PatternKind.WHITE)).error_code == Request.NONE  # it is ready
+        studio.begin_load_frame(later_s=1.0)
+        shown = studio.show(white)
+        response = studio.capture(1, 2, shown=shown, kind=int(PatternKind.WHITE))
+        assert response.error_code == Request.NONE, response.error_message
+        image = image_array(studio.frame(response.stamp)[0])
+        np.testing.assert_array_equal(image, rig.expose(white, 0.4e-3, 1))
 
 
 @pytest.mark.parametrize("later_s", [0.0, 1.0], ids=["before the exposure", "while its sample is awaited"])

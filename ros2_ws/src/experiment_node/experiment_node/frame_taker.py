@@ -164,6 +164,7 @@ class FrameTaker:
             exposure_time=parameters.exposure_time(index, pattern),
             shown=shown,
             placed=self.place.placed,
+            loaded=self._load.latest_stamp,
             image_subscribers=images,
             exposure_subscribers=exposures,
         )

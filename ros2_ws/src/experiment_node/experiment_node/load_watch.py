@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from itertools import pairwise
 from typing import NamedTuple
 
+from builtin_interfaces.msg import Time
 from rclpy.node import Node
 
 from experiment_node.active_goal import StepFailure
@@ -56,6 +57,11 @@ class LoadWatch:
         self._arrival = self._in_time = -math.inf  # [s] of the latest sample, and of the latest one in time
         self._samples = PolledTopic[LoadState](node, LoadState, "load_frame/state", STATE, callback=self._take)
         node.create_timer(IDLE_PERIOD, self._samples.read)
+
+    @property
+    def latest_stamp(self) -> Time:
+        """Stamp of the latest sample; zero before the first."""
+        return Time() if self._latest is None else self._latest.header.stamp
 
     @contextmanager
     def collecting(self, step: RunningStep) -> Iterator[None]:

@@ -775,6 +775,13 @@ def test_the_camera_waits_for_what_the_stage_has_placed(rig: Rig) -> None:
     rig.destroy_publisher(stage)
 
 
+def test_the_camera_waits_for_the_sample_that_showed_the_hold(rig: Rig) -> None:
+    rig.say_load(LoadState.HOLD)
+    begin = rig.time(passed_ns=0)
+    assert rig.step().error_code == Result.NONE
+    assert all(to_nanoseconds(each.loaded) >= begin for each in rig.captured)
+
+
 def test_a_subscriber_that_ends_after_it_was_counted_costs_one_request(rig: Rig) -> None:
     """A killed recorder is counted until its lease ends; a viewer may be closed at any time."""
     viewer = rig.create_subscription(Image, "camera/image_raw", lambda _: None, IMAGES)
