@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import uvicorn
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.protocol import State
 
 from fringedic.errors import OperatorError
 from fringedic.page.access import Sessions, Wheel
@@ -77,6 +79,19 @@ def listen(host: str, port: int) -> socket.socket:
         ) from error
 
 
+class _Connection(WebSocketsSansIOProtocol):
+    """A connection that the browser has closed, and that still has something to send, is cut at the end of the server.
+
+    The protocol of uvicorn 0.54 closes it again, which is an error that ends the thread of the server.
+    """
+
+    def shutdown(self) -> None:
+        if self.conn.state is State.CLOSING:
+            self.transport.abort()
+        else:
+            super().shutdown()
+
+
 class PageServer:
     """Serves the page of a rig in a thread until `close`.
 
@@ -105,7 +120,7 @@ class PageServer:
         )
         config = uvicorn.Config(
             app,
-            ws="websockets-sansio",
+            ws=_Connection,
             ws_max_size=LONGEST_MESSAGE,
             ws_per_message_deflate=False,
             log_level="warning",

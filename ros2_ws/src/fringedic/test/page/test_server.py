@@ -7,6 +7,7 @@ import http.client
 import json
 import socket
 import ssl
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -263,6 +264,27 @@ def stuck(site: Site, cookie: str) -> socket.socket:
         assert time.monotonic() < end
         time.sleep(0.01)
     return connection
+
+
+def test_a_server_ends_while_a_connection_is_closing(site: Site, cookie: str) -> None:
+    """A browser said goodbye, but what was sent to it before is still on its way."""
+    sent = threading.Event()
+
+    def picture() -> bytes:
+        sent.set()
+        return bytes(10_000_000)
+
+    with stuck(site, cookie) as connection:
+        site.server.publish("image", picture)
+        assert sent.wait(10)
+        connection.sendall(b"\x88\x82" + bytes(4) + b"\x03\xe8")  # closed for no special reason
+        end = time.monotonic() + 10
+        while site.server.hub.clients:
+            assert time.monotonic() < end
+            time.sleep(0.01)
+        running = threading.active_count()
+        site.server.close()
+        assert threading.active_count() == running - 1
 
 
 def test_a_port_in_use_is_named(quiet: Site) -> None:
