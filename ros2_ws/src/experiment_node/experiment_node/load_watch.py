@@ -27,7 +27,8 @@ from fringedic_ros.waiting import Condition
 Result = MeasureStep.Result
 HELD = (LoadState.HOLD, LoadState.IDLE)
 IDLE_PERIOD = 0.1  # [s] after which samples are read between steps
-SAMPLE_TIMEOUT = 2.0  # [s] for a sample of the present, or of after the last exposure, to arrive
+SAMPLE_TIMEOUT = 6.0  # [s] for a sample of the present, or of after the last exposure, to arrive: until the lease of a
+# killed process ends, for whose memory a publisher may have to wait; its samples show the machine at their stamps
 LONGEST_GAP = 1.0  # [s] between two samples that prove a hold: more than twice the period of the lowest rate, 2 Hz
 MOST_AHEAD = 0.1  # [s] by which a stamp may be later than the arrival of its sample: synchronised clocks differ by less
 MOST_BEHIND = LONGEST_GAP  # [s] by which it may be earlier

@@ -775,6 +775,19 @@ def test_the_camera_waits_for_what_the_stage_has_placed(rig: Rig) -> None:
     rig.destroy_publisher(stage)
 
 
+def test_samples_that_arrive_late_prove_a_hold(rig: Rig) -> None:
+    """Their publisher had to wait for the memory of a process that had been killed."""
+    rig.say_load(LoadState.HOLD)
+    assert rig.step().error_code == Result.NONE
+    rig.captured.clear()
+    rig.load_mode = None
+    running = rig.request()
+    rig.serve(3.5)
+    assert not rig.captured
+    rig.load_mode = LoadState.HOLD  # all samples of the time in which none came, too
+    assert rig.result(running)[1].error_code == Result.NONE
+
+
 def test_the_camera_waits_for_the_sample_that_showed_the_hold(rig: Rig) -> None:
     rig.say_load(LoadState.HOLD)
     begin = rig.time(passed_ns=0)
