@@ -12,7 +12,7 @@ from camera_node.drivers import Scene, VirtualDriver
 from camera_node.frame_publisher import FramePublisher
 from camera_node.free_run import FreeRun
 from camera_node.parameters import CameraParameters
-from camera_node.scene_watch import KnownStamps, SceneWatch
+from camera_node.scene_watch import SceneStamps, SceneWatch
 from camera_node.truth_file import TruthFile
 from fringedic.errors import CameraError, CameraTimeoutError, FringedicError, PatternError, WaitTimeoutError
 from fringedic.frames.records import FrameRecord
@@ -116,8 +116,8 @@ class CameraNode(HardwareNode[CameraParameters]):
         await self._settle(shown_ns)
         parameters = self.parameters.value
         exposure_time = request.exposure_time or parameters.exposure_time_s
-        known = KnownStamps(shown_ns, to_nanoseconds(request.placed), to_nanoseconds(request.loaded))
-        scene = await self._scenes.scene(known, exposure_time, parameters.timeout_s)
+        stamps = SceneStamps(shown_ns, to_nanoseconds(request.placed), to_nanoseconds(request.loaded))
+        scene = await self._scenes.scene(stamps, exposure_time, parameters.timeout_s)
         frame = await self._thread.expose(scene, parameters.timeout_s + exposure_time)
         stamp = self._publisher.publish(frame, record, self._thread.open_driver)
         self._save_truth(request, scene)

@@ -22,7 +22,7 @@ from fringedic_ros.waiting import Condition
 _KEPT_PATTERNS = 16  # the latest pattern and earlier ones that a slow projector may still show
 
 
-class KnownStamps(NamedTuple):
+class SceneStamps(NamedTuple):
     """Stamps of the latest messages about the scene that the client of a camera has received, or caused [ns].
 
     The camera may receive them later.
@@ -90,13 +90,13 @@ class SceneWatch:
         position = 0.0 if self._load is None else self._load.position
         return Scene(time.time_ns(), self._shown(), position, None, exposure_time)
 
-    async def scene(self, known: KnownStamps, exposure_time: float, timeout_s: float) -> Scene:
+    async def scene(self, stamps: SceneStamps, exposure_time: float, timeout_s: float) -> Scene:
         """Return the scene of an exposure that begins now, as soon as all messages about it have arrived.
 
         Parameters
         ----------
-        known
-            What the client of the camera knows about the scene already.
+        stamps
+            Of the messages that have to have arrived.
         exposure_time
             Exposure time [s].
         timeout_s
@@ -112,14 +112,14 @@ class SceneWatch:
         stamp = time.time_ns() + round(exposure_time * 1e9 / 2)
         if self._samples is None:
             return Scene(stamp, (), 0.0, None, exposure_time)
-        await self._await_pattern(known.shown_ns, timeout_s)
-        if known.placed_ns > self._placed_ns:
+        await self._await_pattern(stamps.shown_ns, timeout_s)
+        if stamps.placed_ns > self._placed_ns:
             await self._changed.wait(
-                lambda: self._placed_ns >= known.placed_ns, timeout_s, "reference_plane/state of the placed object"
+                lambda: self._placed_ns >= stamps.placed_ns, timeout_s, "reference_plane/state of the placed object"
             )
         with self._samples.listening():
             await self._changed.wait(
-                lambda: self._load_ns() >= stamp or self._has_last_sample(known.loaded_ns),
+                lambda: self._load_ns() >= stamp or self._has_last_sample(stamps.loaded_ns),
                 timeout_s,
                 "a sample of load_frame/state during the exposure",
             )
@@ -155,8 +155,8 @@ class SceneWatch:
     def _has_last_sample(self, loaded_ns: int) -> bool:
         """Return whether no sample of the load frame will follow those that have arrived.
 
-        A load frame that has ended leaves its last sample, also when its end is discovered during the wait. One that
-        its client knows, but this node has not discovered yet, has not ended.
+        A load frame that has ended leaves its last sample, also when its end is discovered during the wait. One
+        that has published up to `loaded_ns`, but that this node has not discovered yet, has not ended.
         """
         return self._load_ns() >= loaded_ns and not self._node.count_publishers("load_frame/state")
 

@@ -61,7 +61,7 @@ class Studio(testing.Studio):
         self._tell_load()
 
     def begin_load_frame(self, later_s: float) -> None:
-        """Publish the first sample some time [s] after it is known to the client of the camera."""
+        """Publish the first sample some time [s] later than requests of frames begin to name it."""
         self._loaded = self.get_clock().now().to_msg()
 
         def begin() -> None:

@@ -9,7 +9,7 @@ import socket
 import ssl
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -259,15 +259,19 @@ def stuck(site: Site, cookie: str) -> socket.socket:
         "Sec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==",
     )
     connection.sendall("\r\n".join((*lines, "", "")).encode())
-    end = time.monotonic() + 10
-    while not site.server.hub.clients:
-        assert time.monotonic() < end
-        time.sleep(0.01)
+    wait_until(lambda: bool(site.server.hub.clients))
     return connection
 
 
+def wait_until(condition: Callable[[], bool]) -> None:
+    end = time.monotonic() + 10
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
+
+
 def test_a_server_ends_while_a_connection_is_closing(site: Site, cookie: str) -> None:
-    """A browser said goodbye, but what was sent to it before is still on its way."""
+    """A browser has closed its connection before it received all messages."""
     sent = threading.Event()
 
     def picture() -> bytes:
@@ -278,10 +282,7 @@ def test_a_server_ends_while_a_connection_is_closing(site: Site, cookie: str) ->
         site.server.publish("image", picture)
         assert sent.wait(10)
         connection.sendall(b"\x88\x82" + bytes(4) + b"\x03\xe8")  # closed for no special reason
-        end = time.monotonic() + 10
-        while site.server.hub.clients:
-            assert time.monotonic() < end
-            time.sleep(0.01)
+        wait_until(lambda: not site.server.hub.clients)
         running = threading.active_count()
         site.server.close()
         assert threading.active_count() == running - 1
