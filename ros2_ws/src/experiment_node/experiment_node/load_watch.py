@@ -32,6 +32,7 @@ SAMPLE_TIMEOUT = 6.0  # [s] for a sample of the present, or of after the last ex
 LONGEST_GAP = 1.0  # [s] between two samples that prove a hold: more than twice the period of the lowest rate, 2 Hz
 MOST_AHEAD = 0.1  # [s] by which a stamp may be later than the arrival of its sample: synchronised clocks differ by less
 MOST_BEHIND = LONGEST_GAP  # [s] by which it may be earlier
+MOST_BACK = MOST_AHEAD  # [s] by which it may be earlier than the stamp of the sample before
 RECENT = 30.0  # [s] in which one sample has to come in time: a busy computer delays some, a clock that is behind all
 
 
@@ -147,6 +148,12 @@ class LoadWatch:
         """End the step when samples do not show the machine at the time of their stamp."""
         if step.load_ahead > MOST_AHEAD:
             raise _clock_failure(code, "load frame", step.load_ahead, MOST_AHEAD)
+        if step.load_back > MOST_BACK:
+            raise StepFailure(
+                code,
+                f"a sample of the load frame is stamped {step.load_back:.1f} s before the previous one: the clock "
+                "jumped back; measure the step again, and do not set the clock during a test",
+            )
         if self._arrival - self._in_time > RECENT:
             raise _clock_failure(code, "load frame", self._ahead, MOST_BEHIND)
 
@@ -225,6 +232,8 @@ def drift_limits(parameters: ExperimentParameters) -> list[DriftLimit]:
 
 def _collect(step: RunningStep, sample: LoadState) -> None:
     """Add a sample that has arrived now to a step."""
+    if step.load:
+        step.load_back = max(step.load_back, _seconds_between(sample, step.load[-1]))
     step.load.append(sample)
     step.load_ahead = max(step.load_ahead, _ahead(sample))
 
@@ -232,6 +241,11 @@ def _collect(step: RunningStep, sample: LoadState) -> None:
 def _ahead(sample: LoadState) -> float:
     """Return how much later than now a sample was stamped [s]."""
     return 1e-9 * (to_nanoseconds(sample.header.stamp) - time.time_ns())
+
+
+def _seconds_between(sample: LoadState, later: LoadState) -> float:
+    """Return the time from the stamp of a sample to that of another one [s]."""
+    return 1e-9 * (to_nanoseconds(later.header.stamp) - to_nanoseconds(sample.header.stamp))
 
 
 def _latest_shows_end(step: RunningStep, limits: Iterable[DriftLimit]) -> bool:

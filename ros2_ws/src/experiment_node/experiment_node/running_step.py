@@ -53,6 +53,8 @@ class RunningStep:
         Samples of the load frame since the start.
     load_ahead
         Longest time by which one of them was stamped after its arrival [s]; -inf before the first.
+    load_back
+        Longest time by which one of them was stamped before the previous one [s]; 0 when the stamps never decrease.
     """
 
     goal: ActiveGoal
@@ -75,6 +77,7 @@ class RunningStep:
     statuses: dict[str, NodeStatus] = field(default_factory=dict)
     load: deque[LoadState] = field(default_factory=lambda: deque(maxlen=LOAD_SAMPLES))
     load_ahead: float = -math.inf
+    load_back: float = 0.0
 
     def is_named(self, experiment: str, step: int) -> bool:
         """Return whether a message with this experiment and step number belongs to this step."""

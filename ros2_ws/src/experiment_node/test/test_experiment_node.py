@@ -45,6 +45,7 @@ from fringedic_ros.matching import discovered_readers
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
+from fringedic_ros.waiting import sleep
 
 FRAMES = 7
 EXPOSURE_NS = 100_000  # short: the clock of the rig, which adds exposures up, stays behind the real time
@@ -86,6 +87,7 @@ class Rig(Peer):
         self.load_clock_ahead_ns = self.camera_clock_ahead_ns = 0
         self.moves_at_frame = self.last_sampled_frame = -1
         self.jump_before: int | None = None  # the frame before which the clock jumps back
+        self.load_jumps_at_frame = -1  # at which the clock of the load frame is set back
         self.holds = 0
         self.steps = self.listen(StepStatus, "experiment/step", EVENTS)
         self.references = self.listen(Reference, "experiment/reference", LATCHED)
@@ -167,13 +169,21 @@ class Rig(Peer):
         if request.index == self.moves_at_frame:
             self.load_mode = LoadState.MOVING
         if self.load_mode is not None:
-            self.publish_load(self.load_mode, self.force_per_frame * request.index, self.clock_ns)
+            await self._sample_frame(request.index)
         if request.index == self.last_sampled_frame:
             self.load_mode = None
         if request.index == request.count - 1:
             self.publish_statuses(request.experiment, request.step, response.stamp)
         response.subscribers = 1
         return response
+
+    async def _sample_frame(self, index: int) -> None:
+        jumps = index == self.load_jumps_at_frame
+        for back_ms in range(3000, 0, -500) if jumps else ():
+            self.publish_load(self.load_mode, stamp=self.clock_ns - back_ms * 1_000_000)
+        self.publish_load(self.load_mode, self.force_per_frame * index, self.clock_ns)
+        if jumps:
+            await sleep(self, 0.3)  # the samples are taken before the answer
 
     async def _count_readers(
         self, request: CountReaders.Request, response: CountReaders.Response
@@ -293,7 +303,7 @@ class Rig(Peer):
         """Do everything right from now on."""
         self.show_error = self.capture_error = 0
         self.hang = self.load_mode = self.jump_before = None
-        self.moves_at_frame = self.last_sampled_frame = -1
+        self.moves_at_frame = self.last_sampled_frame = self.load_jumps_at_frame = -1
         self.capturing = False
         self.force, self.force_per_frame = 100.0, 1.0
         self.load_clock_ahead_ns = self.camera_clock_ahead_ns = 0
@@ -657,6 +667,18 @@ def test_a_load_frame_with_a_clock_ahead_proves_nothing(rig: Rig) -> None:
         assert rig.step().error_code == Result.NONE
     finally:
         rig.change(hold_required=True, load_drift_n=0.0)
+
+
+def test_a_clock_that_is_set_back_during_a_step_proves_no_hold(rig: Rig) -> None:
+    """While the camera waits for a sample of its exposure, the stamps reach their old values again, without a gap."""
+    rig.say_load(LoadState.HOLD)
+    rig.load_jumps_at_frame = 3
+    not_held = rig.step()
+    assert not_held.error_code == Result.LOAD_NOT_HELD
+    assert "a sample of the load frame is stamped 3.0 s before the previous one" in not_held.error_message
+    rig.behave()
+    rig.say_load(LoadState.HOLD)
+    assert rig.step().error_code == Result.NONE
 
 
 @pytest.mark.parametrize(("ahead_s", "words"), [(-3, "behind"), (3, "ahead of")])
