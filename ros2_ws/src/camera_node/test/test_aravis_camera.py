@@ -405,7 +405,8 @@ def test_ignored_frames_of_a_stream_are_counted_once() -> None:
         while not ignored:  # a receiver that begins to read late has its filter already
             assert len(frames) < 20
             assert connection.last_frame is not None
-            with busy_network(struct.pack(">HHI", 0, connection.last_frame + 90, 3 << 24 | 5) + bytes(20)):
+            later = (connection.last_frame + 89) % 65_535 + 1  # by 90; 1 follows on 65 535
+            with busy_network(struct.pack(">HHI", 0, later, 3 << 24 | 5) + bytes(20)):
                 connection.restart_receiver(load_aravis())
             try:
                 frames.append(opened.expose(SCENE))
