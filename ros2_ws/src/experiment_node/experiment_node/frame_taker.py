@@ -9,7 +9,7 @@ from rclpy.node import Node
 
 from experiment_node.active_goal import StepFailure
 from experiment_node.experiment_parameters import ExperimentParameters
-from experiment_node.load_watch import LoadWatch
+from experiment_node.load_watch import JUMPED_BACK, LoadWatch
 from experiment_node.running_step import RunningStep
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic_msgs.action import MeasureStep
@@ -138,8 +138,7 @@ class FrameTaker:
         if not first and stamp <= step.stamp:
             raise StepFailure(
                 Result.CAMERA_FAILED,
-                f"frame {index} is stamped {1e-9 * (step.stamp - stamp):.3f} s before frame {index - 1}: the clock "
-                "jumped back; measure the step again, and do not set the clock during a test",
+                f"frame {index} is stamped {1e-9 * (step.stamp - stamp):.3f} s before frame {index - 1}: {JUMPED_BACK}",
             )
         step.stamps.append(stamp)
         step.answered_ns = time.time_ns()

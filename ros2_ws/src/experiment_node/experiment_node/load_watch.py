@@ -34,6 +34,7 @@ MOST_AHEAD = 0.1  # [s] by which a stamp may be later than the arrival of its sa
 MOST_BEHIND = LONGEST_GAP  # [s] by which it may be earlier
 MOST_BACK = MOST_AHEAD  # [s] by which it may be earlier than the stamp of the sample before
 RECENT = 30.0  # [s] in which one sample has to come in time: a busy computer delays some, a clock that is behind all
+JUMPED_BACK = "the clock jumped back; measure the step again, and do not set the clock during a test"
 
 
 class LoadWatch:
@@ -76,9 +77,7 @@ class LoadWatch:
                 self._step = None
 
     def _take(self, message: LoadState) -> None:
-        if self._latest is not None and to_nanoseconds(message.header.stamp) < to_nanoseconds(
-            self._latest.header.stamp
-        ):
+        if self._latest is not None and _seconds_between(message, self._latest) > 0:
             self._in_time = -math.inf  # its clock was set back
         self._latest, self._ahead, self._arrival = message, _ahead(message), time.monotonic()
         if self._ahead >= -MOST_BEHIND:
@@ -151,8 +150,7 @@ class LoadWatch:
         if step.load_back > MOST_BACK:
             raise StepFailure(
                 code,
-                f"a sample of the load frame is stamped {step.load_back:.1f} s before the previous one: the clock "
-                "jumped back; measure the step again, and do not set the clock during a test",
+                f"a sample of the load frame is stamped {step.load_back:.1f} s before the previous one: {JUMPED_BACK}",
             )
         if self._arrival - self._in_time > RECENT:
             raise _clock_failure(code, "load frame", self._ahead, MOST_BEHIND)
