@@ -336,14 +336,28 @@ def busy_network(packet: bytes = b"RTPS\x02\x02\x01\x0f") -> Iterator[None]:
 
 @pytest.mark.usefixtures("camera")
 def test_packets_of_other_programs_are_not_those_of_the_camera() -> None:
+    """When another test connects with TCP in this moment, its packet may be the first one of a stream.
+
+    It has the number 65 495, the largest segment on the loopback, where those of a camera have the number of the frame.
+    The frames up to it are ignored, and that is reported.
+    """
+    streams, errors = 0, []
     with busy_network():
-        for _ in range(5):
+        while streams < 5:
+            assert len(errors) < 5
             with driver(region=SMALL_REGION) as opened:
                 opened.start(60.0)
-                for _ in range(3):
-                    assert_complete(opened.expose(SCENE).image)
+                try:
+                    images = [opened.expose(SCENE).image for _ in range(3)]
+                except IncompleteFrameError as error:
+                    errors.append(str(error))
+                    continue
+                streams += 1
+                for image in images:
+                    assert_complete(image)
                 assert opened.dropped == 0
                 assert not any(opened.counts.values()), opened.counts
+    assert all("ignored a frame as an old one" in error for error in errors)
 
 
 @pytest.mark.usefixtures("camera")
@@ -398,7 +412,8 @@ def test_frames_behind_those_of_another_camera_are_not_old() -> None:
 def test_ignored_frames_of_a_stream_are_counted_once() -> None:
     with driver(region=SMALL_REGION) as opened:
         opened.start(20.0)
-        frames = [opened.expose(SCENE)]
+        frames = [eventually(lambda: opened.expose(SCENE))]
+        before = opened.dropped
         connection = opened._connection  # noqa: SLF001 (only a restart in the stream lets it ignore frames of the stream)
         assert connection is not None
         ignored = False
@@ -413,7 +428,7 @@ def test_ignored_frames_of_a_stream_are_counted_once() -> None:
             except IncompleteFrameError as error:
                 ignored = "ignored a frame as an old one" in str(error)
         frames.append(eventually(lambda: opened.expose(SCENE)))
-        assert opened.dropped == exposed_between(frames).sum() - (len(frames) - 1) > 10
+        assert opened.dropped - before == exposed_between(frames).sum() - (len(frames) - 1) > 10
 
 
 @pytest.mark.parametrize(
@@ -597,7 +612,7 @@ def test_node_streams_at_30_hz_and_publishes_its_clock(studio: Studio, tmp_path:
     records = [frame_record(exposure) for exposure in studio.exposures]
     indices = [record.index for record in records]
     assert indices == list(range(indices[0], indices[0] + len(indices)))
-    assert records[-1].dropped == 0
+    assert records[-1].dropped == records[0].dropped
     # most frames, because a busy computer delays single ones of the fake camera
     assert np.median(np.diff([record.stamp for record in records])) == pytest.approx(1e9 / 30, rel=0.1)
     assert image_array(studio.images[0]).shape == (240, 320)

@@ -232,7 +232,10 @@ class AravisDriver:
                 self.dropped += 1  # those of a stream are counted by their numbers
                 connection.stop()  # a frame that comes later must not be taken for the next one
             connection.restart_receiver(self._aravis)
-            raise IncompleteFrameError("Aravis ignored a frame as an old one; check which cameras use this network")
+            raise IncompleteFrameError(
+                "Aravis ignored a frame as an old one, after a packet of another camera or program; if this is "
+                "repeated, give the camera its own network card"
+            )
         if buffer is None:
             buffer = connection.stream.timeout_pop_buffer(round(1e6 * (self._settings.timeout - transfer)))
         if buffer is None:
