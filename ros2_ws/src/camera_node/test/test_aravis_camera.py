@@ -612,7 +612,7 @@ def test_node_streams_at_30_hz_and_publishes_its_clock(studio: Studio, tmp_path:
     records = [frame_record(exposure) for exposure in studio.exposures]
     indices = [record.index for record in records]
     assert indices == list(range(indices[0], indices[0] + len(indices)))
-    assert records[-1].dropped == records[0].dropped
+    assert records[-1].dropped == 0
     # most frames, because a busy computer delays single ones of the fake camera
     assert np.median(np.diff([record.stamp for record in records])) == pytest.approx(1e9 / 30, rel=0.1)
     assert image_array(studio.images[0]).shape == (240, 320)
