@@ -1,12 +1,12 @@
 """A long test: the tiny virtual rig measures step after step, with its camera free-running at 30 frames/s in between.
 
-``python benchmarks/soak.py --minutes 60`` counts what the recording lost and how the memory of every node grows.
+``python benchmarks/soak.py --minutes 60`` counts what the recording lost and how the memory of every node grows. A
+fixed computation after every step tells whether steps get longer or the computer slower.
 """
 
 from __future__ import annotations
 
 import argparse
-import statistics
 import tempfile
 import time
 from collections.abc import Iterator
@@ -48,12 +48,15 @@ class Soak:
         Resident memory of each node [kB].
     durations
         Duration of each successful step [s].
+    computations
+        Processor time of the fixed computation after each successful step [s].
     failures
         Messages of the steps that failed.
     """
 
     memory: dict[str, list[int]] = field(default_factory=dict)
     durations: list[float] = field(default_factory=list)
+    computations: list[float] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
 
     def note(self, folder: Path) -> None:
@@ -62,6 +65,13 @@ class Soak:
             with suppress(OSError):  # it has just ended, and the next step says so
                 status = Path(f"/proc/{pid}/status").read_text()
                 self.memory.setdefault(name, []).append(int(status.split("VmRSS:")[1].split()[0]))
+
+
+def fixed_computation() -> float:
+    """Return the processor time of a computation that is always the same [s], about 5 ms."""
+    begin = time.thread_time()
+    sum(number * number for number in range(50_000))
+    return time.thread_time() - begin
 
 
 def growth(sizes: list[int]) -> tuple[float, float]:
@@ -96,6 +106,7 @@ def soak(folder: Path, seconds: float) -> Soak:
             client.move(FARTHEST * (number % STROKES) / STROKES, SPEED)
             try:
                 noted.durations.append(client.measure().duration)
+                noted.computations.append(fixed_computation())
             except StepFailedError as error:
                 noted.failures.append(str(error))
             noted.note(folder)
@@ -110,6 +121,16 @@ def losses(bag: Path) -> tuple[int, int, int]:
     return images[0], records[0], images[1] + records[1]
 
 
+def medians(values: list[float]) -> np.ndarray:
+    """Return the medians of the tenths of a series."""
+    return np.array([np.median(tenth) for tenth in np.array_split(values, 10)])
+
+
+def in_turn(values: np.ndarray) -> str:
+    """Return values with three digits."""
+    return " ".join(f"{value:#.3g}".rstrip(".") for value in values)
+
+
 def table_of(noted: Soak, bag: Path, minutes: float) -> Table:
     """Return the figures beside their targets."""
     steps = len(noted.durations) + len(noted.failures)
@@ -118,12 +139,10 @@ def table_of(noted: Soak, bag: Path, minutes: float) -> Table:
     table.add_row("images, records; missing", f"{images}, {records}; {missing}", "0 missing")
     table.add_row("damage of the recording", BagReader(bag, check=True).lost or "none", "none")
     table.add_row("failed steps", f"{len(noted.failures)}", "0")
-    first, last = noted.durations[WARM_UP : 2 * WARM_UP], noted.durations[-WARM_UP:]
-    table.add_row(
-        f"duration of a step, steps {WARM_UP} to {2 * WARM_UP} / last {WARM_UP}, median [s]",
-        f"{statistics.median(first):.3f} / {statistics.median(last):.3f}",
-        "equal",
-    )
+    steps_s, fixed_s = (medians(values[WARM_UP:]) for values in (noted.durations, noted.computations))
+    table.add_row("duration of a step, tenths of the test, medians [ms]", in_turn(1e3 * steps_s), "equal")
+    table.add_row("processor time of a fixed computation, the same [ms]", in_turn(1e3 * fixed_s), "the computer")
+    table.add_row("ratio of both", in_turn(steps_s / fixed_s), "equal")
     for name, sizes in sorted(noted.memory.items()):
         half = (WARM_UP + len(sizes)) // 2
         slopes = [f"{slope:+.2f} ± {sigma:.2f}" for slope, sigma in map(growth, (sizes[WARM_UP:half], sizes[half:]))]
