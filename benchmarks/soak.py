@@ -121,14 +121,10 @@ def losses(bag: Path) -> tuple[int, int, int]:
     return images[0], records[0], images[1] + records[1]
 
 
-def medians(values: list[float]) -> np.ndarray:
-    """Return the medians of the tenths of a series."""
-    return np.array([np.median(tenth) for tenth in np.array_split(values, 10)])
-
-
-def in_turn(values: np.ndarray) -> str:
-    """Return values with three digits."""
-    return " ".join(f"{value:#.3g}".rstrip(".") for value in values)
+def tenths(seconds: list[float]) -> str:
+    """Return the median of each tenth of a series after the warm-up [ms], with three digits."""
+    medians = [1e3 * np.median(tenth) for tenth in np.array_split(seconds[WARM_UP:], 10)]
+    return " ".join(f"{median:#.3g}".rstrip(".") for median in medians)
 
 
 def table_of(noted: Soak, bag: Path, minutes: float) -> Table:
@@ -139,10 +135,8 @@ def table_of(noted: Soak, bag: Path, minutes: float) -> Table:
     table.add_row("images, records; missing", f"{images}, {records}; {missing}", "0 missing")
     table.add_row("damage of the recording", BagReader(bag, check=True).lost or "none", "none")
     table.add_row("failed steps", f"{len(noted.failures)}", "0")
-    steps_s, fixed_s = (medians(values[WARM_UP:]) for values in (noted.durations, noted.computations))
-    table.add_row("duration of a step, tenths of the test, medians [ms]", in_turn(1e3 * steps_s), "equal")
-    table.add_row("processor time of a fixed computation, the same [ms]", in_turn(1e3 * fixed_s), "the computer")
-    table.add_row("ratio of both", in_turn(steps_s / fixed_s), "equal")
+    table.add_row("duration of a step, tenths of the test, medians [ms]", tenths(noted.durations), "as the next row")
+    table.add_row("processor time of a fixed computation, the same [ms]", tenths(noted.computations), "the computer")
     for name, sizes in sorted(noted.memory.items()):
         half = (WARM_UP + len(sizes)) // 2
         slopes = [f"{slope:+.2f} ± {sigma:.2f}" for slope, sigma in map(growth, (sizes[WARM_UP:half], sizes[half:]))]
