@@ -44,6 +44,7 @@ STRAIN_WINDOW = 85
 LIGHT_TRAVEL = 0.3  # of the steps whose light changes
 FIGURES, TIMES = "<!-- figures -->\n", "Best times [ms]"
 FRINGE, PIXEL = 0.002, 0.0026  # noise of phase and displacement of such frames
+SURFACES = "Other surfaces: z-scores"
 Row = tuple[str, float, float | None]
 
 
@@ -424,6 +425,19 @@ def shown(title: str, rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
+def shown_by_surface(title: str, rows: list[Row]) -> str:
+    """One line per surface, one column per quantity: names of the rows are 'SURFACE, QUANTITY: z-score'."""
+    surfaces: dict[str, dict[str, float]] = {}
+    for name, value, _ in rows:
+        surface, _, quantity = name.removesuffix(": z-score").rpartition(", ")
+        surfaces.setdefault(surface, {})[quantity] = value
+    quantities = list(next(iter(surfaces.values())))
+    lines = [f"## {title}", "", f"| surface | {' | '.join(quantities)} |", "|---|" + "---:|" * len(quantities)]
+    for surface, values in surfaces.items():
+        lines.append(f"| {surface} | {' | '.join(f'{values[quantity]:.3g}' for quantity in quantities)} |")
+    return "\n".join(lines)
+
+
 def between(text: str, begin: str, end: str, new: str) -> str:
     """Return a text with something new from one mark to another."""
     before, mark, rest = text.partition(begin)
@@ -445,14 +459,16 @@ def main() -> None:
         tables = {
             "Rendered frames of a plate": twin_rows(rendered, maps),
             "The same plate and number of frames, finest pitch 8 px, 3, 3, 3 and 11 shifts": finer_rows(),
-            "Other surfaces: z-scores that are not 1": score_rows(),
+            SURFACES: score_rows(),
             "Exact surfaces with white noise of 0.002 fringe and 0.0026 px": exact_rows(rendered),
             "Twenty increments to 10 %": increment_rows(),
         }
     load = os.getloadavg()[0]  # of other programs: these figures alone depend on it
     times = f"{TIMES}, 1280x960, {numba.get_num_threads()} threads, load average before {load:.0f}"
     tables[times] = time_rows(rendered) + light_rows()
-    text = "\n\n".join(shown(title, rows) for title, rows in tables.items())
+    text = "\n\n".join(
+        shown_by_surface(title, rows) if title == SURFACES else shown(title, rows) for title, rows in tables.items()
+    )
     print(text)
     if options.page is not None:
         page = options.page.read_text(encoding="utf-8")

@@ -311,7 +311,7 @@ filters were applied to the exact displacement, with the measured noise:
 
 The ideal low-pass, which rings, has less noise, but loses more of its resolution on the star. With this texture the
 target of 0.295 px² lies below its own figure. A sharper T was tried
-([decision 0069](../decisions/0069-a-sharper-transfer-was-tried.md)).
+([decision 0008](../decisions/0008-an-own-interpolation-kernel.md)).
 
 ## Strain: replica of Star 6
 

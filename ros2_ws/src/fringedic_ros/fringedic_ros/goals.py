@@ -1,7 +1,7 @@
 """Action goals over a network that loses messages: a goal runs at most once, and only its own result counts.
 
 A request that is sent before both processes have discovered each other is lost without an error; so is the response to
-it. The same goal can be sent again, because a server refuses an identifier that it has (decision 0099).
+it. The same goal can be sent again, because a server refuses an identifier that it has (decision 0032).
 """
 
 from __future__ import annotations

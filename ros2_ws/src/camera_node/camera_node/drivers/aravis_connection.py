@@ -15,7 +15,7 @@ from camera_node.drivers.aravis_settings import PIXEL_TYPES, AravisSettings, Tri
 from fringedic.errors import CameraError, number_text
 from fringedic.recording.clocks import DeviceClock
 
-# Frames that may wait in this process. The middleware may keep a publisher waiting for a second (decision 0104), and
+# Frames that may wait in this process. The middleware may keep a publisher waiting for a second (decision 0031), and
 # 64 are two seconds at 30 frames/s; cameras with large images have fewer.
 _LEAST_BUFFERS, _MOST_BUFFERS, _BUFFER_BYTES = 16, 64, 256_000_000
 # A stream that may read packets of the network card receives those of all programs for some milliseconds, until its

@@ -93,7 +93,7 @@ class Readiness:
     def _listed(self, name: str) -> int:
         """Return how many nodes of a name are listed in this namespace, from a service that every node has.
 
-        The names of nodes come with a message of their own, which is not received again after a cut (decision 0100).
+        The names of nodes come with a message of their own, which is not received again after a cut (decision 0032).
         """
         return int(self._node.count_services(self._node.resolve_service_name(f"{name}/get_parameters")))
 
