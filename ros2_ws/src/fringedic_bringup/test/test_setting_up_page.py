@@ -1,16 +1,23 @@
-"""The page on setting up names commands, options, files and keys that exist."""
+"""The pages name commands and options that exist; that on setting up also files and keys."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
 
+import pytest
+from typer.core import TyperGroup as Group
 from typer.main import get_command
 
 from fringedic.configuration.rig_file import load_rig_file
 from fringedic_bringup.command.main import app
 
-PAGE = Path(__file__).parents[4] / "docs" / "setting_up.md"
+ROOT = Path(__file__).parents[4]
+PAGE = ROOT / "docs" / "setting_up.md"
+COMMANDS = get_command(app).commands
+WITH_COMMANDS = sorted(
+    page for page in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")) if "fringedic " in page.read_text("utf-8")
+)
 
 
 def test_rig_file_is_valid(tmp_path: Path) -> None:
@@ -25,16 +32,26 @@ def test_rig_file_is_valid(tmp_path: Path) -> None:
         assert key in type(rig).model_fields
 
 
-def test_commands_and_options_exist() -> None:
-    commands = get_command(app).commands
-    used = re.findall(r"`fringedic ([a-z]+)([^`]*)`", PAGE.read_text())
-    assert {"live", "timing", "response", "calibrate", "check", "noise", "advise", "run", "report"} <= {
-        name for name, _ in used
-    }
-    for name, rest in used:
-        assert name in commands, f"there is no command {name}"
-        known = {option for parameter in commands[name].params for option in parameter.opts}
-        assert set(re.findall(r"--[a-z-]+", rest)) <= known, rest
+def test_setting_up_names_the_commands_of_its_tasks() -> None:
+    used = set(re.findall(r"`fringedic ([a-z]+)", PAGE.read_text()))
+    assert {"live", "timing", "response", "calibrate", "check", "noise", "advise", "run", "report"} <= used
+
+
+@pytest.mark.parametrize("page", WITH_COMMANDS, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_commands_and_options_exist(page: Path) -> None:
+    """In spans of code, and in indented lines until a comment."""
+    text = page.read_text(encoding="utf-8")
+    lines = re.findall(r"^    (fringedic [^#\n]+)", text, re.MULTILINE) + re.findall(r"`(fringedic [^`]+)`", text)
+    for line in lines:
+        name, *words = line.split()[1:]
+        if name.startswith("--") or name.isupper():
+            continue
+        assert name in COMMANDS, f"there is no command {name}"
+        command = COMMANDS[name]
+        if isinstance(command, Group) and words and words[0] in command.commands:
+            command = command.commands[words[0]]
+        known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
+        assert set(re.findall(r"(?<=\s)--[a-z][a-z0-9-]*", line)) <= known, line
 
 
 def test_links_lead_somewhere() -> None:
