@@ -199,6 +199,8 @@ class ScpiServer(MachineServer):
 
     script = "scpi_machine.py"
 
-    def send(self, command: str) -> None:
+    def send(self, command: str) -> str:
+        """Send a command or query at the machine itself; return the answer to a query."""
         with socket.create_connection(("127.0.0.1", self.port)) as technician:
             technician.sendall(f"{command}\n".encode())
+            return technician.makefile().readline().strip() if command.endswith("?") else ""

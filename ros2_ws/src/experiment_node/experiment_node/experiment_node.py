@@ -7,6 +7,7 @@ fails.
 from __future__ import annotations
 
 import time
+from contextlib import suppress
 from math import nan
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from experiment_node.rig_transforms import RigTransforms
 from experiment_node.running_step import RunningStep
 from experiment_node.step_runner import StepRunner
 from experiment_node.topics import NODE_PARAMETERS
+from fringedic.errors import WaitTimeoutError
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.recording.load_samples import summarise_load
 from fringedic.rig.model import RigModel
@@ -36,8 +38,10 @@ from fringedic_ros.qos import LATCHED, LATCHED_BY_MANY
 from fringedic_ros.records import calibration_message
 from fringedic_ros.rig_node import RIG_FRAME, RigNode, frame_id
 from fringedic_ros.stamps import to_msg, to_nanoseconds
+from fringedic_ros.waiting import wait_for
 
 Result = MeasureStep.Result
+HOLD_S = 5.0  # for the load frame to answer the hold of a failed step
 
 
 class ExperimentNode(RigNode):
@@ -145,7 +149,9 @@ class ExperimentNode(RigNode):
             _fill_in(result, step)
             goal.succeed()
             return result
-        self._request_hold()
+        if (hold := self._request_hold()) is not None:
+            with suppress(WaitTimeoutError):  # after the result the client may move again; a late hold would stop that
+                await wait_for(self, hold, HOLD_S, "the answer to the hold")
         if failure.code == Result.CANCELLED:
             goal.canceled()
         else:
@@ -178,9 +184,13 @@ class ExperimentNode(RigNode):
             return StepFailure(Result.INVALID_GOAL, "fringes need a projector; set projector to true or measure WHITE")
         return None
 
-    def _request_hold(self) -> None:
-        if self._hold.service_is_ready():
-            self._hold.call_async(Trigger.Request()).add_done_callback(self._log_hold)
+    def _request_hold(self) -> Future | None:
+        """Request a hold, and return its answer; None without a load frame."""
+        if not self._hold.service_is_ready():
+            return None
+        answer = self._hold.call_async(Trigger.Request())
+        answer.add_done_callback(self._log_hold)
+        return answer
 
     def _log_hold(self, future: Future) -> None:
         response = future.result()

@@ -7,6 +7,7 @@ from dic_node.topics import INPUTS as DIC_INPUTS
 from phase_node.topics import INPUTS as PHASE_INPUTS
 
 STEP = "experiment/step"
+PROGRAMME = "programme/status"
 REFERENCE = "experiment/reference"
 PLANE = "experiment/plane"
 CALIBRATION = "calibration"
@@ -23,6 +24,7 @@ RAW_TOPICS = (
     EXPOSURE,
     "camera/clock",
     STEP,
+    PROGRAMME,
     REFERENCE,
     PLANE,
     CALIBRATION,

@@ -161,6 +161,10 @@ class MachineGoneError(MachineError, ConnectionError):
     """The connection to the testing machine is lost, or can no longer be trusted."""
 
 
+class MachineNotReadyError(MachineError):
+    """The testing machine reports a fault, no state or no position, so that no move was sent to it."""
+
+
 class CrossheadRangeError(FringedicError, ValueError):
     """A crosshead position or speed is outside the range of the machine or of the specimen."""
 
@@ -178,7 +182,17 @@ class NodeDiedError(ProcessError):
 
 
 class StepFailedError(FringedicError, RuntimeError):
-    """A load step or a movement of the machine ended with an error code."""
+    """A load step or a movement of the machine ended with an error code.
+
+    Attributes
+    ----------
+    error_code
+        Of the result of the action ``measure_step`` or ``move_crosshead``; 0 where there was no result.
+    """
+
+    def __init__(self, message: str, *, error_code: int = 0) -> None:
+        super().__init__(message)
+        self.error_code = error_code
 
 
 class RigBusyError(StepFailedError):
@@ -186,7 +200,11 @@ class RigBusyError(StepFailedError):
 
 
 class MoveStoppedError(StepFailedError):
-    """Somebody requested a hold during a move of the machine, which therefore ended before its position."""
+    """A move of the machine was stopped, or not begun, by something else than its client; going on needs a person.
+
+    Somebody requested a hold or stopped the machine at its controls, it reached a limit of its own, it reports a fault
+    or no state, or it does not follow a request.
+    """
 
 
 class OperatorError(FringedicError, RuntimeError):

@@ -45,6 +45,12 @@ from fringedic_ros.qos import EVENTS, LATCHED, STATE
 from fringedic_ros.waiting import LOST_S, LongRequest, Patience, RepeatedRequest
 
 MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
+# Ends of a move that need a person: somebody wants the machine to stand still, or it does not do what is requested.
+STOPS = (
+    MoveCrosshead.Result.CANCELLED,
+    MoveCrosshead.Result.MACHINE_FAULT,
+    MoveCrosshead.Result.STOPPED_ELSEWHERE,
+)
 START_TIMEOUT_S = 60.0
 # Several heartbeats of config/fastdds.xml.
 HEARTBEATS_S = 0.5
@@ -124,6 +130,7 @@ class RigClient:
         self._cancels_sent = False  # it is cancelled when its acceptance arrives
         self._running: RepeatedGoal | None = None  # goal whose result is pending
         # the last of all, because a node discovers the endpoints of another in the order of their creation
+        self._own_hold: RepeatedRequest | None = None  # of which a request may still be on its way
         self._pings = {
             name: self.node.create_client(GetParameters, f"{name}/get_parameters")
             for name in ("experiment", "load_frame", "recorder")
@@ -237,7 +244,8 @@ class RigClient:
         Raises
         ------
         MoveStoppedError
-            Somebody requested a hold.
+            Something else than this client stopped the move, or the machine reports a fault: do not move on without a
+            person.
         StepFailedError
             The machine did not reach the position.
         WaitTimeoutError
@@ -247,6 +255,7 @@ class RigClient:
         goal.force_above = [] if force_above is None else [float(force_above)]
         goal.force_below = [] if force_below is None else [float(force_below)]
         what = f"crosshead to {position * 1e3:.4f} mm"
+        self._settle_own_hold()
         if until is None:
             return self._act(self._move, goal, what, lambda _: None)
         self.wait_for(lambda: self._load is not None, START_TIMEOUT_S, lambda: "load_frame/state: no sample")
@@ -293,9 +302,23 @@ class RigClient:
         """
         if not self._hold.service_is_ready():
             raise StepFailedError("there is no service load_frame/hold: stop the machine by hand")
-        response = self.call_again(self._hold, Trigger.Request(), timeout_s)
-        if not response.success:
-            raise StepFailedError(response.message)
+        self._forget_own_hold()
+        hold = self._own_hold = RepeatedRequest(self._hold, Trigger.Request())
+        self.wait_for(hold.is_answered, timeout_s, lambda: f"{self._hold.srv_name}: no answer")
+        if not hold.response.success:
+            raise StepFailedError(hold.response.message)
+
+    def _settle_own_hold(self) -> None:
+        """Wait until no hold of this client can arrive any more: it would stop the next move like one of a person."""
+        if (hold := self._own_hold) is not None:
+            with suppress(WaitTimeoutError):  # its server has ended, or the response was lost
+                self.wait_for(lambda: hold.is_settled, LOST_S, lambda: f"{self._hold.srv_name}: no answer")
+            self._forget_own_hold()
+
+    def _forget_own_hold(self) -> None:
+        if self._own_hold is not None:
+            self._own_hold.__exit__()
+            self._own_hold = None
 
     def request_cancel(self) -> None:
         """Request the end of the move or the step that is running, without waiting; also from its feedback."""
@@ -310,9 +333,12 @@ class RigClient:
 
         Raises
         ------
+        MoveStoppedError
+            The move had not been ended by this client, but at the machine, or by a fault.
         WaitTimeoutError
             The node that runs it does not answer any more.
         """
+        stop: MoveCrosshead.Result | None = None
         try:
             if (sent := self._sent) is not None:
                 # not sent again: it would begin now
@@ -323,10 +349,15 @@ class RigClient:
                 self.wait_for(running.request_result, timeout_s, lambda: "the result of the cancelled goal: no answer")
                 self._running = None
                 with suppress(StepFailedError):  # the goal has ended, too
-                    self._take_number(running.result)
+                    result = running.result
+                    self._take_number(result)
+                    if isinstance(result, MoveCrosshead.Result) and result.error_code != result.CANCELLED:
+                        stop = result  # it had ended before
         except WaitTimeoutError:
             self._sent = self._running = None
             raise
+        if stop is not None and stop.error_code in STOPS:
+            _without_error(stop)
 
     def wait_until_started(self, since_ns: Mapping[str, int], timeout_s: float = START_TIMEOUT_S) -> None:
         """Wait for nodes that were started again, and until the middleware has dropped their predecessors.
@@ -701,9 +732,9 @@ class RigClient:
 def _without_error(result: Any) -> Any:
     if result.error_code:
         kind = RigBusyError if result.error_code == result.BUSY else StepFailedError
-        if isinstance(result, MoveCrosshead.Result) and result.error_code == result.CANCELLED:
+        if isinstance(result, MoveCrosshead.Result) and result.error_code in STOPS:
             kind = MoveStoppedError
-        raise kind(f"{result.error_message} (error {result.error_code})")
+        raise kind(f"{result.error_message} (error {result.error_code})", error_code=result.error_code)
     return result
 
 

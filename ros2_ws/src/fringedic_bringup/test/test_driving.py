@@ -12,6 +12,7 @@ import pytest
 from fringedic.configuration.programme import Programme, ProgrammeStep
 from fringedic.errors import (
     ConfigurationError,
+    MachineError,
     MoveStoppedError,
     NodeDiedError,
     OperatorError,
@@ -23,7 +24,10 @@ from fringedic_bringup.launch.graph import Graph, NodeEntry
 from fringedic_bringup.procedures import driving
 from fringedic_bringup.procedures.continuing import STEPS_DONE, RecordedSteps, steps_done
 from fringedic_bringup.procedures.driving import Driven
+from fringedic_msgs.action import MoveCrosshead
+from fringedic_msgs.msg import LoadState, StepStatus
 
+FAULT, STOPPED = MoveCrosshead.Result.MACHINE_FAULT, MoveCrosshead.Result.STOPPED_ELSEWHERE
 EXPERIMENT = "plate"
 MEASURED = 5  # steps of an earlier run
 
@@ -53,7 +57,7 @@ class Rig:
         Folder of the logs.
     plan
         How the steps end, one after the other: by the end of a node, by Ctrl-C, by a step of another controller, by an
-        error, by a move that fails, or by a result ("").
+        error, by a move that fails or is stopped, by a fault of the machine in a wait ("fault"), or by a result ("").
     presses
         What a person does, one after the other, while the machine is requested to hold.
     """
@@ -70,6 +74,11 @@ class Rig:
         self.held = self.cancelled = 0
         self.no_hold = ""
         self.last_step, self.reference, self.recorder, self.strain_of_step = -1, 0, None, 0.0
+        self.load: LoadState | None = None
+        self.stop: MoveStoppedError | None = None  # of the move under way when it is cancelled
+        self.ends: list[StepStatus] = []
+        self.node = SimpleNamespace(create_publisher=lambda *_: self)
+        self.watch = list[Any]()
         self.refusals = self.silences = 0  # of the next requests for a reference, and of waits for readiness
         self.killed: list[str] = []
         self._next, self._dead = MEASURED, dict[str, str]()
@@ -123,7 +132,12 @@ class Rig:
         if self.plan[0] == "move":
             raise StepFailedError(self.plan.pop(0))
         if self.plan[0] == "held":
-            raise MoveStoppedError(self.plan.pop(0))
+            raise MoveStoppedError(self.plan.pop(0), error_code=MoveCrosshead.Result.CANCELLED)
+        if self.plan[0] == "stopped":
+            raise MoveStoppedError(self.plan.pop(0), error_code=STOPPED)
+        if self.plan[0] == "ended":  # the node, in order, with the result of its move
+            self._dead["load_frame"] = "has ended"
+            raise MoveStoppedError(self.plan.pop(0), error_code=FAULT)
 
     def highest_step(self, experiment: str) -> int:
         return self.used[-1] if self.used and experiment == EXPERIMENT else -1
@@ -137,8 +151,22 @@ class Rig:
 
     def cancel(self, *_: object) -> None:
         self.cancelled += 1
+        if self.stop is not None:
+            raise self.stop
 
-    def sleep(self, *_: object) -> None: ...
+    def sleep(self, *_: object) -> None:
+        if self.plan and self.plan[0] == "fault":
+            self.plan.pop(0)
+            self.load = LoadState(mode=LoadState.FAULT, position=0.2e-3, force=380.0)
+        for watch in self.watch:
+            watch()
+
+    # publisher of the end of the programme
+
+    def publish(self, message: StepStatus) -> None:
+        self.ends.append(message)
+
+    def wait_for_all_acked(self, _: object) -> None: ...
 
     def set_reference(self) -> None:
         self.refusals -= 1
@@ -172,7 +200,12 @@ def drive_steps(
     progress: Progress | None = None,
 ) -> Driven:
     """Drive a programme of these steps."""
-    monkeypatch.setattr(driving, "RigClient", lambda *_, **__: rig)
+
+    def client(*_: object, watch: Any, **__: object) -> Rig:
+        rig.watch.append(watch)
+        return rig
+
+    monkeypatch.setattr(driving, "RigClient", client)
     programme = Programme.model_validate({"experiment": EXPERIMENT, "steps": steps})
     return driving.drive(rig, programme, progress or Progress(), before=before)  # type: ignore[arg-type]
 
@@ -329,17 +362,56 @@ def test_a_programme_does_not_go_on_when_the_zero_of_its_strain_is_lost(
 
 
 @pytest.mark.parametrize(
-    ("plan", "ended", "measured"),
-    [(["", "held"], "held", 1), (["error", "held", "", ""], "", 3), (["", "dic", "held", "", ""], "", 3)],
+    ("plan", "measured", "code"),
+    [
+        (["", "held"], 1, MoveCrosshead.Result.CANCELLED),
+        (["", "stopped"], 1, STOPPED),
+        (["error", "held"], 1, MoveCrosshead.Result.CANCELLED),
+        (["dic", "stopped"], 0, STOPPED),
+    ],
 )
-def test_a_hold_that_somebody_requests_in_a_move_ends_the_programme(
-    plan: list[str], ended: str, measured: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_move_that_something_else_stops_ends_the_programme(
+    plan: list[str], measured: int, code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The machine went on to the next position; a late hold of the programme itself is no reason to end."""
-    rig = Rig(tmp_path, plan)
+    """The machine went on to the next position, also after a failed step or a restart, whose own hold was blamed."""
+    rig = Rig(tmp_path, list(plan))
     driven = drive_steps(rig, monkeypatch, [{"position_mm": 1.0}] * 3)
-    assert (driven.ended_early, len(driven.steps)) == (ended, measured)
-    assert rig.held >= bool(ended)
+    assert (driven.ended_early, len(driven.steps)) == (plan[-1], measured)
+    assert rig.held
+    [end] = rig.ends
+    assert (end.experiment, end.stage, end.error_code) == (EXPERIMENT, StepStatus.ERROR, code)
+    assert end.error_message == driven.ended_early
+
+
+def test_a_load_frame_node_that_ends_in_a_move_is_no_stop(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(tmp_path, ["ended", ""])
+    driven = drive_steps(rig, monkeypatch, [{"position_mm": 1.0}])
+    assert (driven.ended_early, len(driven.steps)) == ("", 1)
+    assert rig.ends[-1].stage == StepStatus.END
+
+
+def test_a_stop_while_a_node_is_started_again_ends_the_programme(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = Rig(tmp_path, ["dic", ""])
+    rig.stop = MoveStoppedError("stopped at the machine", error_code=STOPPED)
+    driven = drive_steps(rig, monkeypatch, [{"position_mm": 1.0}])
+    assert (driven.ended_early, driven.steps, rig.plan) == ("stopped at the machine", [], [""])
+
+
+def test_a_fault_in_a_wait_ends_the_programme_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The programme waited to the end and moved on; after a reset nobody knew of the fault."""
+    rig = Rig(tmp_path, ["fault", "", ""])
+    driven = drive_steps(rig, monkeypatch, [{"hold_s": 1.0}] * 3)
+    assert driven.ended_early.startswith("the machine reports a fault at 0.2000 mm, 380.0 N; find its cause, reset")
+    assert (len(driven.steps), rig.held, rig.plan) == (0, 1, ["", ""])
+    assert rig.ends[-1].error_code == FAULT
+
+
+def test_a_fault_after_ctrl_c_does_not_interrupt_the_hold(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = Rig(tmp_path, ["Ctrl-C"], (MachineError("the machine reports a fault"),))
+    driven = drive(rig, monkeypatch)
+    assert (driven.interrupted, rig.held, rig.cancelled) == (True, 1, 1)
 
 
 def test_a_failed_move_without_measurement_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

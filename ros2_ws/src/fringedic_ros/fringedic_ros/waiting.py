@@ -180,6 +180,11 @@ class RepeatedRequest:
             self._next_s = time.monotonic() + AGAIN_S
 
     @property
+    def is_settled(self) -> bool:
+        """Whether no request can arrive any more: a server takes them in order, and the last one has its response."""
+        return not self._sent or self._sent[-1].done()
+
+    @property
     def response(self) -> Any:
         """The response, once there is one."""
         return next(future.result() for future in self._sent if future.done())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Callable, Container
@@ -9,12 +10,13 @@ from contextlib import suppress
 
 from rclpy.node import Node
 
-from fringedic.errors import MachineError, MachineGoneError
+from fringedic.errors import MachineError, MachineGoneError, MachineNotReadyError
 from fringedic_ros.waiting import Condition
 from load_frame_node.machines import LoadMode, Machine, Sample
 
 _STANDSTILL = (LoadMode.IDLE, LoadMode.HOLD)
 _AGAIN_S = 0.2  # between two requests of a hold to a machine that does not answer
+FAULT = "the machine reports a fault; find its cause, and reset the machine at its own controls"
 REPEAT_S = 1.0  # after which a hold that the machine accepted is requested again while it moves
 
 
@@ -85,7 +87,7 @@ class Crosshead:
         self.changed.notify()
 
     def move_to(self, position: float, speed: float, ends_move: Callable[[Sample], bool]) -> None:
-        """Request a move to `position` [m] at `speed` [m/s].
+        """Request a move to `position` [m] at `speed` [m/s], unless a sample of now shows a fault or no state.
 
         Parameters
         ----------
@@ -96,12 +98,16 @@ class Crosshead:
         ------
         CrossheadRangeError
             The position or the speed is outside the range of the machine.
+        MachineNotReadyError
+            The sample, which is the latest one now, shows a fault, no state or no position; no move was sent.
         MachineError
             The machine does not accept the request.
         """
         with self._in_use:
+            machine = self._open_machine()
+            self._require_ready(machine)
             try:
-                self._open_machine().move_to(position, speed)
+                machine.move_to(position, speed)
             except MachineGoneError:  # it may have begun the move
                 self._owe_hold()
                 raise
@@ -161,10 +167,35 @@ class Crosshead:
         self._open_machine().hold()
         self._hold_is_owed_until, self._accepted_s = _STANDSTILL, time.monotonic()
 
+    def _require_ready(self, machine: Machine) -> None:
+        begun_s = time.monotonic()
+        try:
+            self.sample = machine.sample()._replace(begun_s=begun_s)
+            reason = reason_not_to_move(self.sample)
+        except MachineError as error:
+            self.sample = Sample.without_answer(begun_s)
+            reason = str(error)
+        if reason:
+            raise MachineNotReadyError(f"no move was sent: {reason}")
+
     def _open_machine(self) -> Machine:
         if self.machine is None:
             raise MachineError("the load frame is not configured; configure and activate it")
         return self.machine
+
+
+def reason_not_to_move(sample: Sample) -> str:
+    """Return why a machine in this state is not moved, and what to do; empty when it may be moved."""
+    if sample.mode is LoadMode.FAULT:
+        return FAULT
+    if sample.mode is LoadMode.UNKNOWN:
+        return (
+            "the machine reports no state that the machine file names; look at the machine, check its connection and "
+            "the status in the machine file"
+        )
+    if math.isnan(sample.position):
+        return f"the position of the crosshead is unknown; {sample.unknown or 'check its sensor'}"
+    return ""
 
 
 def _never(_: Sample) -> bool:

@@ -5,6 +5,7 @@ Limits and emergency stop belong to the machine; this node only passes requests 
 
 from __future__ import annotations
 
+import math
 import time
 
 from geometry_msgs.msg import WrenchStamped
@@ -41,6 +42,7 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
         self._frame = frame_id(self, LOAD_FRAME)
         self._crosshead = Crosshead(self)
         self._sampler: Sampler | None = None
+        self._was_known = (True, True)  # whether force and position were known in the latest sample with an answer
         self._publishing: Worker | None = None
         self._machine_clock = DeviceClock("testing machine")
         self._device_ns = 0  # of the latest sample, on the clock of the machine
@@ -107,8 +109,17 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
         end of a move must not wait for it, nor the next sample.
         """
         self._crosshead.take(sample)
+        self._report_unknown(sample)
         assert self._publishing is not None, "it ends after the sampler"
         self._publishing.submit(self._publish, sample)
+
+    def _report_unknown(self, sample: Sample) -> None:
+        """Report once that the machine shows a force or a position that no machine can have."""
+        is_known = (not math.isnan(sample.force), not math.isnan(sample.position))
+        if sample.unknown and any(before > now for before, now in zip(self._was_known, is_known, strict=True)):
+            self.get_logger().error(f"{sample.unknown}; check sensor and cable, and unit and scale in the machine file")
+        if sample.unknown or all(is_known):
+            self._was_known = is_known
 
     def _report(self, error: MachineError) -> None:
         self.get_logger().error(str(error), throttle_duration_sec=1.0)

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
 from rclpy.callback_groups import ReentrantCallbackGroup
 
-from fringedic.errors import CrossheadRangeError, FringedicError, MachineError, WaitTimeoutError
+from fringedic.errors import CrossheadRangeError, FringedicError, MachineError, MachineNotReadyError, WaitTimeoutError
 from fringedic_msgs.action import MoveCrosshead
 from fringedic_ros.lifecycle import HardwareNode
-from load_frame_node.crosshead import REPEAT_S, Crosshead
+from load_frame_node.crosshead import FAULT, REPEAT_S, Crosshead, reason_not_to_move
 from load_frame_node.machines import LoadMode, Sample
 from load_frame_node.parameters import LoadFrameParameters
 
@@ -23,6 +23,7 @@ _START_TIMEOUT_S = 5.0  # from the request to the first motion
 _RAMPS_S = 30.0  # allowance for the speed ramps of a move
 _STOPPING_S = 15.0  # from a hold to standstill; more than the longest span from which a motion is derived
 _ENDS_OF_MOTION = (LoadMode.IDLE, LoadMode.HOLD, LoadMode.FAULT)
+_RETRY_S = 10.0  # within which a client that was refused because of another move tries again
 _LOST_MODES = (LoadMode.FAULT, LoadMode.UNKNOWN)  # the machine does not follow the move any more
 
 
@@ -41,6 +42,8 @@ class MoveServer:
         self._node = node
         self._crosshead = crosshead
         self._goal: ServerGoalHandle | None = None
+        self._waiting: set[str] = set()  # controllers that were refused during the present move
+        self._stopped: dict[str, tuple[float, str]] = {}  # those that waited for a move that was stopped: when, and how
         ActionServer(
             node,
             MoveCrosshead,
@@ -58,48 +61,82 @@ class MoveServer:
         if not self._node.active:
             return self._end(goal, Result.MACHINE_FAULT, "the load frame is not active; configure and activate it")
         if self._goal is not None:
+            self._waiting.add(request.controller)
             return self._end(goal, Result.BUSY, _busy_message(self._goal.request, request))
+        stopped_s, stop = self._stopped.pop(request.controller, (-math.inf, ""))
+        if time.monotonic() - stopped_s < _RETRY_S:
+            return self._end(
+                goal, Result.STOPPED_ELSEWHERE, f"no move was sent, because the move before was stopped: {stop}"
+            )
         self._goal, crosshead.hold_requested = goal, False
+        result = MoveCrosshead.Result()
         try:
-            await self._wait_for_a_state(goal)
-            if self._is_called_off(goal):
-                return self._end(goal, Result.CANCELLED, "cancelled before the move began")
-            begin = crosshead.sample.position
-            crosshead.move_to(request.position, request.speed, _limits_of(request))
+            result = await self._carry_out(goal)
+            return result
+        finally:
+            self._goal = None
+            crosshead.end_move()
+            self._tell_waiting(goal, result)
+
+    async def _carry_out(self, goal: ServerGoalHandle) -> MoveCrosshead.Result:
+        """Move, and return the result."""
+        request, crosshead = goal.request, self._crosshead
+        ends_s, is_sent = time.monotonic() + _STATE_TIMEOUT_S, False
+        try:
+            while not is_sent:
+                await self._wait_for_a_state(goal)
+                if self._is_called_off(goal):
+                    return self._end(goal, Result.CANCELLED, "cancelled before the move began")
+                begin = crosshead.sample.position
+                try:
+                    crosshead.move_to(request.position, request.speed, _limits_of(request))
+                    is_sent = True
+                except MachineNotReadyError:
+                    if crosshead.sample.mode is LoadMode.FAULT or time.monotonic() > ends_s:
+                        raise  # otherwise it is waited for: a single answer may be unreadable
             return await self._follow(goal, begin)
         except CrossheadRangeError as error:
             return self._end(goal, Result.INVALID_GOAL, str(error))
         except FringedicError as error:
             return self._end(goal, Result.MACHINE_FAULT, str(error))
-        finally:
-            self._goal = None
-            crosshead.end_move()
+
+    def _tell_waiting(self, goal: ServerGoalHandle, result: MoveCrosshead.Result) -> None:
+        """Keep for the controllers that wait for the end of a move that something else than its client stopped it.
+
+        They would move the machine a second later, while a person wants it to stand still.
+        """
+        waiting, self._waiting = self._waiting, set()
+        is_stopped = result.error_code in (Result.MACHINE_FAULT, Result.STOPPED_ELSEWHERE)
+        if is_stopped or (result.error_code == Result.CANCELLED and not goal.is_cancel_requested):
+            self._stopped = dict.fromkeys(waiting, (time.monotonic(), result.error_message))
 
     def _is_called_off(self, goal: ServerGoalHandle) -> bool:
         return goal.is_cancel_requested or self._crosshead.hold_requested or not self._node.active
 
     async def _wait_for_a_state(self, goal: ServerGoalHandle) -> None:
-        """Wait until the machine reports what it does, or the goal is called off.
+        """Wait until the machine reports that it works and where it is, or the goal is called off.
 
         Raises
         ------
         MachineError
-            It reports nothing.
+            It reports a fault, or nothing.
         """
         crosshead = self._crosshead
 
         def is_over() -> bool:
-            return crosshead.sample.mode is not LoadMode.UNKNOWN or self._is_called_off(goal)
+            is_known = not reason_not_to_move(crosshead.sample) or crosshead.sample.mode is LoadMode.FAULT
+            return is_known or self._is_called_off(goal)
 
         try:
             await crosshead.changed.wait(is_over, _STATE_TIMEOUT_S)
         except WaitTimeoutError:
-            message = f"the machine has reported no state for {_STATE_TIMEOUT_S:g} s and is not moved"
+            unknown = "position" if math.isnan(crosshead.sample.position) and crosshead.sample.unknown else "state"
+            message = f"the machine has reported no {unknown} for {_STATE_TIMEOUT_S:g} s and is not moved"
             try:
-                crosshead.read()
+                reason = reason_not_to_move(crosshead.read())
             except MachineError as error:
-                message = f"{message}: {error}"
-            raise MachineError(message) from None
+                reason = str(error)
+            raise MachineError(f"{message}: {reason}" if reason else message) from None
 
     async def _follow(self, goal: ServerGoalHandle, begin: float) -> MoveCrosshead.Result:
         """Publish feedback until the move from a position, just requested, has ended, and return its result."""
@@ -151,11 +188,16 @@ class MoveServer:
             return self._end(goal, Result.NONE, "", crosshead.reached)
         if not self._node.active or crosshead.sample.mode in _LOST_MODES:
             # an unreadable answer does not stop a move
-            message = "the machine reports a fault, or no longer reports its state"
+            if crosshead.sample.mode is LoadMode.FAULT:
+                message = FAULT
+            elif self._node.active:
+                message = "the machine no longer reports its state; look at the machine, and check its connection"
+            else:
+                message = "the load frame was deactivated during the move"
             return self._end(goal, Result.MACHINE_FAULT, self._holding(message))
         if not self._has_arrived(goal):
             # the mode may be wrong that a machine reports, or that is determined from its positions
-            return self._end(goal, Result.MACHINE_FAULT, self._holding(self._short_of_target(goal)))
+            return self._end(goal, Result.STOPPED_ELSEWHERE, self._holding(self._short_of_target(goal)))
         return self._end(goal, Result.NONE, "")
 
     def _holding(self, message: str) -> str:
@@ -171,7 +213,10 @@ class MoveServer:
         return 1e3 * abs(self._crosshead.sample.position - goal.request.position) <= tolerance_mm
 
     def _short_of_target(self, goal: ServerGoalHandle) -> str:
-        target, position = 1e3 * goal.request.position, 1e3 * self._crosshead.sample.position
+        sample = self._crosshead.sample
+        target, position = 1e3 * goal.request.position, 1e3 * sample.position
+        if math.isnan(position):
+            return f"the crosshead stopped, and whether at its target of {target:.4f} mm is unknown: {sample.unknown}"
         return (
             f"the crosshead stopped at {position:.4f} mm, {abs(position - target):.4f} mm from its target: it was "
             "stopped at the machine or by a limit of the machine; if this is its usual accuracy, increase "
@@ -207,7 +252,7 @@ class MoveServer:
                 f"the machine {state} {_STOPPING_S:g} s after a hold was requested; stop it at its own controls"
             ) from None
         if crosshead.sample.mode is LoadMode.FAULT:
-            raise MachineError("the machine reports a fault")
+            raise MachineError(FAULT)
         passed = time.monotonic() - requested
         if passed > REPEAT_S and self._has_arrived(goal) and not had_arrived:  # earlier, its ramp may have ended there
             raise MachineError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable
@@ -10,7 +9,7 @@ from collections.abc import Callable
 from fringedic.errors import MachineError
 from fringedic_ros.diagnostics import NodeDiagnostics
 from load_frame_node.crosshead import Crosshead
-from load_frame_node.machines import LoadMode, Sample
+from load_frame_node.machines import Sample
 
 _LONGEST_DELAY_S = 1.0  # of a sample; samples that are later are counted as lost
 
@@ -71,10 +70,12 @@ class Sampler:
             sample = self._crosshead.read()
         except Exception as error:  # whatever a machine answers, a thread that ended would leave its last state valid
             self._on_error(error if isinstance(error, MachineError) else _unforeseen(error))
-            # everybody who relies on a hold must see that the state is unknown
-            sample = Sample(time.time_ns(), LoadMode.UNKNOWN, math.nan, math.nan, begun_s=begun_s)
+            sample = Sample.without_answer(begun_s)
         else:
-            self._diagnostics.success()
+            if sample.unknown:
+                self._diagnostics.failure(sample.unknown)
+            else:
+                self._diagnostics.success()
         self._on_sample(sample)
 
 

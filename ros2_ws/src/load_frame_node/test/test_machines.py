@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -26,7 +27,13 @@ from rclpy.action.client import ClientGoalHandle
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from fringedic.errors import ConfigurationError, CrossheadRangeError, MachineError, MachineGoneError
+from fringedic.errors import (
+    ConfigurationError,
+    CrossheadRangeError,
+    MachineError,
+    MachineGoneError,
+    MachineNotReadyError,
+)
 from fringedic_msgs.action import MoveCrosshead
 from fringedic_msgs.msg import ClockDrift, LoadState
 from fringedic_ros.qos import LATCHED, STATE
@@ -56,7 +63,7 @@ SCPI: dict[str, Any] = {
     "timeout_s": 5.0,
     "force": {"query": "MEAS:FORC?", "unit": "kN"},
     "position": {"query": "MEAS:POS?", "unit": "um"},
-    "status": {"query": "STAT?", "idle": ["IDLE"], "moving": ["RUN"], "hold": ["HOLD"]},
+    "status": {"query": "STAT?", "idle": ["IDLE"], "moving": ["RUN"], "hold": ["HOLD"], "fault": ["TRIP"]},
     "move": {"commands": ["SPEED {speed:.4f}", "GOTO {position:.4f}"], "speed_unit": "mm/min"},
     "hold": ["STOP"],
     "limits": LIMITS,
@@ -206,6 +213,44 @@ def test_scpi_machine_that_babbles_or_is_silent(command: str, words: str, tmp_pa
             connected.sample()
 
 
+@pytest.mark.parametrize(
+    ("query", "reply", "words"),
+    [
+        ("MEAS:FORC?", "9.91E37", r"the force is unknown: 'MEAS:FORC\?' was answered with '9.91E37', outside -5000 to"),
+        ("MEAS:FORC?", "-9.9E37", r"'-9.9E37', outside -5000 to 5000 N \(force_range_n\)"),
+        ("MEAS:FORC?", "5.1", "'5.1', outside -5000 to 5000 N"),
+        ("MEAS:POS?", "9.9e34", r"the position is unknown: .* '9.9e34', outside -2000 to 2001 mm \(limits and 2000 mm"),
+    ],
+)
+def test_a_number_that_no_machine_shows_is_unknown(query: str, reply: str, words: str, tmp_path: Path) -> None:
+    """It was a force of 1e41 N, or a position of 1e29 m; kN and um are the units of this machine."""
+    with machine("scpi", tmp_path, force_range_n=[-5000.0, 5000.0], hold=[f"REPLY {query} {reply}"]) as (
+        connected,
+        _,
+        _,
+    ):
+        connected.hold()
+        sample = connected.sample()
+        assert (sample.mode, math.isnan(sample.force), math.isnan(sample.position)) == (
+            LoadMode.IDLE,
+            "FORC" in query,
+            "POS" in query,
+        )
+        assert re.search(words, sample.unknown), sample.unknown
+
+
+def test_forces_without_a_range_and_positions_without_limits_have_bounds_nevertheless(tmp_path: Path) -> None:
+    read_only: dict[str, Any] = {"move": None, "limits": None, "hold": {"coil": 1}}
+    offsets = {"force": {"register": 0, "offset": -1e36}, "position": {"register": 2, "offset": 9.9e37}}
+    with machine("modbus", tmp_path, **read_only, **offsets) as (connected, _, _):
+        sample = connected.sample()
+    assert math.isnan(sample.force)
+    assert math.isnan(sample.position)
+    assert re.search(
+        r"register 0 contains \S+, outside -1e\+09 to 1e\+09 N .*; .*register 2 contains 0", sample.unknown
+    )
+
+
 def test_scpi_machine_that_acknowledges_its_commands_is_refused(tmp_path: Path) -> None:
     """Each acknowledgement would shift all later answers by one, the position to the place of the status."""
     with machine("scpi", tmp_path, hold=["ACKNOWLEDGE"]) as (connected, _, _):
@@ -287,6 +332,7 @@ def test_scpi_over_another_visa_backend(tmp_path: Path) -> None:
         ({"force": {"register": 70000}}, "force.register: "),
         ({"force": {"register": 0, "unit": "lbf"}}, "force.unit: "),
         ({"force": {"register": 0, "scale": 0}}, "force: scale is 0"),
+        ({"force_range_n": [500, -500]}, r"force_range_n \[500.0, -500.0\]: give the smaller force first"),
         ({"colour": "red"}, "colour: "),
         ({"hold": None}, "move is given without hold"),
         ({"limits": None}, "move is given without limits"),
@@ -327,6 +373,8 @@ def test_motion_over_a_clock_that_jumps_back() -> None:
     assert motion.mode(0, 0.0) is LoadMode.UNKNOWN
     assert motion.mode(int(1e8), 0.0) is LoadMode.UNKNOWN
     assert motion.mode(int(2e8), 0.0) is LoadMode.HOLD
+    assert motion.mode(int(3e8), math.nan) is LoadMode.UNKNOWN, "an unknown position proves no standstill"
+    assert motion.mode(int(4e8), 0.0) is LoadMode.UNKNOWN
 
 
 class Operator(Peer):
@@ -339,10 +387,10 @@ class Operator(Peer):
     def move(self, position: float, speed: float) -> MoveCrosshead.Result:
         return self.end(self.start(position, speed))
 
-    def start(self, position: float, speed: float, **limits: list[float]) -> ClientGoalHandle:
+    def start(self, position: float, speed: float, **further: Any) -> ClientGoalHandle:
         self.wait(self._move.server_is_ready, "the action server")
         self.meet("load_frame")
-        sending = self._move.send_goal_async(MoveCrosshead.Goal(position=position, speed=speed, **limits))
+        sending = self._move.send_goal_async(MoveCrosshead.Goal(position=position, speed=speed, **further))
         self.wait(sending.done, "the answer to the goal")
         return sending.result()
 
@@ -589,6 +637,9 @@ def test_a_move_that_is_not_accepted_does_not_replace_a_hold(
         def __init__(self) -> None:
             pass
 
+        def sample(self) -> Sample:
+            return Sample(0, LoadMode.IDLE, 0.0, 0.0)
+
         def move_to(self, position: float, speed: float) -> None:
             raise error(f"{position} {speed}")
 
@@ -607,6 +658,105 @@ def test_a_move_that_is_not_accepted_does_not_replace_a_hold(
     assert refusing.holds == 1
 
 
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (
+            Sample(0, LoadMode.FAULT, 0.0, 0.0),
+            "no move was sent: the machine reports a fault; find its cause, and reset",
+        ),
+        (Sample(0, LoadMode.UNKNOWN, 0.0, 0.0), "no move was sent: the machine reports no state"),
+        (Sample(0, LoadMode.HOLD, 0.0, math.nan, unknown="POS? is 9.9E37"), "position .* is unknown; POS\\? is 9.9E37"),
+        (MachineGoneError("no connection"), "no move was sent: no connection"),
+    ],
+)
+def test_no_move_is_sent_to_a_machine_that_does_not_work_now(
+    operator: Operator, answer: Sample | MachineError, words: str
+) -> None:
+    """The latest sample showed a hold; the next one would have been taken after the move."""
+
+    class Tripped(SimulatedMachine):
+        moves = 0
+
+        def __init__(self) -> None:
+            pass
+
+        def sample(self) -> Sample:
+            if isinstance(answer, MachineError):
+                raise answer
+            return answer
+
+        def move_to(self, position: float, speed: float) -> None:
+            self.moves += position * speed > 0
+
+    crosshead, tripped = Crosshead(operator), Tripped()
+    crosshead.open(tripped)
+    crosshead.take(Sample(0, LoadMode.HOLD, 0.0, 0.0))
+    with pytest.raises(MachineNotReadyError, match=words):
+        crosshead.move_to(0.5 * MM, 1.0 * MM, lambda _: False)
+    assert tripped.moves == 0
+    assert crosshead.sample.mode is (LoadMode.UNKNOWN if isinstance(answer, MachineError) else answer.mode)
+
+
+def test_nothing_moves_a_machine_with_a_fault_and_nobody_moves_it_after_a_stop(
+    operator: Operator, tmp_path: Path
+) -> None:
+    """Goals went to the tripped machine; a controller that waited for a move went on after the stop of that move."""
+    path = tmp_path / "machine.yaml"
+    with server("scpi_machine.py") as (_, port):
+        path.write_text(yaml.safe_dump(description("scpi", port)))
+        parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
+        with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters) as node:
+            goal = operator.start(0.8 * MM, 0.05 * MM)
+            operator.until(LoadState.MOVING)
+            technician(port, "TRIP")
+            tripped = operator.end(goal)
+            assert (tripped.error_code, tripped.error_message) == (
+                MoveCrosshead.Result.MACHINE_FAULT,
+                "the machine reports a fault; find its cause, and reset the machine at its own controls; a hold was "
+                "requested",
+            )
+            refused = operator.move(0.1 * MM, 1.0 * MM)
+            assert refused.error_code == MoveCrosshead.Result.MACHINE_FAULT
+            assert refused.error_message.startswith("no move was sent: the machine reports a fault")
+            assert moves_sent(port) == 1
+            technician(port, "RESET")
+            operator.until(LoadState.HOLD)
+
+            goal = operator.start(0.8 * MM, 0.05 * MM, controller="tension")
+            operator.until(LoadState.MOVING)
+            busy = operator.end(operator.start(0.1 * MM, 1.0 * MM, controller="fatigue"))
+            assert busy.error_code == MoveCrosshead.Result.BUSY
+            technician(port, "STOP")
+            assert operator.end(goal).error_code == MoveCrosshead.Result.STOPPED_ELSEWHERE
+            waited = operator.end(operator.start(0.1 * MM, 1.0 * MM, controller="fatigue"))
+            assert waited.error_code == MoveCrosshead.Result.STOPPED_ELSEWHERE
+            assert "no move was sent, because the move before was stopped: the crosshead" in waited.error_message
+            assert moves_sent(port) == 2
+            again = operator.end(operator.start(0.1 * MM, 1.0 * MM, controller="fatigue"))
+            assert again.error_code == MoveCrosshead.Result.NONE, "a person has decided to go on"
+
+            technician(port, "REPLY MEAS:FORC? 9.91E37")
+            operator.wait(lambda: math.isnan(operator.states[-1].force), "an unknown force")
+            operator.serve(0.5)
+            assert operator.states[-1].mode == LoadState.HOLD
+            stopped = operator.end(operator.start(0.5 * MM, 0.05 * MM, force_above=[500.0]))
+            assert stopped.force_reached, "an unknown force ends a move that has a limit"
+            assert math.isnan(stopped.reached_force)
+            assert node.log.count("'MEAS:FORC?' was answered with '9.91E37', outside -1e+09 to 1e+09 N") == 1
+
+
+def technician(port: int, command: str) -> str:
+    """Send a command or a query at the machine itself; return the answer to a query."""
+    with socket.create_connection(("127.0.0.1", port)) as connection:
+        connection.sendall(f"{command}\n".encode())
+        return connection.makefile().readline().strip() if command.endswith("?") else ""
+
+
+def moves_sent(port: int) -> int:
+    return technician(port, "LOG?").count("GOTO")
+
+
 def test_a_move_that_is_stopped_at_the_machine_has_not_arrived(operator: Operator, tmp_path: Path) -> None:
     with (
         modbus(tmp_path) as (_, port, parameters),
@@ -617,7 +767,7 @@ def test_a_move_that_is_stopped_at_the_machine_has_not_arrived(operator: Operato
         with ModbusTcpClient("127.0.0.1", port=port) as technician:
             technician.write_coil(1, True, device_id=1)
         result = operator.end(goal)
-    assert result.error_code == MoveCrosshead.Result.MACHINE_FAULT
+    assert result.error_code == MoveCrosshead.Result.STOPPED_ELSEWHERE
     assert "mm from its target: it was stopped at the machine" in result.error_message
     # the standstill may be a wrong report
     assert result.error_message.endswith("; a hold was requested")

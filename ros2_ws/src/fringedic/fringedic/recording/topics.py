@@ -18,6 +18,7 @@ _TYPES = {
     "experiment/step": "fringedic_msgs/msg/StepStatus",
     "load_frame/clock": "fringedic_msgs/msg/ClockDrift",
     "load_frame/state": "fringedic_msgs/msg/LoadState",
+    "programme/status": "fringedic_msgs/msg/StepStatus",
     "node_parameters": "fringedic_msgs/msg/NodeParameters",
 } | {f"{node}/status": "fringedic_msgs/msg/NodeStatus" for node in _NODES}
 

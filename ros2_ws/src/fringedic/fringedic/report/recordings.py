@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from fringedic.recording.bag_files import METADATA
 from fringedic.recording.frames import IMAGE
 from fringedic.recording.manifest import MANIFEST, ManifestCheck
+from fringedic.recording.programme_end import ProgrammeEnd
 from fringedic.recording.reader import describe_parts
 from fringedic.recording.repair import Content
 from fringedic.recording.verification import Verification
@@ -35,6 +36,22 @@ def content_sentences(content: Content) -> list[str]:
     missing = f"{counted(frames[1], 'frame')}, {counted(messages[1] - frames[1], 'other message')}"
     lost = missing if content.missing else "", content.damage, describe_parts(content.parts)
     return [*lines, f"lost: {'; '.join(filter(None, lost))}"]
+
+
+def programme_sentences(end: ProgrammeEnd | None) -> list[str]:
+    """Return how the programme of a recording ended.
+
+    Examples
+    --------
+    >>> programme_sentences(ProgrammeEnd("plate", 3, "the machine reports a fault", 203))
+    ['programme: plate ended early at step 3: the machine reports a fault']
+    >>> programme_sentences(ProgrammeEnd("plate", 10))
+    ['programme: plate is complete']
+    """
+    if end is None:
+        return []
+    how = f"ended early at step {end.step}: {end.reason}" if end.reason else "is complete"
+    return [f"programme: {end.experiment} {how}"]
 
 
 def next_command(content: Content) -> str:

@@ -138,11 +138,12 @@ def _targets(places: list[str], output: Path | None) -> dict[str, Path | None]:
 @app.command(rich_help_panel=RESULTS, epilog="Example: fringedic info recordings/plate-7/bag")
 def info(bag: Place) -> None:
     """List the content of a recording and whether it is complete."""
+    from fringedic.recording.programme_end import programme_end
     from fringedic.recording.recorded_clocks import recorded_clocks
     from fringedic.recording.remote import is_remote
     from fringedic.recording.repair import info as bag_info
     from fringedic.report.clocks import clock_sentences
-    from fringedic.report.recordings import content_sentences, next_command
+    from fringedic.report.recordings import content_sentences, next_command, programme_sentences
 
     summary = bag_info(bag)
     start = datetime.fromtimestamp(summary.start_time * 1e-9, UTC)
@@ -157,7 +158,8 @@ def info(bag: Place) -> None:
         table.add_row(name, type_name.replace("/msg/", "/"), str(summary.counts[name]), *lost)
     console.print(table)
     clocks = {} if is_remote(bag) else recorded_clocks(bag)  # they are in the chunks, which are not fetched
-    say(*clock_sentences(clocks), *content_sentences(summary), next_command(summary))
+    end = None if is_remote(bag) else programme_end(bag)
+    say(*clock_sentences(clocks), *content_sentences(summary), *programme_sentences(end), next_command(summary))
 
 
 @app.command(rich_help_panel=RESULTS, epilog="Example: fringedic verify recordings/plate-7/bag")

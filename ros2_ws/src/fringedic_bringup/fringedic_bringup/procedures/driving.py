@@ -2,6 +2,9 @@
 
 A node that ends does not end the test: the machine is requested to hold, the node is started again, and the step is
 repeated. Only a camera that reads files ends it, because the images would begin again at the first one.
+
+A stop that this programme has not requested ends it, and so does a fault of the machine: somebody, or the machine,
+wants the crosshead to stand still, and only a person may move it again.
 """
 
 from __future__ import annotations
@@ -13,10 +16,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from rclpy.duration import Duration
+
+from experiment_node.topics import PROGRAMME
 from fringedic.configuration.conditions import MetCondition, Reading
 from fringedic.configuration.programme import Programme, ProgrammeStep
 from fringedic.errors import (
     FringedicError,
+    MachineError,
     MoveStoppedError,
     NodeDiedError,
     OperatorError,
@@ -26,20 +33,25 @@ from fringedic.errors import (
 )
 from fringedic.recording.bag_files import BAG
 from fringedic.report.programme import block_end_sentence, condition_sentence
-from fringedic_bringup.client import RigClient
+from fringedic_bringup.client import HEARTBEATS_S, RigClient
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.continuing import STEPS_DONE, RecordedSteps, save_steps_done
 from fringedic_bringup.procedures.outcome import Progress, RunControl, StepReport
 from fringedic_bringup.procedures.recording_parts import next_part
-from fringedic_msgs.action import MeasureStep
+from fringedic_msgs.action import MeasureStep, MoveCrosshead
+from fringedic_msgs.msg import LoadState, StepStatus
+from fringedic_ros.qos import LATCHED
+from fringedic_ros.stamps import to_msg
 
 MOST_DEATHS = 3  # of one node without a measured step in between; after more, a restart does not remove the cause
 MOST_SILENCES = 3  # missing answers without a measured step in between, although every node runs
+LOAD_FRAME = "load_frame"
 EXTENSOMETER = "extensometer"  # counts the strain from its first frame, and from each reference step
 WITH_REFERENCE = ("dic", "coupling")  # keep the reference step in memory and lose it when they end
 INTERRUPTION_S = 5.0  # wait for the answer to hold and cancel
 BUSY_S = 1.0  # between two attempts while another controller uses the rig
 PAUSE_S = 30 * 86400.0  # longest pause
+RECEIVED_S = 2.0  # for the record of the end of the programme to be received
 RESTART_S = 40.0  # from the start of a node until it is ready and its predecessor's lease has ended
 
 
@@ -101,13 +113,15 @@ def drive(
     WaitTimeoutError
         The nodes are not ready in time, or the strain that a condition needs has no publisher.
     """
-    control = control or RunControl()
+    control, faults = control or RunControl(), _FaultWatch()
 
     def watch() -> None:
         running.check()
         control.check()
+        faults.check()
 
     with RigClient(running.graph.namespace, domain=domain, watch=watch, name="programme") as rig:
+        record = _EndRecord(rig, programme.experiment)
         rig.wait_until_ready(running.graph.names)
         needs_strain = any(until.needs_strain for until in programme.conditions())
         if needs_strain:
@@ -120,6 +134,7 @@ def drive(
         walk = programme.walk(lambda end: progress.note(block_end_sentence(end)))
         reading: Reading | None = None
         ended_early, interrupted = "", False
+        faults.rig = rig
         try:
             with suppress(StopIteration):
                 done: list[ProgrammeStep] = []
@@ -129,16 +144,74 @@ def drive(
                         reading = driver.do(done[-1])
                         save_steps_done(running.logs / STEPS_DONE, done, driver.references)
             driver.finish()
+            record.publish(driver.number)
         except (FringedicError, OSError) as error:
             not_held = driver.end()
             ended_early = str(error)
             progress.note(f"the programme ends early: {ended_early}{not_held and f'; {not_held}'}")
+            record.publish(driver.number, ended_early, _code_of(error))
         except KeyboardInterrupt:
             held = driver.end() or "a hold was requested"
             ended_early, interrupted = "interrupted", True
             progress.note(f"interrupted: {held}; the results of what was measured are written")
+            record.publish(driver.number, ended_early)
     again = driver.references if driver.interrupted or (before is not None and before.references) else []
     return Driven(driver.reports, again, ended_early, interrupted)
+
+
+class _FaultWatch:
+    """Ends a programme once when the machine reports a fault, in whatever it does: a reset is no wish to go on.
+
+    Attributes
+    ----------
+    rig
+        Client that receives the samples of the machine; None before the programme begins.
+    """
+
+    def __init__(self) -> None:
+        self.rig: RigClient | None = None
+
+    def check(self) -> None:
+        """Check the latest sample.
+
+        Raises
+        ------
+        MachineError
+            It is the first one that reports a fault.
+        """
+        load = None if self.rig is None else self.rig.load
+        if load is not None and load.mode == LoadState.FAULT:
+            self.rig = None
+            raise MachineError(
+                f"the machine reports a fault at {1e3 * load.position:.4f} mm, {load.force:.1f} N; find its cause, "
+                "reset the machine at its own controls, and then go on with the programme"
+            )
+
+
+class _EndRecord:
+    """Publishes how a programme has ended, for the recording: END, or ERROR with the reason, at the step under way."""
+
+    def __init__(self, rig: RigClient, experiment: str) -> None:
+        self._rig, self._experiment = rig, experiment
+        self._publisher = rig.node.create_publisher(StepStatus, PROGRAMME, LATCHED)
+
+    def publish(self, step: int, reason: str = "", error_code: int = 0) -> None:
+        """Publish it, and wait until the recorder has it."""
+        message = StepStatus(experiment=self._experiment, step=step, stage=StepStatus.END)
+        message.header.stamp = to_msg(time.time_ns())
+        if reason:
+            message.stage, message.error_code, message.error_message = StepStatus.ERROR, error_code, reason
+        self._publisher.publish(message)
+        self._publisher.wait_for_all_acked(Duration(seconds=RECEIVED_S))
+        with suppress(FringedicError):
+            self._rig.sleep(HEARTBEATS_S)
+
+
+def _code_of(error: Exception) -> int:
+    """Return the code of an action that belongs to an error, 0 when there is none."""
+    if isinstance(error, MachineError):
+        return int(MoveCrosshead.Result.MACHINE_FAULT)
+    return error.error_code if isinstance(error, StepFailedError) else 0
 
 
 class _Driver:
@@ -150,6 +223,8 @@ class _Driver:
         Reports of the steps that are measured.
     references
         Steps that are references: the first one that was measured, and those that the programme names.
+    number
+        Number that the step under way has, or will have, in the recording.
     interrupted
         A node has ended: results of its step are missing, or it lost the reference that it kept in memory.
     """
@@ -167,20 +242,20 @@ class _Driver:
         self.reports: list[StepReport] = []
         self.references: list[int] = []
         self._running, self._rig, self._progress, self._control = running, rig, progress, control
-        self._number, self._last, self._needs_strain = 0, last, needs_strain
+        self.number, self._last, self._needs_strain = 0, last, needs_strain
         self.interrupted = False
         self._restarted = False  # a node was started again since the last successful step
         self._is_new_reference = False  # the step under way sets the reference, and the zero of the strain
-        self._held = False  # a hold was requested since then, by this programme or for its failed step
+        self._stop: MoveStoppedError | None = None  # of a move that ended while a node was being started again
         self._deaths: Counter[str] = Counter()  # without a measured step in between
         self._silences = 0
         self._awaited: dict[str, int] = {}  # nodes that were started again, and when [ns]
 
     def do(self, step: ProgrammeStep) -> Reading | None:
         """Execute a step, and repeat it when a node ends meanwhile; return the readings for the conditions."""
-        self._number = self._rig.last_step + 1  # the number that the step gets in the recording
+        self.number = self._rig.last_step + 1  # the number that the step gets in the recording
         self._is_new_reference = step.set_reference
-        self._last = max(self._last, self._number)
+        self._last = max(self._last, self.number)
         if not self._control.may_begin():
             self._tell("paused")
             self._with_restarts(lambda: self._rig.wait_for(self._control.may_begin, PAUSE_S, lambda: "resume"))
@@ -207,21 +282,19 @@ class _Driver:
         except RigBusyError:
             raise
         except MoveStoppedError as error:
-            if not self._held:
-                raise  # somebody wants the machine to stand still
-            self._held = False
-            self._progress.note(f"{error}: perhaps by a request of this programme that came late; the move is repeated")
-            return self._move_and_measure(step)
+            is_fault = error.error_code == MoveCrosshead.Result.MACHINE_FAULT
+            if is_fault and LOAD_FRAME in self._running.dead():  # that is why
+                self._running.check()
+            raise
         except StepFailedError as error:
-            self._held = True
             self._running.check()  # raises when a node has ended: then the step is repeated
             self._progress.note(str(error))
             if self._restarted:
                 # restarted nodes may not have discovered each other yet
                 self._restarted = False
-                self._progress.note(f"step {self._number} is repeated")
+                self._progress.note(f"step {self.number} is repeated")
                 return self._move_and_measure(step)
-            begun = step.mode != "none" and self._rig.last_step >= self._number
+            begun = step.mode != "none" and self._rig.last_step >= self.number
             self._report(StepReport(self._rig.last_step if begun else -1, error=str(error)))
             return None
         if moved:
@@ -230,7 +303,7 @@ class _Driver:
 
     def _take(self, step: ProgrammeStep, result: MeasureStep.Result) -> Reading:
         """Report a measured step."""
-        self._restarted, self._held, self._silences = False, False, 0
+        self._restarted, self._silences = False, 0
         self._deaths.clear()
         replaced = bool(self.references) and not step.set_reference and result.step == self._rig.reference
         if step.set_reference or not self.references:
@@ -271,15 +344,15 @@ class _Driver:
         )
         if ended.force_reached and (condition := until.met(Reading(force=ended.reached_force))) is not None:
             conditions.insert(0, condition)
-        where = f"step {self._number}: move ended at {ended.position * 1e3:.4f} mm, {ended.force:.1f} N"
+        where = f"step {self.number}: move ended at {ended.position * 1e3:.4f} mm, {ended.force:.1f} N"
         why = condition_sentence(conditions[0]) if conditions else "no condition was met before its position"
         return f"{where}: {why}"
 
     def _tell(self, text: str) -> None:
-        self._progress.step(self._number, self._last, text)
+        self._progress.step(self.number, self._last, text)
 
     def _show(self, feedback: MeasureStep.Feedback) -> None:
-        self._progress.step(self._number, self._last, feedback.stage, feedback.frame, feedback.frames)
+        self._progress.step(self.number, self._last, feedback.stage, feedback.frame, feedback.frames)
 
     def _with_restarts(self, work: Callable[[], Any]) -> Any:
         """Call a function; when nodes end or do not answer meanwhile, mend that and call it once more.
@@ -288,6 +361,8 @@ class _Driver:
         """
         waits_for = ""
         while True:
+            if self._stop is not None:
+                raise self._stop
             try:
                 if waits_for:
                     self._rig.sleep(BUSY_S)
@@ -302,28 +377,32 @@ class _Driver:
                 self._silences += 1
                 if self._silences > MOST_SILENCES:
                     raise
-                self._progress.note(f"{silence}; step {self._number} is repeated")
+                self._progress.note(f"{silence}; step {self.number} is repeated")
                 self.interrupt()
 
     def end(self) -> str:
         """Interrupt the machine, however often a person interrupts this; return what `interrupt` returns."""
         while True:
-            with suppress(KeyboardInterrupt, OperatorError):
+            with suppress(KeyboardInterrupt, OperatorError, MachineError):
                 return self.interrupt()
 
     def interrupt(self) -> str:
         """Request a hold, and the end of the move or step under way; return why no hold was accepted, if it was not."""
-        not_held, self._held = "", True
+        not_held = ""
         try:
             self._rig.hold(INTERRUPTION_S)
         except (StepFailedError, WaitTimeoutError, NodeDiedError) as error:
             not_held = f"no hold was accepted: {error}" if self._has_load_frame() else "no load frame to hold"
-        with suppress(StepFailedError, WaitTimeoutError, NodeDiedError):  # the node that should answer may have ended
+        try:
             self._rig.cancel(INTERRUPTION_S)
+        except MoveStoppedError as stop:
+            self._stop = stop
+        except (StepFailedError, WaitTimeoutError, NodeDiedError):
+            pass  # the node that should answer may have ended
         return not_held
 
     def _has_load_frame(self) -> bool:
-        return "load_frame" in self._running.graph.names
+        return LOAD_FRAME in self._running.graph.names
 
     def _restart(self, death: NodeDiedError) -> None:
         begin, names = time.monotonic(), set[str]()
@@ -400,8 +479,7 @@ class _Driver:
         for name, how in dead.items():
             self._running.restart(name, **self._changes(name))
             self._progress.note(
-                f"{name} {how} (see {self._running.log(name)}); it is started again, "
-                f"and step {self._number} is repeated"
+                f"{name} {how} (see {self._running.log(name)}); it is started again, and step {self.number} is repeated"
             )
         self.interrupt()
         self._rig.wait_until_started(self._awaited, RESTART_S)

@@ -15,7 +15,7 @@ from sensor_msgs.msg import JointState
 from fringedic.errors import MachineError
 from fringedic.recording.clocks import wall_minus_monotonic_ns
 from fringedic_ros.stamps import to_nanoseconds
-from load_frame_node.machines.machine import LoadMode, Motion, Sample
+from load_frame_node.machines.machine import FARTHEST_M, LARGEST_FORCE_N, LoadMode, Motion, Sample
 
 _OLDEST_S = 1.0  # older messages do not describe the present state
 
@@ -80,7 +80,16 @@ class ControllerMachine:
                 raise MachineError(f"no message on {topic} for {_OLDEST_S:g} s; check that the controller runs")
         assert self._position is not None, "checked above"
         assert self._force is not None, "checked above"
-        return Sample(self._position.stamp_ns, self._mode, self._force.value, self._position.value)
+        force, position = self._force.value, self._position.value
+        unknown = "; ".join(
+            f"{topic}: the {what} is unknown: its value is beyond {largest:g} {unit}, which no testing machine shows"
+            for topic, what, value, largest, unit in (
+                (self._source.wrench, "force", force, LARGEST_FORCE_N, "N"),
+                (self._source.joint_states, "position", position, FARTHEST_M, "m"),
+            )
+            if math.isnan(value)
+        )
+        return Sample(self._position.stamp_ns, self._mode, force, position, unknown=unknown)
 
     def move_to(self, position: float, speed: float) -> None:  # noqa: ARG002 (the interface of every machine)
         """Refuse: only the controller moves the machine.
@@ -111,12 +120,14 @@ class ControllerMachine:
     def _take_joints(self, message: JointState) -> None:
         position = dict(zip(message.name, message.position, strict=False)).get(self._source.joint, math.nan)
         if math.isfinite(position):  # a message may name joints without their positions
+            position = position if abs(position) <= FARTHEST_M else math.nan
             self._position = _Value.of(message, position)
             self._mode = self._motion.mode(self._position.acquired_ns, position)
 
     def _take_wrench(self, message: WrenchStamped) -> None:
         force = self._source.force_sign * getattr(message.wrench.force, self._source.force_axis)
         if math.isfinite(force):
+            force = force if abs(force) <= LARGEST_FORCE_N else math.nan
             self._force = _Value.of(message, force)
 
 

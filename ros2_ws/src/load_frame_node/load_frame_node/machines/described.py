@@ -8,7 +8,7 @@ from typing import Generic, NamedTuple, TypeVar
 
 from fringedic.errors import CrossheadRangeError, MachineError
 from fringedic.recording.clocks import wall_minus_monotonic_ns
-from load_frame_node.machines.description import MachineSection
+from load_frame_node.machines.description import Bounds, MachineSection
 from load_frame_node.machines.machine import Link, Motion, Sample
 
 DescriptionT = TypeVar("DescriptionT", bound=MachineSection)
@@ -44,9 +44,11 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
         self._link = Link(f"{description.name} at {place}", self.connect, self.disconnect)
         self._motion = Motion(1e-3 * description.motion.slowest_mm_per_s, description.motion.span_s)
         self._device_ns, self._advanced_ns = -1, 0  # its time, and when that was new on the monotonic clock
+        self._force_bounds, self._position_bounds = description.force_bounds, description.position_bounds
+        self.replies: dict[str, str] = {}  # the latest reply for each quantity, as the machine sent it
 
     def sample(self) -> Sample:
-        """Read force, position and status.
+        """Read force, position and status; a force or position that no machine can show is NaN.
 
         Raises
         ------
@@ -57,13 +59,28 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
         for what, value in (("force", read.force), ("position", read.position), ("time", read.time or 0.0)):
             if not math.isfinite(value):
                 raise MachineError(f"{self.description.name}: sample: {what} is {value}, which is not a number")
+        unknown = list[str]()
+        force = self._known("force", read.force, self._force_bounds, unknown)
+        position = self._known("position", read.position, self._position_bounds, unknown)
         device_ns = None if read.time is None else self._device_time(read.time, read.acquired_ns)
         if self.description.status is None or read.status is None:
-            mode = self._motion.mode(read.acquired_ns, read.position)
+            mode = self._motion.mode(read.acquired_ns, position)
         else:
             mode = self.description.status.mode(read.status)
         stamp_ns = read.acquired_ns + wall_minus_monotonic_ns()
-        return Sample(stamp_ns, mode, read.force, read.position, device_ns)
+        return Sample(stamp_ns, mode, force, position, device_ns, unknown="; ".join(unknown))
+
+    def _known(self, what: str, value: float, bounds: Bounds, unknown: list[str]) -> float:
+        """Return a value that the machine can show; otherwise NaN, and append the reason to a list.
+
+        Machines answer with numbers for what they have not measured: 9.91E37 is the not-a-number of SCPI, 9.9E37 and
+        -9.9E37 are its overload.
+        """
+        if bounds.contain(value):
+            return value
+        reply = self.replies.get(what, f"{value:g}")
+        unknown.append(f"{self.description.name}: the {what} is unknown: {reply}, outside {bounds.words}")
+        return math.nan
 
     def _device_time(self, time_s: float, acquired_ns: int) -> int:
         """Return the time of the machine [ns], which has to be possible and to advance."""

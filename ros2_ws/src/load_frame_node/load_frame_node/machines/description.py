@@ -13,14 +13,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
 from fringedic.errors import ConfigurationError
 from fringedic.inputs.yaml_text import load_yaml
-from load_frame_node.machines.machine import LoadMode
+from load_frame_node.machines.machine import FARTHEST_M, LARGEST_FORCE_N, LoadMode
 
 ForceUnit = Literal["mN", "N", "kN"]
 LengthUnit = Literal["um", "mm", "m"]
@@ -30,6 +30,8 @@ TimeUnit = Literal["us", "ms", "s"]
 _SI = {"mN": 1e-3, "N": 1.0, "kN": 1e3, "um": 1e-6, "mm": 1e-3, "m": 1.0}
 _SI |= {"us": 1e-6, "ms": 1e-3, "s": 1.0}
 _SI |= {"um/s": 1e-6, "mm/s": 1e-3, "mm/min": 1e-3 / 60, "m/s": 1.0}
+
+_BEYOND_LIMITS_MM = 2000.0  # a crosshead is parked outside the range of a test, but not further than its frame is high
 
 
 class Section(BaseModel):
@@ -97,6 +99,26 @@ class Limits(Section):
         return self
 
 
+class Bounds(NamedTuple):
+    """Values that a machine can show; one outside is not known.
+
+    Attributes
+    ----------
+    lowest, highest
+        In SI units.
+    words
+        The bounds with their origin, for messages.
+    """
+
+    lowest: float
+    highest: float
+    words: str
+
+    def contain(self, value: float) -> bool:
+        """Return whether the machine can show a value."""
+        return self.lowest <= value <= self.highest
+
+
 class MachineSection(Section):
     """Keys of every protocol."""
 
@@ -106,6 +128,31 @@ class MachineSection(Section):
     limits: Limits | None = Field(
         None, description="Moves beyond them are not sent to the machine; required for moves."
     )
+    force_range_n: tuple[float, float] | None = Field(
+        None, description="Smallest and largest force of the load cell [N]; a value outside is not known."
+    )
+
+    @model_validator(mode="after")
+    def _force_range_is_in_order(self) -> MachineSection:
+        if self.force_range_n is not None and self.force_range_n[0] >= self.force_range_n[1]:
+            raise ValueError(f"force_range_n {list(self.force_range_n)}: give the smaller force first")
+        return self
+
+    @property
+    def force_bounds(self) -> Bounds:
+        """Forces that the machine can show [N]."""
+        lowest, highest = self.force_range_n or (-LARGEST_FORCE_N, LARGEST_FORCE_N)
+        origin = "force_range_n" if self.force_range_n else "no testing machine shows more; give force_range_n"
+        return Bounds(lowest, highest, f"{lowest:g} to {highest:g} N ({origin})")
+
+    @property
+    def position_bounds(self) -> Bounds:
+        """Positions that the crosshead can have [m]: the range of the requests and 2 m on either side."""
+        lowest, highest, origin = -1e3 * FARTHEST_M, 1e3 * FARTHEST_M, "no crosshead is farther; give limits"
+        if self.limits is not None:
+            lowest, highest = self.limits.lowest_mm - _BEYOND_LIMITS_MM, self.limits.highest_mm + _BEYOND_LIMITS_MM
+            origin = f"limits and {_BEYOND_LIMITS_MM:g} mm on either side"
+        return Bounds(1e-3 * lowest, 1e-3 * highest, f"{lowest:g} to {highest:g} mm ({origin})")
 
     # each protocol declares these with its own type
     status: Any = None

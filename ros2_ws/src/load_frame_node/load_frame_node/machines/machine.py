@@ -13,6 +13,7 @@ from fringedic.errors import MachineError, MachineGoneError
 
 Answer = TypeVar("Answer")
 
+LARGEST_FORCE_N, FARTHEST_M = 1e9, 100.0  # beyond those of every testing machine
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 8.0  # between two attempts to connect to a lost machine
 
 
@@ -43,6 +44,8 @@ class Sample(NamedTuple):
         The same time on the clock of the machine [ns]; None when the machine does not report it.
     begun_s
         Start of the acquisition on the monotonic clock, which is never set [s]; the crosshead adds it.
+    unknown
+        Why force or position is NaN although the machine has answered, with its reply; empty when both are known.
     """
 
     stamp_ns: int
@@ -51,6 +54,12 @@ class Sample(NamedTuple):
     position: float
     device_ns: int | None = None
     begun_s: float = -math.inf
+    unknown: str = ""
+
+    @classmethod
+    def without_answer(cls, begun_s: float) -> Sample:
+        """Return the sample of a machine that does not answer: everybody who relies on a hold must see that."""
+        return cls(time.time_ns(), LoadMode.UNKNOWN, math.nan, math.nan, begun_s=begun_s)
 
 
 class Machine(Protocol):
@@ -114,7 +123,7 @@ class Motion:
         self._past: deque[tuple[int, float]] = deque()
 
     def mode(self, acquired_ns: int, position: float) -> LoadMode:
-        """Return MOVING or HOLD; UNKNOWN until the positions cover the span, and after a clock that jumped back.
+        """Return MOVING or HOLD; UNKNOWN until known positions cover the span, and after a clock that jumped back.
 
         Parameters
         ----------
@@ -122,8 +131,11 @@ class Motion:
             Time of acquisition on the monotonic clock [ns]: a motion would look like a hold on a clock that is set
             forward.
         position
-            Position of the crosshead [m].
+            Position of the crosshead [m]; NaN when it is not known.
         """
+        if math.isnan(position):
+            self._past.clear()
+            return LoadMode.UNKNOWN
         if self._past and acquired_ns <= self._past[-1][0]:
             self._past.clear()
         self._past.append((acquired_ns, position))

@@ -49,6 +49,8 @@ class ModbusMachine(DescribedMachine[ModbusDescription]):
         before = time.monotonic_ns()
         force, position, *others = self._numbers(places)
         acquired = (before + time.monotonic_ns()) // 2
+        for what, place, number in (("force", places[0], force), ("position", places[1], position)):
+            self.replies[what] = f"register {place.register_} contains {number:g}"
         return Reading(
             acquired,
             description.force.si(force),

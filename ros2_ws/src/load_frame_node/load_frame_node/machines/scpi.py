@@ -91,6 +91,7 @@ class ScpiMachine(DescribedMachine[ScpiDescription]):
 
     def _number(self, what: str, query: Query) -> float:
         answer = self._answer(query.query)
+        self.replies[what] = f"'{query.query}' was answered with '{answer[:_SHOWN]}'"
         if not _NUMBER.fullmatch(answer):
             # possibly the late answer to an earlier query: a new connection starts without pending answers
             raise MachineGoneError(
