@@ -1,8 +1,9 @@
 """A testing machine with Modbus TCP, as a process: pymodbus's server before the simulated load frame.
 
-Registers, as the machine file of the tests names them: 0 force [N], 2 position [mm], 4 status, 6 time since the start
-[ms] by a clock that is 1 % too fast, 10 target [mm], 12 speed [mm/s]; coils: 0 starts a move, 1 holds, 2 breaks the
-load cell, 3 reports a fault, 4 makes it accept holds without following them.
+Registers, as the machine file of the tests names them: 0 force [N], 2 position [mm], 4 status, 5 the same as bits (0
+idle, 1 moving, 2 hold, 3 fault, 7 always set), 6 time since the start [ms] by a clock that is 1 % too fast, 10 target
+[mm], 12 speed [mm/s]; coils: 0 starts a move, 1 holds, 2 breaks the load cell, 3 reports a fault, 4 makes it accept
+holds without following them. With a second argument the bytes of every register are swapped.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ READ_HOLDING, WRITE_COIL = 3, 5
 
 
 class Registers:
-    def __init__(self) -> None:
+    def __init__(self, *, are_swapped: bool) -> None:
+        self.are_swapped = are_swapped
         configuration = VirtualRigConfiguration.from_dict({"preset": "plate"})
         self.machine = SimulatedMachine(SimulatedLoadFrame(configuration.load_frame, seed=1))
         self.holding: list[int] = []
@@ -49,7 +51,11 @@ class Registers:
             current[2:4] = words(1e3 * sample.position)
             current[4] = 99 if self.fault else STATUS[sample.mode]
             passed = round(1.01e3 * (time.monotonic() - self.started))
+            bits = {LoadMode.IDLE: 1, LoadMode.MOVING: 2, LoadMode.HOLD: 4}[sample.mode]
+            current[5] = bits | self.fault << 3 | 0x80
             current[6:8] = [passed >> 16, passed & 0xFFFF]
+            if self.are_swapped:
+                current[0:8] = [swapped(each) for each in current[0:8]]
         elif function == WRITE_COIL and new:
             return self.switch(address, bool(new[0]))
         elif new and address >= 10:
@@ -58,8 +64,9 @@ class Registers:
 
     def switch(self, coil: int, on: bool) -> ExcCodes | None:
         if coil == 0 and on:
+            written = [swapped(each) for each in self.holding] if self.are_swapped else self.holding
             try:
-                self.machine.move_to(1e-3 * number(self.holding[10:12]), 1e-3 * number(self.holding[12:14]))
+                self.machine.move_to(1e-3 * number(written[10:12]), 1e-3 * number(written[12:14]))
             except CrossheadRangeError:
                 return ExcCodes.ILLEGAL_VALUE
         elif coil == 1 and on and not self.deaf:
@@ -81,8 +88,12 @@ def number(registers: list[int]) -> float:
     return float(struct.unpack(">f", struct.pack(">HH", *registers))[0])
 
 
-async def serve(port: int) -> None:
-    registers = Registers()
+def swapped(register: int) -> int:
+    return int.from_bytes(register.to_bytes(2, "big"), "little")
+
+
+async def serve(port: int, *, are_swapped: bool) -> None:
+    registers = Registers(are_swapped=are_swapped)
     bits = [SimData(0, values=[False] * 16, datatype=DataType.BITS)]
     numbers = [SimData(0, count=32, values=0, datatype=DataType.REGISTERS)]
     device = SimDevice(1, (bits, bits, numbers, numbers), action=registers.access)
@@ -94,4 +105,4 @@ async def serve(port: int) -> None:
 
 
 if __name__ == "__main__":
-    asyncio.run(serve(int(sys.argv[1])))
+    asyncio.run(serve(int(sys.argv[1]), are_swapped=len(sys.argv) > 2))

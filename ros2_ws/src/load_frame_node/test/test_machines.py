@@ -11,7 +11,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ import pytest
 import pyvisa
 import rclpy
 import yaml
-from fuzzed_replies import fuzz
+from fuzzed_replies import KINDS, fuzz
 from geometry_msgs.msg import WrenchStamped
 from pymodbus.client import ModbusTcpClient
 from rclpy.action import ActionClient
@@ -40,7 +40,7 @@ from fringedic_ros.qos import LATCHED, STATE
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.testing import NodeProcess, Peer
 from load_frame_node.crosshead import Crosshead
-from load_frame_node.machines import LoadMode, Machine, Sample, SimulatedMachine, load_machine, open_machine
+from load_frame_node.machines import DescribedMachine, LoadMode, Sample, SimulatedMachine, load_machine, open_machine
 from load_frame_node.machines.machine import Motion
 
 HERE = Path(__file__).parent
@@ -71,9 +71,9 @@ SCPI: dict[str, Any] = {
 
 
 @contextmanager
-def server(script: str, port: int = 0) -> Iterator[tuple[subprocess.Popen[str], int]]:
+def server(script: str, port: int = 0, *options: str) -> Iterator[tuple[subprocess.Popen[str], int]]:
     """Run a machine; it listens on `port`, or on a free one."""
-    command = [sys.executable, str(HERE / script), str(port)]
+    command = [sys.executable, str(HERE / script), str(port), *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
@@ -92,14 +92,16 @@ def counts_um(scale: float) -> dict[str, Any]:
     return {"register": 2, "type": "int32", "unit": "um", "scale": scale}
 
 
-def opened(content: dict[str, Any], folder: Path) -> Machine:
+def opened(content: dict[str, Any], folder: Path) -> DescribedMachine[Any]:
     path = folder / "machine.yaml"
     path.write_text(yaml.safe_dump(content))
     return open_machine(load_machine(path))
 
 
 @contextmanager
-def machine(kind: str, folder: Path, **changes: Any) -> Iterator[tuple[Machine, subprocess.Popen[str], int]]:
+def machine(
+    kind: str, folder: Path, **changes: Any
+) -> Iterator[tuple[DescribedMachine[Any], subprocess.Popen[str], int]]:
     with server(f"{kind}_machine.py") as (process, port):
         connected = opened({**description(kind, port), **changes}, folder)
         try:
@@ -117,7 +119,7 @@ def modbus(folder: Path, **changes: Any) -> Iterator[tuple[subprocess.Popen[str]
         yield process, port, {"source": "machine", "machine_file": str(path), "rate_hz": 50.0}
 
 
-def until(connected: Machine, mode: LoadMode) -> Sample:
+def until(connected: DescribedMachine[Any], mode: LoadMode) -> Sample:
     deadline = time.monotonic() + 180
     while (sample := connected.sample()).mode is not mode:
         assert time.monotonic() < deadline, f"still {sample}"
@@ -204,7 +206,7 @@ def test_modbus_machine_that_refuses_or_sends_nonsense(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "words"), [("BABBLE", r"'\?#!', which is not a number"), ("SILENT", "has no answer: .*[Tt]imeout")]
+    ("command", "words"), [("BABBLE", r"'\?#!', which is not a number"), ("SILENT", "has no answer within 2 s")]
 )
 def test_scpi_machine_that_babbles_or_is_silent(command: str, words: str, tmp_path: Path) -> None:
     with machine("scpi", tmp_path, timeout_s=2.0, hold=[command]) as (connected, _, _):
@@ -261,6 +263,41 @@ def test_scpi_machine_that_acknowledges_its_commands_is_refused(tmp_path: Path) 
             connected.sample()
 
 
+def test_modbus_machine_with_swapped_bytes(tmp_path: Path) -> None:
+    with server("modbus_machine.py", 0, "swapped") as (_, port):
+        file = description("modbus", port)
+        with closing(opened({**file, "byte_order": "little"}, tmp_path)) as connected:
+            assert connected.sample().mode is LoadMode.IDLE
+            connected.move_to(0.4 * MM, 2 * MM)
+            until(connected, LoadMode.MOVING)
+            until(connected, LoadMode.HOLD)
+            assert connected.sample().position == pytest.approx(0.4 * MM, abs=1e-8)
+        with closing(opened(file, tmp_path)) as connected:
+            force, position, status = connected.inspect()
+        words = "makes no sense; with word_order: big and byte_order: little it would be"
+        assert f"{words} 12" in str(status.error)
+        for answer in (force, position):  # a wrong order may also give a sensible number
+            assert answer.error is None or words in str(answer.error)
+
+
+def test_modbus_status_as_bits(tmp_path: Path) -> None:
+    bits = {
+        "register": 5,
+        "idle": [{"bits_set": [0, 7], "bits_clear": [1, 2]}],
+        "moving": [{"bits_set": [1]}],
+        "hold": [{"bits_set": [2, 7]}],
+        "fault": [{"bits_set": [3]}],
+    }
+    with machine("modbus", tmp_path, status=bits) as (connected, _, port):
+        assert connected.sample().mode is LoadMode.IDLE
+        connected.move_to(0.4 * MM, 2 * MM)
+        until(connected, LoadMode.MOVING)
+        until(connected, LoadMode.HOLD)
+        switch(port, 3, on=True)
+        assert connected.sample().mode is LoadMode.FAULT, "it is also on hold"
+        assert [answer.raw for answer in connected.inspect()][2] == "0x008C"
+
+
 def test_modbus_value_that_does_not_fit_its_register(tmp_path: Path) -> None:
     """A position in micrometres of 16 bits ends at 32.8 mm."""
     position = {"register": 10, "type": "int16", "unit": "um"}
@@ -271,9 +308,9 @@ def test_modbus_value_that_does_not_fit_its_register(tmp_path: Path) -> None:
         assert connected.sample().mode is LoadMode.IDLE
 
 
-@pytest.mark.parametrize("protocol", ["modbus", "scpi"])
-def test_only_a_hold_that_the_machine_reports_is_believed(protocol: str) -> None:
-    modes = fuzz(protocol, 1000)
+@pytest.mark.parametrize("kind", KINDS)
+def test_only_a_hold_that_the_machine_reports_is_believed(kind: str) -> None:
+    modes = fuzz(kind, 1000)
     assert set(modes) == {"refused", "HOLD", "MOVING", "UNKNOWN"}, modes
     assert min(modes.values()) > 5, modes
 

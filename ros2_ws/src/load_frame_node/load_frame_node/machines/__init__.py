@@ -1,6 +1,9 @@
 """Testing machines: each gives samples and accepts requests for moves and for a hold."""
 
+from typing import Any
+
 from fringedic.errors import MachineError
+from load_frame_node.machines.described import Answer, DescribedMachine
 from load_frame_node.machines.description import (
     MachineDescription,
     ModbusDescription,
@@ -13,7 +16,7 @@ from load_frame_node.machines.scpi import ScpiMachine
 from load_frame_node.machines.simulated import SimulatedMachine
 
 
-def open_machine(description: MachineDescription, *, is_required: bool = True) -> Machine:
+def open_machine(description: MachineDescription, *, is_required: bool = True) -> DescribedMachine[Any]:
     """Connect to the machine of a description.
 
     Parameters
@@ -26,7 +29,9 @@ def open_machine(description: MachineDescription, *, is_required: bool = True) -
     MachineError
         The machine does not answer.
     """
-    machine = ModbusMachine(description) if isinstance(description, ModbusDescription) else ScpiMachine(description)
+    machine: DescribedMachine[Any] = (
+        ModbusMachine(description) if isinstance(description, ModbusDescription) else ScpiMachine(description)
+    )
     if is_required:
         try:
             machine.sample()
@@ -37,6 +42,8 @@ def open_machine(description: MachineDescription, *, is_required: bool = True) -
 
 
 __all__ = [
+    "Answer",
+    "DescribedMachine",
     "LoadMode",
     "Machine",
     "MachineDescription",

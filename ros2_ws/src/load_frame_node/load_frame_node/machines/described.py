@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import time
 from abc import ABC, abstractmethod
-from typing import Generic, NamedTuple, TypeVar
+from collections.abc import Iterator
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from fringedic.errors import CrossheadRangeError, MachineError
 from fringedic.recording.clocks import wall_minus_monotonic_ns
 from load_frame_node.machines.description import Bounds, MachineSection
-from load_frame_node.machines.machine import Link, Motion, Sample
+from load_frame_node.machines.machine import Link, LoadMode, Motion, Sample
 
 DescriptionT = TypeVar("DescriptionT", bound=MachineSection)
 
@@ -28,6 +30,30 @@ class Reading(NamedTuple):
     time: float | None = None
 
 
+class Answer(NamedTuple):
+    """Answer of the machine to one entry of its file.
+
+    Attributes
+    ----------
+    entry
+        Name of the entry: force, position, status or time.
+    request
+        Query or registers.
+    raw
+        The answer as it was received; empty when there was none.
+    value
+        Its meaning: force [N], position [m], time [s] or status; None when it has none.
+    error
+        Why it does not fit the file, and what to change there; None when it fits.
+    """
+
+    entry: str
+    request: str
+    raw: str
+    value: float | int | str | None
+    error: MachineError | None = None
+
+
 class DescribedMachine(ABC, Generic[DescriptionT]):
     """A machine whose connection may be lost and opened again.
 
@@ -37,11 +63,21 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
         Content of the machine file.
     place
         Address of the machine for messages.
+
+    Attributes
+    ----------
+    description
+        Content of the machine file.
+    title
+        Name and address of the machine.
+    replies
+        The latest reply for each entry of the file, in words.
     """
 
     def __init__(self, description: DescriptionT, place: str) -> None:
         self.description = description
-        self._link = Link(f"{description.name} at {place}", self.connect, self.disconnect)
+        self.title = f"{description.name} at {place}"
+        self._link = Link(self.title, self.connect, self.disconnect)
         self._motion = Motion(1e-3 * description.motion.slowest_mm_per_s, description.motion.span_s)
         self._device_ns, self._advanced_ns = -1, 0  # its time, and when that was new on the monotonic clock
         self._force_bounds, self._position_bounds = description.force_bounds, description.position_bounds
@@ -81,6 +117,24 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
         reply = self.replies.get(what, f"{value:g}")
         unknown.append(f"{self.description.name}: the {what} is unknown: {reply}, outside {bounds.words}")
         return math.nan
+
+    def inspect(self) -> list[Answer]:
+        """Return the answer to each entry of the file, also of those that do not fit; nothing else is sent.
+
+        Raises
+        ------
+        MachineGoneError
+            The machine cannot be reached, or answers nothing at all.
+        """
+        answers = self._link.ask("queries", self._single_answers)
+        return [each if each.error is not None else each._replace(error=self.doubt(each)) for each in answers]
+
+    def _single_answers(self) -> list[Answer]:
+        answers = list(self.single_answers())
+        first = answers[0].error
+        if first is not None and not any(answer.raw for answer in answers):
+            raise first
+        return answers
 
     def _device_time(self, time_s: float, acquired_ns: int) -> int:
         """Return the time of the machine [ns], which has to be possible and to advance."""
@@ -146,9 +200,52 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
     def disconnect(self) -> None:
         """End the connection in whatever state it is."""
 
-    @abstractmethod
     def read(self) -> Reading:
-        """Read force, position, status and time."""
+        """Read force, position, status and time; the time of the reading is the middle of all requests.
+
+        Raises
+        ------
+        MachineError
+            There is no answer, or one that does not fit the file.
+        """
+        values: dict[str, Any] = {}
+        before = time.monotonic_ns()
+        for answer in self.answers():
+            if answer.error is not None:
+                raise answer.error
+            values[answer.entry] = answer.value
+        acquired = (before + time.monotonic_ns()) // 2
+        return Reading(acquired, values["force"], values["position"], values.get("status"), values.get("time"))
+
+    def single_answers(self) -> Iterator[Answer]:
+        """Ask for each entry by itself, so that one that the machine refuses does not hide the others."""
+        return self.answers()
+
+    def doubt(self, answer: Answer) -> MachineError | None:
+        """Return why an answer is doubtful although it fits the file, and what to change there; None if it is not."""
+        status, value = self.description.status, answer.value
+        if answer.entry == "status" and status is not None and value is not None:
+            if status.mode(value) is LoadMode.UNKNOWN:
+                return MachineError(f"status: {value!r} is in no list of status: add it to idle, moving, hold or fault")
+        elif isinstance(value, float) and not math.isfinite(value):
+            return MachineError(f"{answer.entry}: {value} is not a number")
+        return None
+
+    @abstractmethod
+    def answers(self) -> Iterator[Answer]:
+        """Ask for force, position, status and time; answers that do not fit the file contain their error."""
+
+    def start_requests(self) -> list[str]:
+        """Return what is sent after connecting, for people."""
+        return []
+
+    @abstractmethod
+    def move_requests(self, position: float, speed: float) -> list[str]:
+        """Return what a move would send, for people; the description has one."""
+
+    @abstractmethod
+    def hold_requests(self) -> list[str]:
+        """Return what a hold would send, for people; the description has one."""
 
     @abstractmethod
     def send_move(self, position: float, speed: float) -> None:

@@ -13,10 +13,19 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    StrictStr,
+    TypeAdapter,
+    ValidationError,
+    model_validator,
+)
 
 from fringedic.errors import ConfigurationError
 from fringedic.inputs.yaml_text import load_yaml
@@ -53,28 +62,64 @@ class Scaled(Section):
             raise ValueError("scale is 0: every value would be the same")
         return self
 
-    def si(self, number: float) -> float:
-        """Return the SI value of a number received from the machine."""
+    def si(self, number: float, unit: str | None = None) -> float:
+        """Return the SI value of a number received from the machine, in `unit` if the machine has named one."""
+        if unit is not None:
+            number *= _SI[unit] / _SI[self.unit]
         return (self.scale * number + self.offset) * _SI[self.unit]
 
     def number(self, si: float) -> float:
         """Return the number to send for an SI value."""
         return (si / _SI[self.unit] - self.offset) / self.scale
 
+    @property
+    def units(self) -> tuple[str, ...]:
+        """The units that the value may have."""
+        return get_args(type(self).model_fields["unit"].annotation)
+
+
+BitNumbers = list[Annotated[int, Field(ge=0, le=63)]]
+
+
+class Bits(Section):
+    """Bits of a status that is a number, counted from 0 for the lowest; the others may have any value."""
+
+    bits_set: BitNumbers = []
+    bits_clear: BitNumbers = []
+
+    @model_validator(mode="after")
+    def _can_be_met(self) -> Bits:
+        if not self.bits_set and not self.bits_clear:
+            raise ValueError("every status has no bits; give bits_set or bits_clear")
+        both = set(self.bits_set) & set(self.bits_clear)
+        if both:
+            raise ValueError(f"bit {min(both)} is in bits_set and in bits_clear")
+        return self
+
+    def match(self, status: int | str) -> bool:
+        """Return whether a status has these bits."""
+        if isinstance(status, str):
+            return False
+        return all(status >> bit & 1 for bit in self.bits_set) and not any(status >> bit & 1 for bit in self.bits_clear)
+
+
+StatusValue = Bits | int | str
+
 
 class Modes(Section):
-    """Status values of each mode, numbers or words; every other status is UNKNOWN."""
+    """Status values of each mode: numbers, words or bits; every other status is UNKNOWN."""
 
-    idle: list[int | str] = []
-    moving: list[int | str]
-    hold: list[int | str] = []
-    fault: list[int | str] = []
+    idle: list[StatusValue] = []
+    moving: list[StatusValue]
+    hold: list[StatusValue] = []
+    fault: list[StatusValue] = []
 
     def mode(self, status: int | str) -> LoadMode:
-        """Return the mode of a status."""
-        for mode in (LoadMode.IDLE, LoadMode.MOVING, LoadMode.HOLD, LoadMode.FAULT):
-            if status in getattr(self, mode.name.lower()):
-                return mode
+        """Return the mode of a status; with bits of several modes a fault comes first, then a motion."""
+        for mode in (LoadMode.FAULT, LoadMode.MOVING, LoadMode.HOLD, LoadMode.IDLE):
+            for each in getattr(self, mode.name.lower()):
+                if each.match(status) if isinstance(each, Bits) else status == each:
+                    return mode
         return LoadMode.UNKNOWN
 
 
@@ -159,6 +204,11 @@ class MachineSection(Section):
     move: Any = None
     hold: Any = None
 
+    def entries(self) -> list[tuple[str, Any]]:
+        """Return name and section of each value that is read, in the order of reading."""
+        named = ((name, getattr(self, name)) for name in ("force", "position", "status", "time"))
+        return [(name, entry) for name, entry in named if entry is not None]
+
 
 NumberType = Literal["int16", "uint16", "int32", "uint32", "float32", "float64"]
 
@@ -232,6 +282,7 @@ class ModbusDescription(MachineSection):
     port: int = Field(502, ge=1, le=65535)
     device: int = Field(1, ge=0, le=255, description="Unit identifier of the device at this address.")
     word_order: Literal["big", "little"] = Field("big", description="Order of the registers of one number.")
+    byte_order: Literal["big", "little"] = Field("big", description="Order of the two bytes in every register.")
     force: ForceRegister
     position: LengthRegister
     time: TimeRegister | None = Field(None, description="Clock of the machine; its drift is reported.")
@@ -257,34 +308,54 @@ class ModbusDescription(MachineSection):
         return self
 
 
-class Query(Scaled):
-    """A query whose answer is a number."""
+class Query(Section):
+    """A query and the place of the value in its reply."""
 
     query: str
+    separator: str | None = Field(
+        None, min_length=1, description="Between several values of one reply; a blank stands for any number of them."
+    )
+    index: int = Field(0, ge=0, le=255, description="Of the value among them, from 0.")
+
+    @model_validator(mode="after")
+    def _has_a_place(self) -> Query:
+        if self.index and self.separator is None:
+            raise ValueError(f"index {self.index} needs separator: the text between the values of a reply")
+        return self
 
 
-class ForceQuery(Query):
+class NumberQuery(Query, Scaled):
+    """A query whose reply is a number, with or without a unit."""
+
+    decimal: Literal[".", ","] = Field(".", description="Decimal sign of the reply.")
+
+    @model_validator(mode="after")
+    def _signs_differ(self) -> NumberQuery:
+        if self.separator == self.decimal:
+            raise ValueError(f"separator and decimal are both '{self.decimal}'")
+        return self
+
+
+class ForceQuery(NumberQuery):
     """Query of the force."""
 
     unit: ForceUnit = "N"
 
 
-class LengthQuery(Query):
+class LengthQuery(NumberQuery):
     """Query of the position."""
 
     unit: LengthUnit = "mm"
 
 
-class TimeQuery(Query):
+class TimeQuery(NumberQuery):
     """Query of the time on the clock of the machine."""
 
     unit: TimeUnit = "ms"
 
 
-class StatusQuery(Modes):
+class StatusQuery(Query, Modes):
     """Query of the state of the machine."""
-
-    query: str
 
 
 class ScpiMove(Section):
@@ -311,13 +382,37 @@ class ScpiMove(Section):
         return [command.format(**numbers) for command in self.commands]
 
 
+class SerialSection(Section):
+    """Settings of a serial line, named as in PyVISA."""
+
+    baud_rate: int = Field(9600, ge=50, le=4_000_000)
+    data_bits: Literal[5, 6, 7, 8] = 8
+    parity: Literal["none", "even", "odd"] = "none"
+    stop_bits: Literal[1, 1.5, 2] = 1
+    flow_control: Literal["none", "xon_xoff", "rts_cts", "dtr_dsr"] = Field("none", description="Handshake.")
+
+
+def _as_text(value: Any) -> Any:
+    """Return a number of the file as text, since a reply is a text: `acknowledge: 0`; false is none."""
+    if isinstance(value, bool):
+        return value or None
+    return str(value) if isinstance(value, int) else value
+
+
 class ScpiDescription(MachineSection):
     """A machine with text commands (SCPI) over a VISA resource."""
 
     protocol: Literal["scpi"]
     resource: str = Field(description="VISA resource, such as TCPIP::192.168.1.10::5025::SOCKET or ASRL/dev/ttyUSB0.")
     backend: str = Field("@py", description="VISA library of PyVISA.")
-    termination: str = "\n"
+    serial: SerialSection | None = Field(None, description="Of a serial line (resource ASRL...).")
+    termination: str = Field("\n", min_length=1, description="End of requests and replies.")
+    read_termination: str | None = Field(None, min_length=1, description="End of replies, if it differs.")
+    write_termination: str | None = Field(None, min_length=1, description="End of requests, if it differs.")
+    echo: bool = Field(False, description="The machine repeats each request before it answers.")
+    acknowledge: Annotated[Literal[True] | StrictStr | None, BeforeValidator(_as_text)] = Field(
+        None, description="The machine answers each command with this text; true: with any line."
+    )
     start: list[str] = Field([], description="Commands sent after connecting.")
     force: ForceQuery
     position: LengthQuery
@@ -325,6 +420,36 @@ class ScpiDescription(MachineSection):
     status: StatusQuery | None = None
     move: ScpiMove | None = None
     hold: list[str] = Field([], description="Commands that request a hold.")
+
+    @property
+    def is_serial(self) -> bool:
+        """Whether the resource is a serial line."""
+        return self.resource.upper().startswith("ASRL")
+
+    @property
+    def end_of_reply(self) -> str:
+        """The text after which a reply is complete."""
+        return self.read_termination or self.termination
+
+    @property
+    def end_of_request(self) -> str:
+        """The text after which the machine answers."""
+        return self.write_termination or self.termination
+
+    @model_validator(mode="after")
+    def _serial_settings_have_a_line(self) -> ScpiDescription:
+        if self.serial is not None and not self.is_serial:
+            raise ValueError(
+                f"serial belongs to a serial line (ASRL...), and the resource is {self.resource}; leave serial out"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _replies_have_an_end(self) -> ScpiDescription:
+        end = self.end_of_reply
+        if end[-1] in end[:-1]:
+            raise ValueError(f"read_termination {end!r} contains its last character twice; give a shorter one")
+        return self
 
     @model_validator(mode="after")
     def _moves_can_be_stopped(self) -> ScpiDescription:
