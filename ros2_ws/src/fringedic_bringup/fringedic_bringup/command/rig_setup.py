@@ -123,6 +123,29 @@ def live(
             draw_continuously(console, views, pattern, path.stem)
 
 
+@app.command(rich_help_panel=SET_UP, epilog="Example: fringedic machine frame.yaml --once")
+def machine(
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE", help="Machine file, with the protocol of the machine.", callback=begin)
+    ],
+    once: Annotated[
+        bool, typer.Option("--once", help="Look once, and end; exit code 1 when something does not fit.")
+    ] = False,
+) -> None:
+    """Show what a testing machine answers, what it means and what to change in its file; the machine is not moved."""
+    from fringedic_bringup.display.machine import draw_continuously, look, print_view, requests
+    from load_frame_node.machines import load_machine, open_machine
+
+    with suppress(KeyboardInterrupt), closing(open_machine(load_machine(file), is_required=False)) as connected:
+        if not once and console.is_terminal:
+            draw_continuously(console, connected, requests(connected))
+        say(*requests(connected))
+        view = look(connected)
+        print_view(console, connected, view)
+        if view.problems:
+            raise typer.Exit(1)
+
+
 @app.command(rich_help_panel=SET_UP, epilog="Example: fringedic noise plate.yaml --output noise")
 def noise(
     context: typer.Context,
