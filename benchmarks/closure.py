@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 from coupling import SPACING, Rendered, render
 
-from fringedic.results.confirmation import LIMIT
+from fringedic.datasets.confirmation import LIMIT
 from fringedic.steps.closures import ClosureChecks
 from fringedic.virtual_rig import VirtualRig
 

@@ -19,7 +19,7 @@ from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 
 from fringedic.configuration.fringe_images import FringeImageDescription
 from fringedic.figures.phase_images import save_phase_picture
-from fringedic.results import measure_phase_images
+from fringedic.images import measure_phase_images
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "docs" / "validation" / "real_fringes.md"

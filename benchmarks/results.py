@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fringedic.results.quantities import MAPS
-from fringedic.results.rows import Row
-from fringedic.results.writer import DatasetWriter
+from fringedic.datasets.quantities import MAPS
+from fringedic.datasets.rows import Row
+from fringedic.datasets.writer import DatasetWriter
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.recorded_parameters import StepSettings
 
@@ -30,7 +30,7 @@ REPEATS = 3
 MEASURE = """
     import json, sys, time
     import fringedic
-    from fringedic.results import open_experiment
+    from fringedic.datasets import open_experiment
 
     start = time.perf_counter()
     dataset = open_experiment(sys.argv[1])

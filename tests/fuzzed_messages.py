@@ -21,9 +21,9 @@ from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image
 
+from fringedic.datasets.processing import process_bag
 from fringedic.errors import FringedicError, RecordingError
 from fringedic.recording import BagReader, BagWriter
-from fringedic.results.datasets import process_bag
 from fringedic_bringup.launch.environment import node_environment, private_domain
 from fringedic_msgs.msg import Exposure, StepStatus
 from fringedic_ros.qos import EVENTS, IMAGES

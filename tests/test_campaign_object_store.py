@@ -18,11 +18,11 @@ from running_system import ROOT
 
 import fringedic
 from fringedic.campaign import Campaign, CampaignStore, Receipt, Serial, load_campaign, status_of, update_plan
+from fringedic.datasets.processing import PROCESSED_TOPICS
 from fringedic.errors import CampaignError
 from fringedic.recording import BagReader, BagWriter, Topic
 from fringedic.recording.bag_files import open_file
 from fringedic.recording.remote import RemoteRecording
-from fringedic.results.datasets import PROCESSED_TOPICS
 
 RECORDED = ROOT / "ros2_ws" / "src" / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
 pytestmark = [

@@ -12,9 +12,9 @@ from running_system import CONFIG, WORKING, Killer
 
 import fringedic
 from fringedic.configuration.programme import Programme
+from fringedic.evaluation.truth import open_truth
 from fringedic.recording.reader import BagReader
 from fringedic.recording.verification import verify
-from fringedic.results.truth import open_truth
 from fringedic_bringup.procedures.run import load_rig, run_experiment
 
 PROGRAMME = {

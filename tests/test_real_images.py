@@ -12,8 +12,8 @@ from running_system import CONFIG, ROOT, Progress
 import fringedic
 from fringedic.configuration.fringe_images import FringeImageDescription
 from fringedic.frames.messages import image_array
+from fringedic.images import measure_phase_images
 from fringedic.recording.reader import BagReader
-from fringedic.results import measure_phase_images
 from fringedic_bringup.procedures.run import load_rig, run_experiment
 
 DATA = Path(os.environ.get("FRINGEDIC_DATA", ROOT.parent / "shared" / "data"))

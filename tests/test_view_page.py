@@ -18,8 +18,8 @@ from playwright.sync_api import Browser, Page, Route, expect
 from running_system import RecordedExperiment, free_port, wait_until, without_ros
 
 import fringedic
+from fringedic.evaluation import extensometer
 from fringedic.figures.palettes import palette
-from fringedic.results import extensometer
 
 pytestmark = pytest.mark.browser
 VIEWS = {"maps": "canvas.map[aria-label]", "curves": "circle.dot", "space": "#space"}  # and a part of each

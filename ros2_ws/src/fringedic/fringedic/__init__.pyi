@@ -13,8 +13,12 @@ from .configuration import load_rig_file as load_rig_file
 from .correlation import Reference as Reference
 from .correlation import accumulate as accumulate
 from .correlation import measure_displacement as measure_displacement
+from .datasets import open_experiment as open_experiment
+from .datasets import process_bag as process_bag
 from .errors import FringedicError as FringedicError
+from .evaluation import compare_experiments as compare_experiments
 from .frames.region import Region as Region
+from .images import measure_images as measure_images
 from .models import compare_model as compare_model
 from .models import compare_shape as compare_shape
 from .models import read_model as read_model
@@ -27,10 +31,6 @@ from .phase import demodulate as demodulate
 from .phase import unwrap_hierarchical as unwrap_hierarchical
 from .phase import unwrap_spatial as unwrap_spatial
 from .report import write_report as write_report
-from .results import compare_experiments as compare_experiments
-from .results import measure_images as measure_images
-from .results import open_experiment as open_experiment
-from .results import process_bag as process_bag
 from .rig import RigModel as RigModel
 from .rig_setup.advice import Advice as Advice
 from .rig_setup.recommended_settings import advise_settings as advise_settings

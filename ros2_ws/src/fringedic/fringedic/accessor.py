@@ -70,9 +70,9 @@ class ExperimentAccessor:
         FringedicError
             The package ``matplotlib`` is not installed.
         """
+        from fringedic.evaluation.step_maps import require_maps
         from fringedic.figures.maps import draw_map
         from fringedic.figures.panels import panel_of
-        from fringedic.results.step_maps import require_maps
 
         require_maps(self._dataset, [name])
         maps = self._step(step)
@@ -86,20 +86,20 @@ class ExperimentAccessor:
         return ax
 
     def extensometer(self, first: Point, second: Point, *, subset: float = 1.0) -> xr.Dataset:
-        """Return length, elongation and strain between two points; see `fringedic.results.extensometer`."""
-        from fringedic.results.probes import extensometer
+        """Return length, elongation and strain between two points; see `fringedic.evaluation.extensometer`."""
+        from fringedic.evaluation.probes import extensometer
 
         return extensometer(self._dataset, first, second, subset=subset)
 
     def profile(self, names: str | Sequence[str], start: Point, end: Point, *, points: int | None = None) -> xr.Dataset:
-        """Return maps along a line; see `fringedic.results.profile`."""
-        from fringedic.results.probes import profile
+        """Return maps along a line; see `fringedic.evaluation.profile`."""
+        from fringedic.evaluation.probes import profile
 
         return profile(self._dataset, _list(names), start, end, points=points)
 
     def region(self, names: str | Sequence[str], region: Region) -> xr.Dataset:
         """Return mean, standard deviation, range and median of maps in a region; see `region_statistics`."""
-        from fringedic.results.probes import region_statistics
+        from fringedic.evaluation.probes import region_statistics
 
         return region_statistics(self._dataset, _list(names), region)
 
@@ -128,7 +128,7 @@ class ExperimentAccessor:
         SurfaceError
             The dataset has no displacement, the window contains fewer than 3 x 3 points, or a measure is unknown.
         """
-        from fringedic.results.motion import motion_of
+        from fringedic.evaluation.motion import motion_of
         from fringedic.surface.flat import flat_strain
         from fringedic.surface.strain import surface_strain
 
@@ -142,22 +142,22 @@ class ExperimentAccessor:
         return flat_strain(_field(one), window=window, pixel_size=one.attrs.get("pixel_size"))
 
     def remove_rigid_motion(self, region: Region | None = None) -> xr.Dataset:
-        """Return the displacement without its rigid motion; see `fringedic.results.remove_rigid_motion`."""
-        from fringedic.results.rigid_motion import remove_rigid_motion
+        """Return the displacement without its rigid motion; see `fringedic.evaluation.remove_rigid_motion`."""
+        from fringedic.evaluation.rigid_motion import remove_rigid_motion
 
         return remove_rigid_motion(self._dataset, region)
 
     def force_curve(
         self, strain: ArrayLike, *, section: float | None = None, tare: float = 0.0, sign: int = 1
     ) -> xr.Dataset:
-        """Return force and stress against a strain; see `fringedic.results.force_curve`."""
-        from fringedic.results.force import force_curve
+        """Return force and stress against a strain; see `fringedic.evaluation.force_curve`."""
+        from fringedic.evaluation.force import force_curve
 
         return force_curve(self._dataset, strain, section=section, tare=tare, sign=sign)
 
     def compare_with_truth(self, truth: str | os.PathLike[str]) -> xr.Dataset:
-        """Return the errors against the truth of a virtual rig; see `fringedic.results.compare_with_truth`."""
-        from fringedic.results.truth import compare_with_truth
+        """Return the errors against the truth of a virtual rig; see `fringedic.evaluation.compare_with_truth`."""
+        from fringedic.evaluation.truth import compare_with_truth
 
         return compare_with_truth(self._dataset, truth)
 

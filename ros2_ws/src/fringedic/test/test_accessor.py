@@ -8,8 +8,8 @@ import pytest
 import xarray as xr
 
 import fringedic
+from fringedic.datasets.millimetres import with_millimetres
 from fringedic.errors import DatasetError
-from fringedic.results.millimetres import with_millimetres
 
 SCALE = 1e-4  # [m/px]
 CALIBRATION = {"pixel_size": SCALE, "pixel_aspect": 1.0, "principal_row": 20.0, "principal_column": 30.0}

@@ -19,9 +19,11 @@ from hypothesis.extra import numpy as arrays
 from scipy.ndimage import gaussian_filter
 
 import fringedic
+import fringedic.datasets
+import fringedic.evaluation
 import fringedic.export
 import fringedic.figures
-import fringedic.results
+import fringedic.images
 from fringedic.errors import FringedicError
 from fringedic.models import Model
 from fringedic.rig_setup.response import response_patterns
@@ -162,24 +164,29 @@ CALLS = {
     fringedic.PreparedShape: {"shape": SURFACE, "z_filter": 1.0, "calibration": RIG},
     fringedic.to_local_frame: {"displacement_3d": CLOUD, "window": 5},
     fringedic.surface_strain: {"displacement_3d": CLOUD, "window": 5, "measures": ("von_mises",)},
-    fringedic.results.extensometer: {"dataset": EXPERIMENT, "first": (3.0, 5.0), "second": (20.0, 5.0), "subset": 3.0},
-    fringedic.results.profile: {
+    fringedic.evaluation.extensometer: {
+        "dataset": EXPERIMENT,
+        "first": (3.0, 5.0),
+        "second": (20.0, 5.0),
+        "subset": 3.0,
+    },
+    fringedic.evaluation.profile: {
         "dataset": EXPERIMENT,
         "names": ["u"],
         "start": (3.0, 5.0),
         "end": (20.0, 5.0),
         "points": 5,
     },
-    fringedic.results.region_statistics: {"dataset": EXPERIMENT, "names": ["u"], "region": REGION},
-    fringedic.results.strain_curve: {"dataset": STRAINED, "region": REGION},
-    fringedic.results.elastic_constants: {
+    fringedic.evaluation.region_statistics: {"dataset": EXPERIMENT, "names": ["u"], "region": REGION},
+    fringedic.evaluation.strain_curve: {"dataset": STRAINED, "region": REGION},
+    fringedic.evaluation.elastic_constants: {
         "dataset": STRAINED,
         "region": REGION,
         "strain": (-1.0, 1.0),
         "sigma_force": 1.0,
     },
-    fringedic.results.remove_rigid_motion: {"dataset": EXPERIMENT, "region": REGION},
-    fringedic.results.force_curve: {
+    fringedic.evaluation.remove_rigid_motion: {"dataset": EXPERIMENT, "region": REGION},
+    fringedic.evaluation.force_curve: {
         "dataset": EXPERIMENT,
         "strain": [0.0, 0.01],
         "section": 1e-5,
@@ -201,7 +208,7 @@ CALLS = {
     RIG.reconstruct: {"phase": plane(), "pitch": PITCH, "sigma_phase": SIGMA},
     fringedic.figures.save_pictures: {"dataset": EXPERIMENT.isel(step=[0], row=slice(0, 3)), "folder": NOWHERE},
     fringedic.export.export_dataset: {"dataset": EXPERIMENT, "folder": NOWHERE, "formats": ["csv"], "steps": [1]},
-    fringedic.results.compare_with_truth: {"dataset": EXPERIMENT, "truth_path": NOWHERE},
+    fringedic.evaluation.compare_with_truth: {"dataset": EXPERIMENT, "truth_path": NOWHERE},
     fringedic.compare_model: {
         "experiment": MEASURED,
         "model": MODEL,
@@ -220,7 +227,7 @@ CALLS = {
         "loads": [1.0],
     },
     fringedic.compare_experiments: {"one": MEASURED, "other": MEASURED},
-    fringedic.results.compare_specimens: {"experiments": [MEASURED, MEASURED]},
+    fringedic.evaluation.compare_specimens: {"experiments": [MEASURED, MEASURED]},
     fringedic.open_campaign: {"place": NOWHERE},
     fringedic.open_experiment: {"path": NOWHERE},
     fringedic.measure_images: {
@@ -237,7 +244,7 @@ CALLS = {
     fringedic.load_programme: {"path": NOWHERE},
 }
 FILES = {  # their call does not work, because there is no such file
-    fringedic.results.compare_with_truth,
+    fringedic.evaluation.compare_with_truth,
     fringedic.open_campaign,
     fringedic.open_experiment,
     fringedic.read_model,
@@ -412,10 +419,10 @@ MADE_UP = {
     | {
         fringedic.calibrate_rig,
         fringedic.compare_experiments,
-        fringedic.results.compare_specimens,
+        fringedic.evaluation.compare_specimens,
         fringedic.figures.save_pictures,
-        fringedic.results.remove_rigid_motion,
-        fringedic.results.strain_curve,
+        fringedic.evaluation.remove_rigid_motion,
+        fringedic.evaluation.strain_curve,
     }
 }
 

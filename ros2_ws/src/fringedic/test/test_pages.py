@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import fringedic
-from fringedic.results import process_bag
+from fringedic.datasets import process_bag
 from fringedic.rig_setup.response import response_patterns
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 

@@ -18,7 +18,7 @@ import pytest
 import xarray as xr
 from scipy.ndimage import gaussian_filter
 
-from fringedic.results import measure_images
+from fringedic.images import measure_images
 from fringedic_bringup.command.main import main
 
 SOURCES = Path(__file__).parents[2]

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
+from fringedic.datasets import open_experiment, process_bag
 from fringedic.recording.reader import BagReader
 from fringedic.recording.repair import info, recover
 from fringedic.recording.topics import RawMessage
 from fringedic.recording.verification import verify
 from fringedic.recording.writer import Split
 from fringedic.report.recordings import content_sentences, next_command
-from fringedic.results import open_experiment, process_bag
 from fringedic_bringup.procedures import recording_parts
 from fringedic_bringup.procedures.recording_parts import join_parts, next_part
 

@@ -28,13 +28,13 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from fringedic.datasets.quantities import MAPS
 from fringedic.errors import ConfigurationError, FringedicError, OperatorError, StepFailedError
 from fringedic.figures.live_preview import browser_picture
 from fringedic.frames.messages import cloud_arrays
 from fringedic.page.app import Control, Hold, Measure, Start
 from fringedic.page.maps import RecordedMaps, SpooledMaps, described
 from fringedic.page.server import Address, PageServer
-from fringedic.results.quantities import MAPS
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import LiveView, LoadState, NodeStatus, ProcedureStatus, RecorderStatus, SetupState, StepStatus
 from fringedic_msgs.srv import ControlProcedure, StartProcedure

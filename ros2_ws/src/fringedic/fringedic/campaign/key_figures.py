@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from fringedic.results.attributes import recorded_metadata
-from fringedic.results.confirmation import confirmed_share
-from fringedic.results.elasticity import ElasticConstants
-from fringedic.results.noise_floor import noise_floors, static_steps
+from fringedic.datasets.attributes import recorded_metadata
+from fringedic.datasets.confirmation import confirmed_share
+from fringedic.evaluation.elasticity import ElasticConstants
+from fringedic.evaluation.noise_floor import noise_floors, static_steps
 
 _STRAINS = ("e_11", "e_22")
 _ELASTIC = ("modulus", "sigma_modulus", "poisson_ratio", "sigma_poisson_ratio")

@@ -12,8 +12,8 @@ from typing import Any
 from fringedic.campaign.recordings import Found, Summary, is_growing, summarise, summarise_growing
 from fringedic.campaign.settings import Campaign, Elasticity
 from fringedic.campaign.software import software_identity
+from fringedic.datasets.processing import ProcessingSettings
 from fringedic.errors import FringedicError
-from fringedic.results.datasets import ProcessingSettings
 from fringedic.rig.model import RigModel
 from fringedic.steps.parameters import DicParameters
 

@@ -25,9 +25,9 @@ from uuid import uuid4
 
 import numpy as np
 
+from fringedic.datasets.quantities import MAP_DIMENSIONS
+from fringedic.datasets.stores import TEXT, Variable, free_bytes
 from fringedic.errors import CampaignError, FringedicError, optional_import
-from fringedic.results.quantities import MAP_DIMENSIONS
-from fringedic.results.stores import TEXT, Variable, free_bytes
 
 with optional_import("campaign"):
     import fsspec
@@ -172,7 +172,7 @@ def _document(data: bytes) -> dict[str, Any] | None:
 
 
 class GroupStore:
-    """The group of one recording while it is written, as `fringedic.results.stores.Store`.
+    """The group of one recording while it is written, as `fringedic.datasets.stores.Store`.
 
     Maps are written at once, one whole chunk each. Values per step and all metadata are kept until the end. A second
     worker with the same unit, or a later one after a crash, writes the same bytes under the same names. What an attempt

@@ -25,11 +25,11 @@ from fringedic.campaign.store import (
     GroupStore,
     join_parts,
 )
+from fringedic.datasets.processing import PROCESSED_TOPICS, follow_into, process_into
 from fringedic.errors import CampaignError, FringedicError
+from fringedic.evaluation.elasticity import constants_of, strain_curve
 from fringedic.recording.growing import PATIENCE_S, FollowError, GrowingRecording
 from fringedic.recording.remote import local_copy
-from fringedic.results.datasets import PROCESSED_TOPICS, follow_into, process_into
-from fringedic.results.elasticity import constants_of, strain_curve
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Receipt:
     figures
         Of `key_figures`.
     curve
-        Of `fringedic.results.strain_curve`: values over the steps by their names; None where not known.
+        Of `fringedic.evaluation.strain_curve`: values over the steps by their names; None where not known.
     seconds, worker, processor
         Duration, and where it was processed.
     input_size

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from fringedic.datasets.attributes import file_stem, origin_text
+from fringedic.datasets.quantities import people_unit
 from fringedic.errors import ExportError, optional_import
 from fringedic.export.surfaces import MILLI, collection_entry, write_collection
 from fringedic.inputs.arguments import check_arguments, dataset, path
-from fringedic.results.attributes import file_stem, origin_text
-from fringedic.results.quantities import people_unit
 
 _LOCATION = ("x", "y", "z", "triangles", "displacement_of_model")
 

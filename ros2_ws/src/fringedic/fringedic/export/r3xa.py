@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from fringedic.results.attributes import experiment_name, first_time, image_size, origin_of, seconds
+from fringedic.datasets.attributes import experiment_name, first_time, image_size, origin_of, seconds
 
 VERSION = "2024.7.1"
 

@@ -9,10 +9,10 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 import xarray as xr
 
+from fringedic.datasets.attributes import file_stem, map_names, origin_text, seconds, step_numbers
+from fringedic.datasets.quantities import people_unit
 from fringedic.errors import ExportError, optional_import
-from fringedic.results.attributes import file_stem, map_names, origin_text, seconds, step_numbers
-from fringedic.results.motion import in_space
-from fringedic.results.quantities import people_unit
+from fringedic.evaluation.motion import in_space
 
 MILLI = 1e-3
 _POSITIONS, _MOTION = ("x", "y", "z"), ("u", "v", "w")

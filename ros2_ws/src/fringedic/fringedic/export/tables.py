@@ -13,10 +13,10 @@ import scipy.io
 import tifffile
 import xarray as xr
 
+from fringedic.datasets.attributes import map_names, origin_of, origin_text, seconds, step_numbers
+from fringedic.datasets.quantities import MAP_DIMENSIONS, STEP_NUMBERS, PeopleUnit, people_unit
+from fringedic.datasets.stores import save_netcdf
 from fringedic.errors import ExportError, optional_import
-from fringedic.results.attributes import map_names, origin_of, origin_text, seconds, step_numbers
-from fringedic.results.quantities import MAP_DIMENSIONS, STEP_NUMBERS, PeopleUnit, people_unit
-from fringedic.results.stores import save_netcdf
 
 MATLAB_LIMIT = 2**31 - 1  # bytes of one variable in a MATLAB 5 file
 _WITH_MARK = "utf-8-sig"  # spreadsheets take µ for another character without a byte-order mark

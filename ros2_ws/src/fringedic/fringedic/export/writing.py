@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import xarray as xr
 
+from fringedic.datasets.attributes import file_stem, first_time
+from fringedic.datasets.quantities import TIME_ZERO
 from fringedic.errors import DatasetError, ExportError, FringedicError
 from fringedic.export import r3xa, surfaces, tables
 from fringedic.figures.animation import save_animation
@@ -18,8 +20,6 @@ from fringedic.figures.maps import save_pictures
 from fringedic.figures.panels import ANIMATED
 from fringedic.inputs.arguments import check_arguments, optional, path, several, text, whole
 from fringedic.inputs.arguments import dataset as dataset_of
-from fringedic.results.attributes import file_stem, first_time
-from fringedic.results.quantities import TIME_ZERO
 
 
 class _Format(NamedTuple):

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
+from fringedic.datasets.attributes import origin_text
+from fringedic.datasets.quantities import people_unit
 from fringedic.errors import DatasetError, optional_import
 from fringedic.figures.maps import map_figure, redraw_map
 from fringedic.figures.panels import Panel
-from fringedic.results.attributes import origin_text
-from fringedic.results.quantities import people_unit
 
 if TYPE_CHECKING:
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -150,7 +150,7 @@ def comparison_charts(found: xr.Dataset, names: tuple[str, str]) -> list[go.Figu
     Parameters
     ----------
     found
-        From `fringedic.results.compare_experiments`.
+        From `fringedic.evaluation.compare_experiments`.
     names
         Of the two experiments.
     """

@@ -10,16 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
+from fringedic.datasets.attributes import origin_text
+from fringedic.datasets.quantities import people_unit
 from fringedic.errors import DatasetError, number_text, optional_import
+from fringedic.evaluation.step_maps import with_principal_strains
+from fringedic.evaluation.truth import truth_errors
 from fringedic.figures.panels import ERRORS, Panel, pictures_of
 from fringedic.figures.previews import NOT_MEASURED
 from fringedic.frames.region import Point
 from fringedic.inputs.arguments import check_arguments, path
 from fringedic.inputs.arguments import dataset as dataset_of
-from fringedic.results.attributes import origin_text
-from fringedic.results.quantities import people_unit
-from fringedic.results.step_maps import with_principal_strains
-from fringedic.results.truth import truth_errors
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -56,7 +56,7 @@ def save_pictures(
         Folder of the pictures, ``step_003.png``, ``step_003_strain.png``, ``step_003_sigma.png`` and, with a truth,
         ``step_003_errors.png``; made if it is missing.
     truth
-        From `fringedic.results.open_truth`.
+        From `fringedic.evaluation.open_truth`.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""The maps that pictures show, and their titles; units are those of `fringedic.results.quantities.people_unit`."""
+"""The maps that pictures show, and their titles; units are those of `fringedic.datasets.quantities.people_unit`."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ def save_phase_picture(measured: xr.Dataset, file: Path) -> Path:
     Parameters
     ----------
     measured
-        From `fringedic.results.measure_phase_images`.
+        From `fringedic.images.measure_phase_images`.
     file
         Written; its ending selects the format.
     """

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from scipy.ndimage import label
 
-from fringedic.results.correlated import correlated_points
+from fringedic.evaluation.correlated import correlated_points
 
 AGREEMENT = {
     "points": ("1", "number of compared points"),

@@ -13,7 +13,9 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
+from fringedic.datasets.quantities import MAP_DIMENSIONS
 from fringedic.errors import ModelError
+from fringedic.evaluation.motion import in_space
 from fringedic.inputs.arguments import (
     array,
     check_arguments,
@@ -34,8 +36,6 @@ from fringedic.models.rendering import measure_rendered
 from fringedic.models.sampling import facing, sample
 from fringedic.models.sensitivity import Sensitivity, image_jacobian, surface_gradient, tangent_components
 from fringedic.models.shift import SHIFT, Shift, estimate_shift, fit_changes
-from fringedic.results.motion import in_space
-from fringedic.results.quantities import MAP_DIMENSIONS
 
 _POSITION, _DISPLACEMENT = ("x", "y", "z"), ("u", "v", "w")
 _STRAINS = (("e_11", "e_22", "e_12"), ("e_xx", "e_yy", "e_xy"))

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fringedic.errors import ModelError
+from fringedic.evaluation.correlated import correlated_points
 from fringedic.models.model import Model
 from fringedic.models.sampling import distances, facing, node_normals
-from fringedic.results.correlated import correlated_points
 
 _MOST_POINTS = 20_000  # of the measured surface; more do not change the result within its uncertainty
 _ITERATIONS = 50

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fringedic.evaluation.correlated import correlated_points
 from fringedic.models.sensitivity import surface_gradient
-from fringedic.results.correlated import correlated_points
 
 SHIFT = {
     "shift_x": "translation of the model along x that fits the displacement best",

@@ -15,10 +15,11 @@ from typing import Any, Protocol
 import numpy as np
 import xarray as xr
 
+from fringedic.datasets import open_experiment
+from fringedic.datasets.quantities import MAPS, people_unit, sigma_of
 from fringedic.errors import DatasetError
+from fringedic.evaluation import extensometer, profile
 from fringedic.frames.region import Point
-from fringedic.results import extensometer, open_experiment, profile
-from fringedic.results.quantities import MAPS, people_unit, sigma_of
 
 MOST_VALUES = 1_000_000  # of a tile
 MOST_POINTS = 60_000  # of a cloud in the browser

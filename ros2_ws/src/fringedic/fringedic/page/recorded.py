@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from fringedic.datasets.quantities import MAPS
 from fringedic.errors import OperatorError
 from fringedic.page.maps import RecordedMaps, described
-from fringedic.results.quantities import MAPS
 
 
 class RecordedRig:

@@ -14,6 +14,7 @@ from fringedic.campaign.opening import open_group
 from fringedic.campaign.run import Status
 from fringedic.campaign.store import CampaignStore
 from fringedic.campaign.unit import Receipt
+from fringedic.datasets.quantities import people_unit
 from fringedic.errors import CampaignError, number_text
 from fringedic.figures.charts import SpecimenCurve, specimen_charts
 from fringedic.figures.thumbnails import thumbnail_png
@@ -21,7 +22,6 @@ from fringedic.report.campaign import status_sentences
 from fringedic.report.embedding import base64_text, chart_html, chart_script
 from fringedic.report.specimens import specimen_curve
 from fringedic.report.templates import render_page
-from fringedic.results.quantities import people_unit
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
+from fringedic.datasets.quantities import people_unit
 from fringedic.errors import DatasetError, number_text
 from fringedic.figures.maps import maps_figure
 from fringedic.figures.panels import Panel
 from fringedic.report.embedding import base64_png, chart_script
 from fringedic.report.templates import render_page, write_page
-from fringedic.results.quantities import people_unit
 
 _DRAWN = ("u", "v", "w", "e_11", "e_22", "displacement_x", "displacement_y")
 _MOST_DRAWN = 4

@@ -6,7 +6,7 @@ import math
 
 import xarray as xr
 
-from fringedic.results.confirmation import LIMIT, confirmed_share
+from fringedic.datasets.confirmation import LIMIT, confirmed_share
 
 
 def confirmation_sentence(dataset: xr.Dataset) -> str:

@@ -9,9 +9,9 @@ from typing import Any
 
 import xarray as xr
 
+from fringedic.datasets.attributes import image_size, recorded_metadata
 from fringedic.metadata import Metadata
 from fringedic.report.recorded_exposures import Exposures
-from fringedic.results.attributes import image_size, recorded_metadata
 from fringedic.rig_setup.advice import Advice
 
 

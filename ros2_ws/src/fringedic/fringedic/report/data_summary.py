@@ -18,7 +18,7 @@ from fringedic.campaign.opening import open_group
 from fringedic.campaign.run import Status
 from fringedic.campaign.store import RECEIPTS, RECORDINGS, CampaignStore
 from fringedic.campaign.unit import Receipt
-from fringedic.results.attributes import origin_of, recorded_metadata
+from fringedic.datasets.attributes import origin_of, recorded_metadata
 
 FILE = "data-summary.json"
 _AXES = {"X": "to the right of the image", "Y": "upwards in the image", "Z": "towards the camera"}

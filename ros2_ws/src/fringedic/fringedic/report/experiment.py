@@ -14,7 +14,14 @@ import numpy as np
 import xarray as xr
 
 from fringedic.correlation import grey_residual
+from fringedic.datasets.opening import open_experiment
+from fringedic.datasets.stores import SUFFIXES
 from fringedic.errors import CorrelationError, DatasetError, FringedicError
+from fringedic.evaluation.noise_floor import check_static_steps, noise_floors
+from fringedic.evaluation.noise_floor import static_steps as steps_at_rest
+from fringedic.evaluation.probes import extensometer
+from fringedic.evaluation.step_maps import with_principal_strains
+from fringedic.evaluation.truth import open_truth, truth_errors
 from fringedic.figures.animation import FRAME_MS, animation_frames
 from fringedic.figures.charts import curve_charts, extensometer_charts, surface_chart
 from fringedic.figures.maps import maps_figure, reference_figure
@@ -33,13 +40,6 @@ from fringedic.report.recorded_exposures import read_exposures, read_textures
 from fringedic.report.tables import gauge_rows, noise_floor_row, region_rows, step_columns, truth_rows
 from fringedic.report.templates import render_page, require_new, write_errors_named, write_page
 from fringedic.report.warnings import warnings
-from fringedic.results.noise_floor import check_static_steps, noise_floors
-from fringedic.results.noise_floor import static_steps as steps_at_rest
-from fringedic.results.opening import open_experiment
-from fringedic.results.probes import extensometer
-from fringedic.results.step_maps import with_principal_strains
-from fringedic.results.stores import SUFFIXES
-from fringedic.results.truth import open_truth, truth_errors
 from fringedic.rig_setup.advice import Advice
 from fringedic.rig_setup.recommended_settings import advise_settings
 

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import numpy as np
 import xarray as xr
 
+from fringedic.datasets.quantities import people_unit
 from fringedic.errors import number_text
+from fringedic.images.image_series import ImageSeries
 from fringedic.report.confirmation import confirmation_sentence
-from fringedic.results.image_series import ImageSeries
-from fringedic.results.quantities import people_unit
 
 _DISPLACEMENTS = (("u", "v"), ("displacement_x", "displacement_y"))
 _STRAINS = ("e_xx", "e_yy", "e_xy")

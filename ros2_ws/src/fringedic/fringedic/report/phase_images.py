@@ -14,7 +14,7 @@ def phase_sentences(measured: xr.Dataset) -> Iterator[str]:
     Parameters
     ----------
     measured
-        From `fringedic.results.measure_phase_images`.
+        From `fringedic.images.measure_phase_images`.
     """
     pitch = float(measured.attrs["pitch_px"])
     scale = pitch / (2 * np.pi)

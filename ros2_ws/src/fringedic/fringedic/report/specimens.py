@@ -8,6 +8,9 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from fringedic.evaluation.elasticity import elastic_constants, strain_curve
+from fringedic.evaluation.specimens import compare_specimens, specimen_maps
+from fringedic.evaluation.two_experiments import differing_attributes
 from fringedic.figures.charts import SpecimenCurve, interrupt, reference_changes, specimen_charts
 from fringedic.figures.panels import Panel
 from fringedic.report.compared_points import (
@@ -20,9 +23,6 @@ from fringedic.report.compared_points import (
 )
 from fringedic.report.embedding import chart_html
 from fringedic.report.templates import require_new
-from fringedic.results.elasticity import elastic_constants, strain_curve
-from fringedic.results.specimens import compare_specimens, specimen_maps
-from fringedic.results.two_experiments import differing_attributes
 
 _TABLE = ComparedTable(
     lengths={
@@ -79,7 +79,7 @@ def specimen_sentences(found: xr.Dataset) -> list[str]:
     Parameters
     ----------
     found
-        From `fringedic.results.compare_specimens`.
+        From `fringedic.evaluation.compare_specimens`.
     """
     last = found.sel(step=last_compared(found, _NOWHERE))
     return reference_sentences(found) + [
@@ -96,7 +96,7 @@ def specimen_curve(curve: Mapping[str, np.ndarray], axial: str) -> SpecimenCurve
     Parameters
     ----------
     curve
-        Values of `fringedic.results.strain_curve` by their names.
+        Values of `fringedic.evaluation.strain_curve` by their names.
     axial
         Name of the strain along the load.
     """

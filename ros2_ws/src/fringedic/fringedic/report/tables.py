@@ -9,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
+from fringedic.datasets.attributes import seconds
+from fringedic.datasets.quantities import people_unit
 from fringedic.errors import number_text
+from fringedic.evaluation.noise_floor import NoiseFloor
+from fringedic.evaluation.probes import region_statistics
+from fringedic.evaluation.truth import compare_with_truth
 from fringedic.frames.region import Region
 from fringedic.metadata import NOISE_QUANTITIES
-from fringedic.results.attributes import seconds
-from fringedic.results.noise_floor import NoiseFloor
-from fringedic.results.probes import region_statistics
-from fringedic.results.quantities import people_unit
-from fringedic.results.truth import compare_with_truth
 
 MILLI, MICRO = 1e-3, 1e-6
 REGION_MAPS = ("u", "v", "w", "displacement_x", "displacement_y", "e_11", "e_22", "e_12", "e_xx", "e_yy", "e_xy")

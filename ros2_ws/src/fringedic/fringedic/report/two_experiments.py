@@ -6,6 +6,7 @@ from pathlib import Path
 
 import xarray as xr
 
+from fringedic.evaluation.two_experiments import compare_experiments, difference_maps, differing_attributes
 from fringedic.figures.charts import comparison_charts
 from fringedic.figures.panels import Panel
 from fringedic.report.compared_points import (
@@ -18,7 +19,6 @@ from fringedic.report.compared_points import (
 )
 from fringedic.report.embedding import chart_html
 from fringedic.report.templates import require_new
-from fringedic.results.two_experiments import compare_experiments, difference_maps, differing_attributes
 
 _TABLE = ComparedTable(
     lengths={

@@ -7,12 +7,12 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import xarray as xr
 
+from fringedic.evaluation.noise_floor import NoiseFloor
 from fringedic.provenance import UNKNOWN
 from fringedic.report.data import ReportData
 from fringedic.report.drift import drift_sentence
 from fringedic.report.references import references_sentence
 from fringedic.report.settings import warning_sentence
-from fringedic.results.noise_floor import NoiseFloor
 from fringedic.steps.drift_marker import drift_of_steps
 
 FEW_POINTS = 0.5  # share of measured points below which a step is named

@@ -17,15 +17,15 @@ import yaml
 
 from fringedic.correlation import Reference, measure_displacement
 from fringedic.correlation.limit import displacement_limit
+from fringedic.datasets import open_experiment
 from fringedic.errors import RigSetupError
+from fringedic.evaluation.noise_floor import NoiseFloor, noise_floors, single_step_noise_floors
 from fringedic.frames.noise import CameraNoise
 from fringedic.metadata import NOISE_QUANTITIES, NoiseFloorMetadata
 from fringedic.patterns.pattern import PatternKind
 from fringedic.phase.limit import phase_limit
 from fringedic.recording.frames import RecordedFrame, frames
 from fringedic.recording.reader import BagReader
-from fringedic.results import open_experiment
-from fringedic.results.noise_floor import NoiseFloor, noise_floors, single_step_noise_floors
 from fringedic.rig_setup.camera_noise import FEWEST_STEPS, EstimatedCameraNoise, estimate_camera_noise, thinned
 from fringedic.rig_setup.recommended_settings import strain_noise
 

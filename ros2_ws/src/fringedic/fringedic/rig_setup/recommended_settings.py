@@ -18,8 +18,8 @@ from scipy.ndimage import correlate1d
 from fringedic.correlation import Reference, measure_displacement
 from fringedic.correlation.transfer import shortest_period
 from fringedic.errors import CorrelationError, ErrorCode, RigSetupError
+from fringedic.evaluation.noise_floor import NoiseFloor, noise_floor
 from fringedic.inputs.arguments import check_arguments, number, optional, whole
-from fringedic.results.noise_floor import NoiseFloor, noise_floor
 from fringedic.rig_setup.advice import Advice
 from fringedic.rig_setup.settings_warnings import image_warnings
 from fringedic.rig_setup.static_images import ImageFigures, StaticImages, describe_images

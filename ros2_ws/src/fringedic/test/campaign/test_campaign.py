@@ -37,12 +37,12 @@ from fringedic.campaign.plan import plan_of, predicted_memory
 from fringedic.campaign.recordings import Found, summarise
 from fringedic.campaign.settings import Labels
 from fringedic.campaign.store import GroupStore
+from fringedic.datasets.processing import process_into
+from fringedic.datasets.rows import Row
+from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import CampaignError, ConfigurationError
 from fringedic.recording import BagReader, BagWriter
 from fringedic.report.campaign import CampaignProgress, plan_sentences, status_sentences
-from fringedic.results.datasets import process_into
-from fringedic.results.rows import Row
-from fringedic.results.writer import DatasetWriter
 from fringedic.steps.recorded_parameters import RecordedParameters
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"

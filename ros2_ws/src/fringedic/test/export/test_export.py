@@ -17,13 +17,13 @@ import xarray as xr
 from aligned_rig import aligned_rig
 from PIL import Image
 
+from fringedic.datasets import open_experiment
+from fringedic.datasets.quantities import MAPS, STEP_NUMBERS, layout_of_images
+from fringedic.datasets.rows import Row
+from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import ExportError
 from fringedic.export import FORMATS, export_dataset, tables
 from fringedic.metadata import Metadata
-from fringedic.results import open_experiment
-from fringedic.results.quantities import MAPS, STEP_NUMBERS, layout_of_images
-from fringedic.results.rows import Row
-from fringedic.results.writer import DatasetWriter
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.recorded_parameters import StepSettings
 

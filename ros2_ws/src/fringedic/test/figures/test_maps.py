@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from fringedic.datasets.millimetres import with_millimetres
 from fringedic.errors import DatasetError
 from fringedic.figures.maps import maps_figure, save_pictures
 from fringedic.figures.panels import ERRORS, SHAPE_AND_DISPLACEMENT, Panel
 from fringedic.figures.previews import NOT_MEASURED, displacement_preview, phase_preview
-from fringedic.results.millimetres import with_millimetres
 
 CALIBRATION = {"pixel_size": 1e-4, "pixel_aspect": 1.0, "principal_row": 29.5, "principal_column": 39.5}
 

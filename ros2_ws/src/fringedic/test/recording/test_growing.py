@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from fringedic.datasets.processing import PROCESSED_TOPICS
 from fringedic.errors import RecordingError
 from fringedic.recording import BagReader, BagWriter, Split
 from fringedic.recording.growing import FollowError, GrowingRecording
-from fringedic.results.datasets import PROCESSED_TOPICS
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 

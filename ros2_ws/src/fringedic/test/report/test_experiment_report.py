@@ -12,7 +12,11 @@ from aligned_rig import aligned_rig
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
+from fringedic.datasets import open_experiment
+from fringedic.datasets.rows import Row
+from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import DatasetError
+from fringedic.evaluation.noise_floor import check_static_steps, noise_floors, static_steps
 from fringedic.figures.animation import save_animation
 from fringedic.figures.charts import curve_charts, extensometer_charts
 from fringedic.figures.maps import map_figure
@@ -23,10 +27,6 @@ from fringedic.report.data import ReportData
 from fringedic.report.entries import hardware_entries, specimen_entries
 from fringedic.report.processing_entries import analysis_entries, base_and_angle, fringe_entries
 from fringedic.report.warnings import warnings
-from fringedic.results import open_experiment
-from fringedic.results.noise_floor import check_static_steps, noise_floors, static_steps
-from fringedic.results.rows import Row
-from fringedic.results.writer import DatasetWriter
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.recorded_parameters import StepSettings
 

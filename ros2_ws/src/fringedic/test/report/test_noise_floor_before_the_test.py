@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
+from fringedic.datasets.rows import Row
+from fringedic.datasets.writer import DatasetWriter
 from fringedic.metadata import Metadata, NoiseFloorMetadata
 from fringedic.report import write_report
-from fringedic.results.rows import Row
-from fringedic.results.writer import DatasetWriter
 from fringedic.steps.parameters import DicParameters
 from fringedic.steps.recorded_parameters import StepSettings
 

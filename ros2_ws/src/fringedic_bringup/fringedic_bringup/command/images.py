@@ -23,7 +23,7 @@ from fringedic_bringup.command.app import (
 from fringedic_bringup.display.progress import LiveProgress
 
 if TYPE_CHECKING:
-    from fringedic.results import MeasuredImage
+    from fringedic.images import MeasuredImage
 
 DATASET = "displacement.nc"
 PHASE = "phase.nc"
@@ -78,10 +78,11 @@ def measure(  # noqa: PLR0913 (options of a command)
         raise ConfigurationError(f"--scale-length-mm {scale_length_mm:g}: give a known length in mm, such as 20")
     if pixel_size_mm is not None and scale_length_mm is not None:
         raise ConfigurationError("--pixel-size-mm and --scale-length-mm both give the scale: give one of them")
+    from fringedic.datasets import open_experiment
     from fringedic.frames.files import image_files, read_grey
+    from fringedic.images import measure_images
     from fringedic.report import write_report
     from fringedic.report.image_series import failure_sentences, series_sentences
-    from fringedic.results import measure_images, open_experiment
     from fringedic_bringup.display.region_window import draw_scale
     from fringedic_bringup.procedures.region import mask_of
 
@@ -133,10 +134,10 @@ def phase(
     begin(folder)
     target, picture = (output_file(output / name, overwrite) for name in (PHASE, PHASE_PICTURE))
     from fringedic.configuration.fringe_images import FringeImageDescription
+    from fringedic.datasets.stores import save_netcdf
     from fringedic.figures.phase_images import save_phase_picture
+    from fringedic.images import measure_phase_images
     from fringedic.report.phase_images import phase_sentences
-    from fringedic.results import measure_phase_images
-    from fringedic.results.stores import save_netcdf
 
     with kept_if_filled(output):
         measured = measure_phase_images(folder, FringeImageDescription.load(description or folder / "phase.yaml"))

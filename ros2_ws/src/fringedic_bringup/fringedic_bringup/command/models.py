@@ -96,6 +96,7 @@ def compare_model(  # noqa: PLR0913 (options of a command)
         reason = "--shape compares the shape alone; leave out either --shape or what belongs to the displacement"
         refuse_unused(context, _OF_THE_DISPLACEMENT, reason)
     page = output_file(output / "comparison.html", overwrite)
+    from fringedic.datasets import open_experiment
     from fringedic.export import export_dataset, write_mesh
     from fringedic.frames.files import read_grey
     from fringedic.models import compare_model as compare
@@ -109,7 +110,6 @@ def compare_model(  # noqa: PLR0913 (options of a command)
         write_model_comparison,
         write_shape_comparison,
     )
-    from fringedic.results import open_experiment
 
     scale = _MILLI if by == "position" else 1.0
     of_mesh = None if load is None else [scale * each for each in load]
@@ -165,9 +165,10 @@ def compare(
     """Compare two experiments, one recording processed with two settings, or a group of specimens; write a page."""
     from fringedic.campaign.recordings import distinguishing_names
     from fringedic.campaign.settings import FILE as CAMPAIGN
+    from fringedic.datasets import open_experiment
+    from fringedic.evaluation import compare_experiments, compare_specimens
     from fringedic.report.specimens import specimen_sentences, write_specimens
     from fringedic.report.two_experiments import comparison_sentences, write_comparison
-    from fringedic.results import compare_experiments, compare_specimens, open_experiment
 
     if len(sources) < 2:
         raise ConfigurationError("compare takes two or more recordings or datasets; name another one")

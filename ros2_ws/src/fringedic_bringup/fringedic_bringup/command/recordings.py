@@ -60,12 +60,12 @@ def process(
     overwrite: Overwrite = False,
 ) -> None:
     """Process recordings again without nodes and write the results as datasets."""
+    from fringedic.datasets import open_experiment, process_bag
+    from fringedic.datasets.processing import PROCESSED_TOPICS
     from fringedic.recording.reader import BagReader
     from fringedic.recording.remote import local_copy
     from fringedic.report.confirmation import confirmation_sentence
     from fringedic.report.references import references_sentence
-    from fringedic.results import open_experiment, process_bag
-    from fringedic.results.datasets import PROCESSED_TOPICS
     from fringedic.rig.model import RigModel
     from fringedic.steps.recorded_rig import require_calibration
 
@@ -200,9 +200,9 @@ def export(
     overwrite: Overwrite = False,
 ) -> None:
     """Write a dataset for other programs, by default as NetCDF and PNG."""
+    from fringedic.datasets import open_experiment
     from fringedic.export import export_dataset
     from fringedic.recording.bag_files import beside
-    from fringedic.results import open_experiment
 
     folder = output or beside(source, "_exported")
     wanted = formats or ["netcdf", "png"]

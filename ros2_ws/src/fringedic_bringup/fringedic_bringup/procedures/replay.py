@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
+from fringedic.datasets.timeline import refuse_repeated_steps
 from fringedic.errors import ConfigurationError, NodeDiedError, RecordingError
 from fringedic.recording.frames import records
 from fringedic.recording.reader import BagReader
-from fringedic.results.timeline import refuse_repeated_steps
 from fringedic.rig.compatibility import check_calibration
 from fringedic.rig.model import RigModel
 from fringedic.steps.recorded_rig import recorded_setup, require_calibration

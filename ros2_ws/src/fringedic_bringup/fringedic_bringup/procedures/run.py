@@ -15,7 +15,9 @@ from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_programme, load_rig_file
 from fringedic.configuration.sections import VIRTUAL_RIG
 from fringedic.configuration.virtual_calibration import calibration_of
+from fringedic.datasets import dataset_from_derived, open_experiment, process_bag
 from fringedic.errors import ConfigurationError, DatasetError, ImageError
+from fringedic.evaluation import compare_with_truth, open_truth
 from fringedic.figures.maps import save_pictures
 from fringedic.frames.files import image_files
 from fringedic.frames.records import frame_record, stamp_of
@@ -26,7 +28,6 @@ from fringedic.report.calibration_sentences import in_force_words
 from fringedic.report.confirmation import confirmation_sentence
 from fringedic.report.experiment import TRUTH
 from fringedic.report.forecast import forecast_sentence
-from fringedic.results import compare_with_truth, dataset_from_derived, open_experiment, open_truth, process_bag
 from fringedic_bringup.launch.environment import domain_of, node_environment
 from fringedic_bringup.launch.graph import rig_graph
 from fringedic_bringup.launch.processes import RunningGraph, require_no_nodes

@@ -1,0 +1,263 @@
+"""Opening of datasets without reading them: maps are read from the disk when they are used."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from fringedic.datasets.attributes import JSON_ATTRIBUTES
+from fringedic.datasets.millimetres import with_millimetres
+from fringedic.datasets.quantities import (
+    MAP_DIMENSIONS,
+    METADATA_ATTRIBUTE,
+    RECORDING,
+    SOURCE_BYTES,
+    STEP_NUMBERS,
+    TIME_ZERO,
+    layout_of_images,
+)
+from fringedic.datasets.stores import SUFFIXES, dataset_path
+from fringedic.errors import DatasetError, ErrorCode, RecordingError, optional_import
+from fringedic.inputs.arguments import check_arguments
+from fringedic.inputs.arguments import path as file_path
+from fringedic.metadata import translate_metadata
+from fringedic.recording.bag_files import BAG, parts_of_run, recorded_bytes, recording_of
+from fringedic.recording.remote import file_system, is_remote, named_errors
+
+_GROUP = "zarr.json"  # in the group of a recording in the store of a campaign
+_OF_EVERY_EXPERIMENT = ("step", "error")  # variables
+_LAYOUTS = (RECORDING, layout_of_images(scaled=True))
+_WHOLE, _NUMBER, _TEXT, _TIME = ("iu", "whole numbers"), ("iuf", "numbers"), ("OSTU", "text"), ("M", "times")
+# Dimensions of each variable, kinds of its type in NumPy and their name in messages
+_VARIABLES: dict[str, tuple[tuple[str, ...], tuple[str, str]]] = {
+    "row": (("row",), _NUMBER),
+    "column": (("column",), _NUMBER),
+    "time": (("step",), _TIME),
+    **dict.fromkeys(("step", *STEP_NUMBERS), (("step",), _WHOLE)),
+    **{name: (("step",), _NUMBER) for layout in _LAYOUTS for name in layout.scalars},
+    **{name: (("step",), _TEXT) for layout in _LAYOUTS for name in layout.texts},
+    **{name: (MAP_DIMENSIONS, _NUMBER) for layout in _LAYOUTS for name in layout.maps},
+}
+_OF_A_RUN = ("results.nc", "results.zarr")
+_OF_A_FOLDER = (*_OF_A_RUN, "displacement.nc")  # of a run, or of measured images
+
+
+@check_arguments(DatasetError, path=file_path)
+def open_experiment(path: str | os.PathLike[str]) -> xr.Dataset:
+    """Open a recorded experiment as one labelled dataset; it may be larger than memory.
+
+    Opening reads only coordinates. Every access to a map reads it from the disk, and nothing is cached; select the step
+    first (``dataset.w.sel(step=3).values``) to read one step. ``dataset[["u", "v"]].load()`` keeps maps in memory.
+
+    Parameters
+    ----------
+    path
+        A NetCDF file or Zarr folder, also one in the store of a campaign, the folder of a run or of measured images, or
+        a recording. For a recording the
+        dataset beside it is opened: the one with its name, or the ``results`` of the run that recorded it. If there is
+        none, it is made from the derived topics. Also the address of a dataset, a run or a recording in an object store
+        (``s3://...`` or another one that fsspec knows), whose maps are fetched when they are used.
+
+    Returns
+    -------
+    Dataset
+        Maps over (step, row, column) in SI units, float32, NaN where not measured, with force, position, time and error
+        of each step. ``x_mm`` and ``y_mm`` are coordinates for pictures: the positions of columns and rows on the
+        reference plane, with y upwards; the maps ``x``, ``y``, ``z`` are those of the surface. The attributes contain
+        calibration, parameters, rig, metadata (``facts``), software and commit; see docs/results.md. Metadata of
+        earlier versions have the present keys. `ExperimentAccessor` describes the methods ``dataset.fringedic``.
+
+    Raises
+    ------
+    RecordingError
+        There is no such recording, or it has neither a dataset nor derived topics; `process_bag` measures it.
+    DatasetError
+        The file is no dataset of this library, has no step or a step number twice, or a variable or an attribute is
+        damaged or of another program.
+    FringedicError
+        The dataset is a Zarr folder and the package ``zarr`` is not installed.
+    """
+    if is_remote(path):
+        return _open_remote(str(path).rstrip("/"))
+    path = Path(path) if Path(path).name else Path(path).absolute()
+    named = path.suffix in SUFFIXES or (path / _GROUP).is_file()
+    file = path if named else _dataset_in(path)
+    if file is None:
+        path = recording_of(path)
+        file = find_dataset(path)
+    if file is None:
+        # not at the top: it loads all measuring rooms
+        from fringedic.datasets.processing import dataset_from_derived
+
+        try:
+            file = dataset_from_derived(path)
+        except RecordingError as error:
+            if error.code is not ErrorCode.MISSING_TOPIC:
+                raise
+            raise RecordingError(
+                f"{error}; 'fringedic process {path}' measures it", code=ErrorCode.MISSING_TOPIC
+            ) from error
+    return _open(file)
+
+
+def _dataset_in(folder: Path) -> Path | None:
+    """Return the dataset in the folder of a run, None if there is none, or the path is no such folder.
+
+    Raises
+    ------
+    DatasetError
+        As of `find_dataset`.
+    """
+    recording = folder / BAG
+    if recording.exists():
+        return _current(recording, _of_run(recording) + _named(recording))
+    return next((folder / name for name in _OF_A_FOLDER if (folder / name).exists()), None)
+
+
+def find_dataset(recording: Path) -> Path | None:
+    """Return the dataset beside a recording, None if there is none.
+
+    Raises
+    ------
+    DatasetError
+        The recording has become longer since its dataset was made, or a dataset is damaged.
+    """
+    return _current(recording, _named(recording) + _of_run(recording))
+
+
+def _named(recording: Path) -> list[Path]:
+    """Return where the datasets with the name of a recording are."""
+    beside = dataset_path(recording, overwrite=True)
+    return [beside, beside.with_suffix(".zarr")]
+
+
+def _of_run(recording: Path) -> list[Path]:
+    """Return where the results of the run that made a recording are, or those of another one."""
+    return [recording.with_name(name) for name in _OF_A_RUN]
+
+
+def _current(recording: Path, candidates: Iterable[Path]) -> Path | None:
+    """Return the first dataset with everything that was recorded, None if there is no dataset at all."""
+    outdated = ""
+    for candidate in filter(Path.exists, candidates):
+        with _open(candidate) as dataset:
+            attributes = dict(dataset.attrs)
+        if candidate.name in _OF_A_RUN and attributes.get("source") != recording.name:
+            continue
+        fault = _missing_part(recording, attributes)
+        if not fault:
+            return candidate
+        outdated = outdated or f"{candidate}: {fault}"
+    if outdated:
+        raise DatasetError(outdated)
+    return None
+
+
+def _missing_part(recording: Path, attributes: Mapping[str, Any]) -> str:
+    """Return why a dataset may lack steps of its recording; empty if it does not, or says so itself."""
+    parts = [part.name for part in parts_of_run(recording) if part.name not in attributes.get("damage", "")]
+    if parts:
+        return (
+            f"lacks what {', '.join(parts)}, later parts of the same run, contain: 'fringedic run --continue' goes on "
+            f"with the run, 'fringedic recover {recording}' writes one recording of all parts, to be processed"
+        )
+    size = str(recorded_bytes(recording))
+    if size not in ("0", attributes.get(SOURCE_BYTES, size)):
+        return f"was made when {recording} had another size; 'fringedic process {recording} --overwrite' makes it again"
+    return ""
+
+
+def _open_remote(address: str) -> xr.Dataset:
+    """Open a dataset in an object store, or that of a run or recording there."""
+    beside = address.removesuffix(f"/{BAG}")
+    candidates = [address] if address.endswith(SUFFIXES) else [f"{beside}/{name}" for name in _OF_A_FOLDER]
+    candidates += [f"{address}{suffix}" for suffix in SUFFIXES if not address.endswith(SUFFIXES)]
+    with named_errors(address):
+        for candidate in candidates:
+            files, place = file_system(candidate)
+            files.invalidate_cache()
+            if files.exists(place):
+                netcdf = candidate.endswith(".nc")
+                return _open(candidate, files.open(place, "rb") if netcdf else candidate)
+    raise RecordingError(f"{address}: has no dataset; 'fringedic process {address}' measures it")
+
+
+def _open(file: Path | str, source: Any = None) -> xr.Dataset:
+    """Open a file of this computer, or an object in an object store by what xarray reads there."""
+    netcdf = str(file).endswith(".nc")
+    if not netcdf:
+        with optional_import("zarr"):
+            import zarr  # noqa: F401 (xarray loads it)
+    try:
+        # without a cache: a loop over the maps of an experiment would fill the memory
+        dataset = xr.open_dataset(source or file, engine="h5netcdf" if netcdf else "zarr", cache=False)
+    except (OSError, ValueError, KeyError) as error:
+        raise DatasetError(f"{file}: cannot be read as {'NetCDF' if netcdf else 'Zarr'}: {error}") from error
+    fault = _fault(dataset)
+    if fault:
+        dataset.close()
+        raise DatasetError(f"{file}: {fault}")
+    if METADATA_ATTRIBUTE in dataset.attrs:
+        metadata = translate_metadata(json.loads(dataset.attrs[METADATA_ATTRIBUTE]))
+        dataset.attrs[METADATA_ATTRIBUTE] = json.dumps(metadata)
+    return with_millimetres(dataset)
+
+
+def _fault(dataset: xr.Dataset) -> str:
+    """Return why a dataset cannot be used, nothing if it can."""
+    lacking = (set(MAP_DIMENSIONS) - set(dataset.sizes)) | (set(_OF_EVERY_EXPERIMENT) - set(dataset.variables))
+    if lacking:
+        return (
+            f"is no experiment, because it has no {' and no '.join(sorted(lacking))}: give the dataset that "
+            "'fringedic run' or 'fringedic process' wrote, or a recording"
+        )
+    if dataset.sizes["step"] == 0:
+        return "contains no step; process its recording again"
+    fault = _fault_of_variables(dataset)
+    if fault:
+        return f"{fault}; process its recording again"
+    if np.unique(dataset["step"].values).size < dataset.sizes["step"]:
+        return "contains a step number twice; process its recording again"
+    for name, kind in JSON_ATTRIBUTES.items():
+        if name in dataset.attrs and not _is_json(dataset.attrs[name], kind):
+            return f"the attribute '{name}' is damaged or of another program; process its recording again"
+    if TIME_ZERO in dataset.attrs and not _is_time(dataset.attrs[TIME_ZERO]):
+        return f"the attribute '{TIME_ZERO}' is damaged or of another program; process its recording again"
+    return ""
+
+
+def _fault_of_variables(dataset: xr.Dataset) -> str:
+    """Return which variable has other dimensions or another type than `DatasetWriter` gives it, nothing if none has."""
+    for name, (dimensions, (kinds, words)) in _VARIABLES.items():
+        if name not in dataset.variables:
+            continue
+        variable = dataset[name]
+        if variable.dims != dimensions or variable.dtype.kind not in kinds:
+            found = f"{variable.dtype} over ({', '.join(map(str, variable.dims))})"
+            return f"'{name}' contains {found} instead of {words} over ({', '.join(dimensions)})"
+        if not isinstance(variable.attrs.get("units", ""), str):
+            return f"the attribute 'units' of '{name}' is no text"
+    for name in ("row", "column"):
+        if not np.isfinite(dataset[name].values).all():
+            return f"'{name}' contains a position that is no finite number"
+    return ""
+
+
+def _is_time(text: Any) -> bool:
+    try:
+        return isinstance(text, str) and bool(np.isfinite(np.datetime64(text)))
+    except ValueError:
+        return False
+
+
+def _is_json(text: Any, kind: type) -> bool:
+    try:
+        return isinstance(json.loads(text), kind)
+    except (TypeError, ValueError):
+        return False

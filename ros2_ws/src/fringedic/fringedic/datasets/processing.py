@@ -1,0 +1,376 @@
+"""From a recording to one labelled dataset."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from fringedic.datasets.derived import Collected
+from fringedic.datasets.quantities import PHASE_TOPICS, SOURCE_BYTES
+from fringedic.datasets.rows import Row, in_order_of_steps, row_of, with_lost_steps
+from fringedic.datasets.stores import Store, dataset_path
+from fringedic.datasets.timeline import Timeline
+from fringedic.datasets.writer import DatasetWriter
+from fringedic.errors import DatasetError
+from fringedic.frames.records import frame_record
+from fringedic.inputs.arguments import check_arguments, optional
+from fringedic.inputs.arguments import path as file_path
+from fringedic.patterns.pattern import PatternKind
+from fringedic.recording.bag_files import BAG, recording_of
+from fringedic.recording.frames import RecordedMessage, events, paired
+from fringedic.recording.growing import FollowError, GrowingRecording
+from fringedic.recording.reader import BagReader
+from fringedic.recording.remote import is_remote, local_copy
+from fringedic.rig.compatibility import check_calibration
+from fringedic.rig.model import RigModel
+from fringedic.steps.pipeline import OfflinePipeline
+from fringedic.steps.recorded_parameters import StepSettings
+from fringedic.steps.recorded_rig import recorded_setup
+
+PROCESSED_TOPICS = (
+    "camera/image_raw",
+    "camera/exposure",
+    "experiment/step",
+    "experiment/reference",
+    "calibration",
+    "node_parameters",
+    "load_frame/state",
+)
+"""Topics that processing reads; a recording needs the first two."""
+_LEAD_IN = 2  # steps before a segment
+
+
+@check_arguments(DatasetError, path=file_path, output=optional(file_path))
+def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
+    path: str | os.PathLike[str],
+    *,
+    output: str | os.PathLike[str] | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    steps: Iterable[int] | None = None,
+    reference: int | Sequence[int] | None = None,
+    calibration: RigModel | None = None,
+    experiment: str | None = None,
+    overwrite: bool = False,
+    progress: Callable[[int, str], None] | None = None,
+) -> Path:
+    """Measure a recorded experiment again from its raw topics, by the same step functions that the nodes call.
+
+    With the recorded parameters the maps equal those of the nodes bit by bit; independent checks of phase and
+    displacement are added, see docs/results.md. A step that fails has a row without maps, and the variable ``error``
+    contains the reason. Of a recording that is cut off all complete steps are measured; the attribute ``damage``
+    describes the loss.
+
+    Parameters
+    ----------
+    path
+        The recording; ``s3://...`` or another address that fsspec knows for one in an object store, of which the index
+        and the needed chunks are copied.
+    output
+        The dataset to write, ``.nc`` for NetCDF or ``.zarr`` for Zarr; by default NetCDF beside the recording with its
+        name, in the working folder if the recording is in an object store.
+    overrides
+        Parameters that replace the recorded ones, ``{"dic.window": 24}``.
+    steps
+        Numbers of the steps to measure; all by default. The reference steps are always measured. The displacement of
+        a step starts from that of its predecessors, so that results without them agree within the noise, not exactly.
+    reference
+        Number of the step that all others are measured against, also earlier ones. Several numbers: each step is
+        measured against the latest of them before it, earlier ones against the first. By default as recorded.
+    calibration
+        Model of the rig, instead of the recorded one.
+    experiment
+        Name of the experiment, if the recording contains several.
+    overwrite
+        Replace an existing output.
+    progress
+        Called after each step with its number and its error message, empty when it succeeded.
+
+    Returns
+    -------
+    Path
+        The dataset.
+
+    Raises
+    ------
+    RecordingError
+        The recording lacks images or exposure records, or is damaged before its end;
+        `fringedic.recording.repair.recover` saves the rest.
+    ConfigurationError
+        An override is unknown or not allowed.
+    CalibrationError
+        The calibration belongs to another rig, or its lengths contradict each other.
+    PatternError
+        The coarsest fringes repeat in the view of `calibration`.
+    DatasetError
+        The output exists or cannot be written, or the recording contains no frame of the experiment or of a requested
+        step, or several experiments.
+
+    Examples
+    --------
+    >>> process_bag("recordings/plate-7/bag", overrides={"dic.window": 24})  # doctest: +SKIP
+    PosixPath('recordings/plate-7/bag.nc')
+    """
+    only = None if steps is None else frozenset(steps)
+    several = () if reference is None else (reference,) if isinstance(reference, int) else tuple(sorted(reference))
+    settings = ProcessingSettings(overrides or {}, several, calibration, experiment, only)
+    target = dataset_path(_name_nearby(str(path)) if is_remote(path) else recording_of(Path(path)), output, overwrite)
+    with local_copy(path, PROCESSED_TOPICS) as nearby:
+        process_into(target, nearby, settings, progress)
+    return target
+
+
+def _name_nearby(address: str) -> Path:
+    """Return the name of a recording in an object store, that of its run for the folder ``bag``, in the working folder.
+
+    Examples
+    --------
+    >>> _name_nearby("s3://laboratory/plate-7/bag"), _name_nearby("s3://laboratory/plate-8")
+    (PosixPath('plate-7'), PosixPath('plate-8'))
+    """
+    parts = [part for part in address.split("://")[1].split("/") if part]
+    return Path(parts[-2] if parts[-1] == BAG and len(parts) > 1 else parts[-1])
+
+
+@dataclass(frozen=True)
+class ProcessingSettings:
+    """What a recording is processed with; see `process_bag`.
+
+    Attributes
+    ----------
+    segment
+        (number from 0, count): only the steps of one of several equal parts of the recording, without those of its
+        references.
+    """
+
+    overrides: Mapping[str, Any] = field(default_factory=dict)
+    references: tuple[int, ...] = ()
+    calibration: RigModel | None = None
+    experiment: str | None = None
+    steps: frozenset[int] | None = None
+    segment: tuple[int, int] | None = None
+
+
+class _Segment(NamedTuple):
+    """Numbers of the steps of one of several equal parts of a recording, and of those measured before it.
+
+    The displacement of a step is searched from the extrapolation of the two steps before: after as many, the history of
+    the measurement does not matter.
+    """
+
+    lead_in: frozenset[int]
+    steps: frozenset[int]
+
+    @classmethod
+    def of(cls, steps: Sequence[int], number: int, count: int) -> _Segment:
+        first, end = (len(steps) * edge // count for edge in (number, number + 1))
+        return cls(frozenset(steps[max(0, first - _LEAD_IN) : first]), frozenset(steps[first:end]))
+
+
+def process_into(
+    target: Path | Store,
+    path: str | os.PathLike[str],
+    settings: ProcessingSettings,
+    progress: Callable[[int, str], None] | None = None,
+) -> None:
+    """Measure a recorded experiment into any store; `process_bag` with a path.
+
+    Parameters
+    ----------
+    target
+        Path of a dataset, or a store that takes it.
+    path, settings, progress
+        The recording, what it is processed with, and the call after each step, as of `process_bag`.
+
+    Raises
+    ------
+    FringedicError
+        See `process_bag`.
+    """
+    reader = BagReader(path)
+    names = _processed_topics(reader)
+    asked = set(settings.references)
+    read = None if settings.steps is None else settings.steps | asked
+    timeline = Timeline(reader, names, settings.experiment, steps=read)
+    if settings.calibration is not None:
+        check_calibration(settings.calibration, recorded_setup(reader))
+    pipeline = OfflinePipeline(settings.overrides, timeline.experiment, settings.references, settings.calibration)
+    references = asked or timeline.references
+    segment = None if settings.segment is None else _Segment.of(timeline.steps, *settings.segment)
+    steps = settings.steps if segment is None else segment.lead_in | segment.steps
+    wanted = None if steps is None else steps | references
+    timeline.require_steps(asked | (wanted or set()))
+    topics = {name: full for name, full in names.items() if name != "load_frame/state"}
+
+    def passing(numbers: AbstractSet[int] | None) -> Iterator[Row]:
+        for event in events(reader, topics, timeline.experiment):
+            yield from (row_of(each, pipeline.settings) for each in pipeline.take(event, numbers))
+
+    def rows() -> Iterator[Row]:
+        if settings.references:
+            yield from passing({settings.references[0]})
+        yield from passing(wanted)
+        yield from (row_of(each, pipeline.settings) for each in pipeline.finish())
+
+    exposed = [step for step in timeline.exposed if wanted is None or step in wanted]
+    measured = with_lost_steps(in_order_of_steps(rows()), exposed, "the recording contains no image of this step")
+    if segment is not None:
+        measured = (row for row in measured if row.step in segment.steps)
+    _write(target, timeline, measured, lambda: pipeline.settings, progress)
+
+
+def _processed_topics(reader: BagReader) -> dict[str, str]:
+    """Return the topics that processing reads and that are recorded: relative name -> full name."""
+    return reader.find(*PROCESSED_TOPICS[:2]) | reader.find_optional(*PROCESSED_TOPICS[2:])
+
+
+def follow_into(
+    target: Store,
+    recording: GrowingRecording,
+    settings: ProcessingSettings,
+    progress: Callable[[int, str], None] | None = None,
+) -> None:
+    """Measure a recorded experiment while it is recorded, each step as soon as it has ended.
+
+    The results are those of `process_into` with the complete recording: steps pass through the same functions in the
+    same order, and values that depend on later messages (force, position) are entered at the end.
+
+    Parameters
+    ----------
+    target
+        Store that takes the steps.
+    recording, settings, progress
+        The recording, what it is processed with (all steps, with the recorded references), and the call after each
+        step, as of `process_bag`.
+
+    Raises
+    ------
+    FollowError
+        The recording has to be processed when it is complete.
+    FringedicError
+        See `process_bag`.
+    """
+    experiment = _followed_experiment(recording)
+    pipeline = OfflinePipeline(settings.overrides, experiment, calibration=settings.calibration)
+    attributes = {"experiment": experiment, "source": recording.path.name}
+    topics = [name for name in PROCESSED_TOPICS if name != "load_frame/state"]
+
+    def rows() -> Iterator[Row]:
+        for event in paired(recording.published(topics), experiment):
+            for each in pipeline.take(event):
+                if progress is not None:
+                    progress(each.step, each.error)
+                yield row_of(each, pipeline.settings)
+        yield from (row_of(each, pipeline.settings) for each in pipeline.finish())
+
+    kept: list[Row] = []
+    with DatasetWriter(target, attributes) as writer:
+        for row in in_order_of_steps(rows()):
+            writer.add(replace(row, stamp=row.stamp or 0), row.settings or pipeline.settings)
+            kept.append(replace(row, maps={}))
+        timeline = _final_timeline(recording, attributes, settings, [row.step for row in kept])
+        writer.attributes[SOURCE_BYTES] = str(timeline.source_bytes)
+        for index, row in enumerate(kept):
+            timeline.complete(row)
+            writer.enter_values(index, row)
+
+
+def _followed_experiment(recording: GrowingRecording) -> str:
+    """Return the experiment of the first measured step, as soon as that has ended."""
+    for topic, message in recording.published(["camera/exposure", "experiment/step"]):
+        if topic == "camera/exposure" and frame_record(message).pattern.kind != PatternKind.OTHER:
+            return str(message.experiment)
+    raise FollowError(f"{recording.path}: contains no frame of a step")
+
+
+def _final_timeline(
+    recording: GrowingRecording, attributes: Mapping[str, str], settings: ProcessingSettings, steps: list[int]
+) -> Timeline:
+    """Return the timeline of a recording that is complete, if it is what was assumed while it was made."""
+    reader = BagReader(recording.path)
+    timeline = Timeline(reader, _processed_topics(reader), None)
+    if settings.calibration is not None:
+        check_calibration(settings.calibration, recorded_setup(reader))
+    differs = timeline.steps != steps or {"experiment": timeline.experiment, "source": timeline.source} != attributes
+    if timeline.damage or differs or timeline.rejected:
+        raise FollowError(f"{recording.path}: is not what was read while it was made")
+    return timeline
+
+
+@check_arguments(DatasetError, path=file_path, output=optional(file_path))
+def dataset_from_derived(
+    path: str | os.PathLike[str],
+    *,
+    output: str | os.PathLike[str] | None = None,
+    experiment: str | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Write the dataset of an experiment from the results that the nodes published, without measuring anything again.
+
+    The displacement of each step is checked independently (`displacement_closure`); the phase is not, since that needs
+    the frames.
+
+    Parameters
+    ----------
+    path, output, experiment, overwrite
+        As of `process_bag`. The maps have the same names, so that both datasets can be compared.
+
+    Returns
+    -------
+    Path
+        The dataset.
+
+    Raises
+    ------
+    RecordingError
+        The recording contains no derived topics, or is damaged.
+    DatasetError
+        The output exists or cannot be written, or the recording contains no step of the experiment, or several
+        experiments.
+    """
+    reader = BagReader(path)
+    names = reader.find("phase/status", "dic/status", "camera/exposure")
+    derived = reader.find_optional(
+        *(f"phase/{topic}" for topic in PHASE_TOPICS),
+        *("dic/displacement", "dic/sigma", "coupling/shape", "coupling/displacement", "coupling/status"),
+    )
+    names |= derived
+    names |= reader.find_optional("experiment/reference", "calibration", "node_parameters")
+    others = reader.find_optional("load_frame/state", "experiment/step")
+    timeline = Timeline(reader, names | others, experiment)
+    target = dataset_path(path, output, overwrite)
+    collected = Collected(set(derived) | {"phase/status", "dic/status"})
+    topics = {name: full for name, full in names.items() if name != "camera/exposure"}
+
+    def rows() -> Iterator[Row]:
+        for event in events(reader, topics, timeline.experiment):
+            assert isinstance(event, RecordedMessage), "no frames were asked for"
+            yield from collected.take(event.topic, event.message)
+        yield from collected.finish()
+
+    lost = "the recording contains no result of this step; measure it with fringedic process"
+    measured = with_lost_steps(in_order_of_steps(rows()), timeline.exposed, lost)
+    _write(target, timeline, measured, collected.settings, None)
+    return target
+
+
+def _write(
+    target: Path | Store,
+    timeline: Timeline,
+    rows: Iterator[Row],
+    settings: Callable[[], StepSettings],
+    progress: Callable[[int, str], None] | None,
+) -> None:
+    attributes = {"experiment": timeline.experiment, "source": timeline.source}
+    attributes[SOURCE_BYTES] = str(timeline.source_bytes)
+    if timeline.damage:
+        attributes["damage"] = timeline.damage
+    with DatasetWriter(target, attributes) as writer:
+        for row in rows:
+            timeline.complete(row)
+            writer.add(row, row.settings or settings())
+            if progress is not None:
+                progress(row.step, row.error)

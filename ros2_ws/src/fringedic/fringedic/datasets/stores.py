@@ -1,0 +1,313 @@
+"""The two formats of a dataset on the disk: NetCDF, one file, and Zarr, a folder of chunks.
+
+Both contain the same variables, one chunk per map and step, and get their name only when they are complete.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import h5netcdf
+import h5py  # type: ignore[import-untyped]
+import numpy as np
+import xarray as xr
+
+from fringedic.datasets.quantities import MAP_DIMENSIONS
+from fringedic.errors import DatasetError, ErrorCode, optional_import
+
+SUFFIXES = (".nc", ".zarr")
+TEXT = "text"
+_ROOM_LEFT = 10_000_000  # [byte] beside the maps: attributes, the index of the file
+_OF_A_SCALE = ("CLASS", "NAME", "REFERENCE_LIST")  # attributes that HDF5 writes itself
+
+
+class Variable(NamedTuple):
+    """A variable of a store; `dtype` is NumPy's or ``text``."""
+
+    name: str
+    dimensions: tuple[str, ...]
+    dtype: str
+    attributes: Mapping[str, str]
+
+
+class Store(Protocol):
+    """A dataset that is being written."""
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+
+    def room(self) -> float:
+        """Return the bytes that still fit; infinity where that is not known."""
+
+    def add_variable(self, variable: Variable, sizes: Mapping[str, int]) -> None:
+        """Make a variable; `sizes` is that of each dimension now (step may grow)."""
+
+    def grow(self, steps: int) -> None:
+        """Make room for as many steps."""
+
+    def put(self, name: str, index: int | slice, value: Any) -> None:
+        """Write one step of a variable, or a whole coordinate."""
+
+    def flush(self) -> None:
+        """Hand everything to the operating system."""
+
+    def finish(self, attributes: Mapping[str, str]) -> None:
+        """Write the attributes, close, and give the dataset its name."""
+
+    def discard(self) -> None:
+        """Close and remove what was written."""
+
+
+def create_store(target: Path) -> Store:
+    """Begin a dataset in the format of its suffix.
+
+    Raises
+    ------
+    DatasetError
+        The suffix is neither ``.nc`` nor ``.zarr``, or the place cannot be written.
+    """
+    check_suffix(target)
+    try:
+        return NetcdfStore(target) if target.suffix == ".nc" else ZarrStore(target)
+    except OSError as error:
+        raise DatasetError(f"{target}: cannot be written: {error}") from error
+
+
+def check_suffix(target: Path) -> None:
+    """Raise DatasetError when the suffix of a name is that of no format."""
+    if target.suffix not in SUFFIXES:
+        raise DatasetError(f"{target}: a dataset is named .nc (NetCDF) or .zarr (Zarr)")
+
+
+def dataset_path(
+    path: str | os.PathLike[str], output: str | os.PathLike[str] | None = None, overwrite: bool = False
+) -> Path:
+    """Return where the dataset of a recording goes: `output`, or NetCDF beside the recording with its name.
+
+    Raises
+    ------
+    DatasetError
+        It exists and is not to be overwritten, or its suffix is that of no format.
+    """
+    source = Path(path) if Path(path).name else Path(path).absolute()
+    if not source.name:
+        raise DatasetError(f"{path}: is no recording and no dataset")
+    beside = source.with_suffix(".nc") if source.is_file() else source.with_name(f"{source.name}.nc")
+    target = beside if output is None else Path(output)
+    check_suffix(target)
+    if target.exists() and not overwrite:
+        raise DatasetError(f"{target} exists already; choose another output or ask to overwrite it")
+    return target
+
+
+def free_bytes(target: Path) -> float:
+    """Return the bytes that still fit beside a file or folder."""
+    return shutil.disk_usage(target.absolute().parent).free
+
+
+def require_room(place: str, content: str, size: int, free: float) -> None:
+    """Refuse to write what the disk has no room for: HDF5 ends the process when it cannot write.
+
+    Parameters
+    ----------
+    place, content
+        Where and what is to be written, for the message.
+    size, free
+        Size of its maps, and free space [byte].
+
+    Raises
+    ------
+    DatasetError
+        The free space is too small, with the code DISK_FULL.
+    """
+    needed = size + _ROOM_LEFT
+    if free < needed:
+        raise DatasetError(
+            f"{place}: the disk is full, {content} needs {1e-6 * needed:.0f} MB and {1e-6 * free:.0f} MB are free: "
+            "make room, or choose another output",
+            code=ErrorCode.DISK_FULL,
+        )
+
+
+def save_netcdf(dataset: xr.Dataset, target: Path, encoding: Mapping[str, Mapping[str, Any]] | None = None) -> None:
+    """Write a dataset as NetCDF; an existing file is replaced when the new one is complete.
+
+    Parameters
+    ----------
+    dataset
+        In memory or on the disk.
+    target
+        The file.
+    encoding
+        Of its variables, as of `xarray.Dataset.to_netcdf`.
+
+    Raises
+    ------
+    DatasetError
+        The disk has no room for it, with the code DISK_FULL.
+    OSError
+        The file cannot be written.
+    """
+    require_room(str(target.absolute().parent), "the dataset", dataset.nbytes, free_bytes(target))
+    temporary = _temporary(target)
+    try:
+        dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _temporary(target: Path) -> Path:
+    return target.with_name(f".{target.name}.writing")
+
+
+class NetcdfStore:
+    """A NetCDF-4 file."""
+
+    def __init__(self, target: Path) -> None:
+        self._target = target
+        self._file: Any = h5netcdf.File(_temporary(target), "w")
+        self._file.dimensions = {"step": None}
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return str(self._target)
+
+    def room(self) -> float:
+        """Return the bytes that still fit."""
+        return free_bytes(self._target)
+
+    def add_variable(self, variable: Variable, sizes: Mapping[str, int]) -> None:
+        """Make a variable; `sizes` is that of each dimension now (step may grow)."""
+        for dimension in variable.dimensions:
+            if dimension not in self._file.dimensions:
+                self._file.dimensions[dimension] = sizes[dimension]
+        options: dict[str, Any] = {}
+        if variable.dimensions == MAP_DIMENSIONS:
+            options = {"chunks": (1, sizes["row"], sizes["column"]), "fillvalue": np.float32(np.nan)}
+        kind = h5py.string_dtype() if variable.dtype == TEXT else variable.dtype
+        made = self._file.create_variable(variable.name, variable.dimensions, kind, **options)
+        for key, value in variable.attributes.items():
+            made.attrs[key] = value
+
+    def grow(self, steps: int) -> None:
+        """Make room for as many steps."""
+        self._file.resize_dimension("step", steps)
+
+    def put(self, name: str, index: int | slice, value: Any) -> None:
+        """Write one step of a variable, or a whole coordinate."""
+        self._file[name][index] = value
+
+    def flush(self) -> None:
+        """Hand everything to the operating system."""
+        self._file.flush()
+
+    def finish(self, attributes: Mapping[str, str]) -> None:
+        """Write the attributes, close, and give the dataset its name."""
+        for name, value in attributes.items():
+            self._file.attrs[name] = value
+        self._file.close()
+        _end_growth(_temporary(self._target), "step")
+        _temporary(self._target).replace(self._target)
+
+    def discard(self) -> None:
+        """Close and remove what was written."""
+        self._file.close()
+        _temporary(self._target).unlink()
+
+
+def _end_growth(file: Path, dimension: str) -> None:
+    """Give a growing dimension its final length.
+
+    Readers ask every variable for the length of a growing dimension, again for every other variable: opening a file
+    with forty maps then takes seconds instead of tenths.
+    """
+    with h5py.File(file, "r+") as content:
+        growing = content[dimension]
+        variables = [
+            variable
+            for name, variable in content.items()
+            if name != dimension and variable.ndim and len(variable.dims[0]) and variable.dims[0][0] == growing
+        ]
+        attributes = {name: value for name, value in growing.attrs.items() if name not in _OF_A_SCALE}
+        values = growing[...]
+        for variable in variables:
+            variable.dims[0].detach_scale(growing)
+        del content[dimension]
+        fixed = content.create_dataset(dimension, data=values)
+        fixed.attrs.update(attributes)
+        fixed.make_scale(dimension)
+        for variable in variables:
+            variable.dims[0].attach_scale(fixed)
+
+
+class ZarrStore:
+    """A Zarr folder of format 2, the version with the most readers."""
+
+    def __init__(self, target: Path) -> None:
+        with optional_import("zarr"):
+            import zarr
+        self._target = target
+        self._group = zarr.open_group(_temporary(target), mode="w", zarr_format=2)
+        self._growing: list[Any] = []
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return str(self._target)
+
+    def room(self) -> float:
+        """Return the bytes that still fit."""
+        return free_bytes(self._target)
+
+    def add_variable(self, variable: Variable, sizes: Mapping[str, int]) -> None:
+        """Make a variable; `sizes` is that of each dimension now (step may grow)."""
+        _, dimensions, dtype, attributes = variable
+        shape = tuple(sizes[dimension] for dimension in dimensions)
+        # one map per chunk; values per step share a chunk
+        chunks = (1, *shape[1:]) if dimensions == MAP_DIMENSIONS else tuple(max(size, 1024) for size in shape)
+        fill = np.nan if dtype in ("f4", "f8") else None  # readers take values that equal it as missing
+        array = self._group.create_array(
+            variable.name, shape=shape, dtype=str if dtype == TEXT else dtype, chunks=chunks, fill_value=fill
+        )
+        array.attrs.update({"_ARRAY_DIMENSIONS": list(dimensions), **attributes})
+        if dimensions[0] == "step":
+            self._growing.append(array)
+
+    def grow(self, steps: int) -> None:
+        """Make room for as many steps."""
+        for array in self._growing:
+            array.resize((steps, *array.shape[1:]))
+
+    def put(self, name: str, index: int | slice, value: Any) -> None:
+        """Write one step of a variable, or a whole coordinate."""
+        array: Any = self._group[name]
+        array[index] = value
+
+    def flush(self) -> None:
+        """Every chunk is a file that is closed already."""
+
+    def finish(self, attributes: Mapping[str, str]) -> None:
+        """Write the attributes, close, and give the dataset its name."""
+        import zarr
+
+        self._group.attrs.update(dict(attributes))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about readers that do not know consolidated metadata: they need none
+            zarr.consolidate_metadata(self._group.store)
+        old = self._target.with_name(f".{self._target.name}.old")
+        if self._target.exists():
+            self._target.replace(old)
+        _temporary(self._target).replace(self._target)
+        shutil.rmtree(old, ignore_errors=True)
+
+    def discard(self) -> None:
+        """Close and remove what was written."""
+        shutil.rmtree(_temporary(self._target), ignore_errors=True)

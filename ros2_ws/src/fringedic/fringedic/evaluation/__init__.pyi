@@ -1,0 +1,16 @@
+from .elasticity import ElasticConstants as ElasticConstants
+from .elasticity import elastic_constants as elastic_constants
+from .elasticity import strain_curve as strain_curve
+from .force import force_curve as force_curve
+from .probes import extensometer as extensometer
+from .probes import profile as profile
+from .probes import region_statistics as region_statistics
+from .rigid_motion import remove_rigid_motion as remove_rigid_motion
+from .specimens import compare_specimens as compare_specimens
+from .specimens import specimen_maps as specimen_maps
+from .truth import compare_with_truth as compare_with_truth
+from .truth import open_truth as open_truth
+from .truth import truth_errors as truth_errors
+from .two_experiments import compare_experiments as compare_experiments
+from .two_experiments import difference_maps as difference_maps
+from .two_experiments import differing_attributes as differing_attributes

@@ -1,0 +1,264 @@
+"""Mean strains of a region with their uncertainty, and the elastic constants that follow from them.
+
+References
+----------
+York, D., Evensen, N. M., Lopez Martinez, M., De Basabe Delgado, J. (2004). Unified equations for the slope, intercept,
+and standard errors of the best straight line. American Journal of Physics 72, 367-375, doi 10.1119/1.1632486.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from fringedic.datasets.quantities import MAP_DIMENSIONS
+from fringedic.errors import DatasetError
+from fringedic.evaluation.correlated import correlated_points
+from fringedic.evaluation.force import force_curve
+from fringedic.evaluation.probes import points_in
+from fringedic.evaluation.step_maps import StepValues, maps_by_step, require_maps, values_by_step
+from fringedic.frames.region import Region
+from fringedic.inputs.arguments import check_arguments, number, of_type, optional, several
+from fringedic.inputs.arguments import dataset as dataset_of
+
+_STRAINS = ("e_11", "e_22")
+_SIGMAS = ("sigma_e_11", "sigma_e_22")
+_FEWEST_STEPS = 3  # of a straight line with an uncertainty from its residuals
+_CONVERGED = 1e-12  # relative change of the slope
+_SMALLEST = 1e-12  # noise of a strain, so that results without noise have a weight
+_ITERATIONS = 100
+_EXPERIMENT = dataset_of(over=MAP_DIMENSIONS)
+
+
+@check_arguments(DatasetError, dataset=_EXPERIMENT, region=optional(of_type(Region)))
+def strain_curve(dataset: xr.Dataset, region: Region | None = None) -> xr.Dataset:
+    """Return the mean strain of a region over the steps, with the standard uncertainty of the mean.
+
+    Neighbouring points share their noise, so that the mean of n points is less certain than a standard deviation over
+    the root of n. The correlation is estimated from the map itself, as its deviation from a plane: a strain that is not
+    linear in the region counts as correlated noise, and the uncertainty is then too large rather than too small.
+    Systematic errors, such as those of the calibration, are not contained.
+
+    Parameters
+    ----------
+    dataset
+        From `open_experiment`, with ``e_11``, ``e_22`` and their standard deviations.
+    region
+        Part of the reference image; by default all points.
+
+    Returns
+    -------
+    Dataset
+        Over ``step``: ``e_11``, ``e_22``, ``sigma_e_11``, ``sigma_e_22`` [1], and ``force`` [N] and ``stress`` [Pa] as
+        of `force_curve` and ``reference_step`` where they are known. NaN for a step without a result in the region.
+
+    Raises
+    ------
+    DatasetError
+        The dataset has no strain, or no point of it lies in the region.
+    ImageError
+        The region was drawn in an image of another size.
+
+    Examples
+    --------
+    >>> generator = np.random.default_rng(1)
+    >>> noisy = generator.normal(1e-3, 1e-5, (1, 40, 40))
+    >>> maps = {name: (("step", "row", "column"), noisy) for name in ("e_11", "e_22")}
+    >>> sigmas = {f"sigma_{name}": (("step", "row", "column"), np.full((1, 40, 40), 1e-5)) for name in maps}
+    >>> axes = {"step": [0], "row": np.arange(40), "column": np.arange(40)}
+    >>> curve = strain_curve(xr.Dataset(maps | sigmas, axes))
+    >>> round(float(curve.e_11[0]), 6), round(float(curve.sigma_e_11[0]), 8)
+    (0.001, 2.5e-07)
+    """
+    names = (*_STRAINS, *_SIGMAS)
+    require_maps(dataset, names)
+    inside = np.ones((dataset.sizes["row"], dataset.sizes["column"]), bool)
+    if region is not None:
+        inside = points_in(region, dataset)
+    readings = np.array([_means(maps[:2], maps[2:], inside) for maps in maps_by_step(dataset, names)])
+    quantities = {name: StepValues(readings[:, k], "1", f"mean of {name}") for k, name in enumerate(_STRAINS)}
+    quantities |= {
+        name: StepValues(readings[:, 2 + k], "1", f"standard uncertainty of the mean of {_STRAINS[k]}")
+        for k, name in enumerate(_SIGMAS)
+    }
+    curve = values_by_step(dataset, quantities)
+    if "force" in dataset:
+        loads = force_curve(dataset, readings[:, 0])
+        curve = curve.assign({name: loads[name] for name in ("force", "stress") if name in loads})
+    if "reference_step" in dataset:
+        curve = curve.assign(reference_step=dataset["reference_step"].variable)
+    return curve
+
+
+@dataclass(frozen=True)
+class ElasticConstants:
+    """Elastic constants of a region in uniaxial stress; NaN where not known.
+
+    Attributes
+    ----------
+    axial
+        Strain along the load: ``e_11`` or ``e_22``, that with the larger range.
+    steps
+        Number of steps in the regression.
+    modulus, sigma_modulus
+        Slope of the stress over the axial strain with its standard uncertainty [Pa]; NaN without force or section.
+    poisson_ratio, sigma_poisson_ratio
+        Negative slope of the transverse over the axial strain with its standard uncertainty [1].
+    reference_step
+        Step that the strain of the regression is relative to; -1 if the dataset does not state it.
+    """
+
+    axial: str
+    steps: int
+    modulus: float = math.nan
+    sigma_modulus: float = math.nan
+    poisson_ratio: float = math.nan
+    sigma_poisson_ratio: float = math.nan
+    reference_step: int = -1
+
+
+@check_arguments(
+    DatasetError,
+    dataset=_EXPERIMENT,
+    region=optional(of_type(Region)),
+    strain=several(number(), length=2),
+    sigma_force=number(0.0),
+)
+def elastic_constants(
+    dataset: xr.Dataset,
+    region: Region | None = None,
+    *,
+    strain: Sequence[float] = (-1.0, 1.0),
+    sigma_force: float = 0.0,
+) -> ElasticConstants:
+    """Return Young's modulus and Poisson's ratio of a region by regression with the uncertainty of both axes.
+
+    Straight lines with an offset, by York et al. (2004). The offset takes the noise of the common reference and a
+    preload. The standard uncertainty contains the noise of strain and force; where the points scatter more than that,
+    it is increased to their scatter (Birge ratio). It does not contain the scale errors of calibration, load cell and
+    section, which are those of the slope.
+
+    The strain starts again at 0 where the reference step changes, and the force does not. The regression therefore uses
+    the steps of one reference: that of most steps in the range of strain, the first one if several have as many.
+
+    Parameters
+    ----------
+    dataset
+        From `open_experiment`; the stress is the force over the recorded section of the specimen.
+    region
+        Part of the reference image with a homogeneous strain; by default all points.
+    strain
+        Smallest and largest axial strain of the regression [1], relative to the reference of each step; by default all
+        steps.
+    sigma_force
+        Standard uncertainty of a force, without its scale error [N].
+
+    Raises
+    ------
+    DatasetError
+        The dataset has no strain, no point of it lies in the region, or an argument is no such number.
+    ImageError
+        The region was drawn in an image of another size.
+
+    Examples
+    --------
+    >>> elastic_constants(open_experiment("plate-7"), strain=(0.0005, 0.002))  # doctest: +SKIP
+    ElasticConstants(axial='e_22', steps=8, modulus=3.1e9, ...)
+    """
+    return constants_of(strain_curve(dataset, region), strain, sigma_force)
+
+
+def constants_of(curve: xr.Dataset, strain: Sequence[float], sigma_force: float) -> ElasticConstants:
+    """Return the constants of a `strain_curve`; see `elastic_constants`."""
+    ranges = [float(np.nanmax(curve[name]) - np.nanmin(curve[name])) for name in _STRAINS]
+    axial, transverse = _STRAINS if ranges[0] > ranges[1] else _STRAINS[::-1]
+    used = (curve[axial] >= strain[0]) & (curve[axial] <= strain[1]) & np.isfinite(curve[transverse])
+    points, reference = _of_one_reference(curve.isel(step=np.flatnonzero(used.values)))
+    steps = points.sizes["step"]
+    if steps < _FEWEST_STEPS:
+        return ElasticConstants(axial, steps, reference_step=reference)
+    along, across = (_Axis(points[name].values, _noise(points, name)) for name in (axial, transverse))
+    ratio, sigma_ratio = _slope(along, across)
+    modulus, sigma_modulus = math.nan, math.nan
+    if "stress" in points and np.isfinite(points["stress"]).all():
+        force, stress = points["force"].values, points["stress"].values
+        scale = float(np.ptp(stress) / np.ptp(force)) if np.ptp(force) else math.nan
+        modulus, sigma_modulus = _slope(along, _Axis(stress, np.full(steps, scale * sigma_force)))
+    return ElasticConstants(axial, steps, modulus, sigma_modulus, -ratio, sigma_ratio, reference)
+
+
+def _of_one_reference(points: xr.Dataset) -> tuple[xr.Dataset, int]:
+    """Return the points of the reference step that most of them have, and its number, -1 if it is not known."""
+    if "reference_step" not in points or not points.sizes["step"]:
+        return points, -1
+    references, counts = np.unique(points["reference_step"].values, return_counts=True)
+    reference = int(references[np.argmax(counts)])
+    return points.isel(step=np.flatnonzero(points["reference_step"].values == reference)), reference
+
+
+class _Axis(NamedTuple):
+    """Values of the points of a regression along one axis, with their standard uncertainties."""
+
+    values: np.ndarray
+    sigmas: np.ndarray
+
+
+def _means(strains: np.ndarray, sigmas: np.ndarray, inside: np.ndarray) -> list[float]:
+    """Return the mean of each map over a region, and then their standard uncertainties."""
+    means, uncertainties = [], []
+    for strain, sigma in zip(strains, sigmas, strict=True):
+        measured = inside & np.isfinite(strain) & np.isfinite(sigma)
+        count = np.count_nonzero(measured)
+        if not count:
+            means.append(np.nan)
+            uncertainties.append(np.nan)
+            continue
+        together = min(correlated_points(_without_plane(strain, measured)), count)
+        means.append(float(strain[measured].mean(dtype=float)))
+        uncertainties.append(float(np.sqrt(np.mean(sigma[measured].astype(float) ** 2) * together / count)))
+    return means + uncertainties
+
+
+def _without_plane(values: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Return the deviation of the measured points from their plane, NaN elsewhere."""
+    row, column = np.nonzero(measured)
+    design = np.column_stack([np.ones(row.size), row, column]).astype(float)
+    known = values[measured].astype(float)
+    rest = np.full(values.shape, np.nan)
+    rest[measured] = known - design @ np.linalg.lstsq(design, known, rcond=None)[0]
+    return rest
+
+
+def _noise(curve: xr.Dataset, name: str) -> np.ndarray:
+    """Return the noise of each step alone.
+
+    The stated uncertainty is that of the difference of a step and the common reference. The noise of the reference is
+    the same in all steps and is in the offset of the line; the reference itself, whose strain is 0 by definition, has
+    the noise of the others.
+    """
+    sigma = curve[f"sigma_{name}"].values / math.sqrt(2)
+    itself = curve[name].values == 0
+    if not itself.all():
+        sigma[itself] = np.sqrt(np.mean(sigma[~itself] ** 2))
+    return np.asarray(np.maximum(sigma, _SMALLEST))
+
+
+def _slope(x: _Axis, y: _Axis) -> tuple[float, float]:
+    """Return the slope of a straight line with its standard uncertainty (York et al. 2004, without correlations)."""
+    slope = np.polyfit(x.values, y.values, 1)[0]
+    for _ in range(_ITERATIONS):
+        weight = 1 / (y.sigmas**2 + (slope * x.sigmas) ** 2)
+        u, v = (axis.values - np.average(axis.values, weights=weight) for axis in (x, y))
+        adjusted = weight * (u * y.sigmas**2 + slope * v * x.sigmas**2)
+        before, slope = slope, np.sum(weight * adjusted * v) / np.sum(weight * adjusted * u)
+        if abs(slope - before) <= _CONVERGED * abs(slope):
+            break
+    spread = adjusted - np.average(adjusted, weights=weight)
+    sigma = 1 / math.sqrt(np.sum(weight * spread**2))
+    scatter = math.sqrt(np.sum(weight * (v - slope * u) ** 2) / (len(u) - 2))
+    return float(slope), sigma * max(1.0, scatter)

@@ -1,0 +1,214 @@
+"""Series of images without a rig: displacement, strain and scale against the exact values."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+import xarray as xr
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+import fringedic
+from fringedic.errors import CorrelationError, DatasetError, ErrorCode, ImageError
+from fringedic.images import measure_images
+from fringedic.surface import flat_strain
+
+SIZE = (150, 200)
+PIXEL = 5e-5  # [m]
+STRAIN, CONTRACTION = 4e-3, -1.2e-3  # per image, along x and y
+
+
+def speckle(seed=3):
+    """Grey levels of random spots, wider than the images on all sides."""
+    texture = gaussian_filter(np.random.default_rng(seed).normal(size=(SIZE[0] + 60, SIZE[1] + 60)), 1.5)
+    return 128 + 40 * texture / texture.std()
+
+
+def stretched(texture, number, noise):
+    """Image `number`: the point at (row, column) is now `number` times strained."""
+    row, column = np.mgrid[: SIZE[0], : SIZE[1]].astype(float)
+    where = [30 + row / (1 + number * CONTRACTION), 30 + column / (1 + number * STRAIN)]
+    grey = map_coordinates(texture, where, order=5) + noise.normal(0, 1, SIZE)
+    return np.clip(grey, 0, 255).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Four images, 2 before 10, and a note."""
+    place, noise, texture = tmp_path_factory.mktemp("images"), np.random.default_rng(1), speckle()
+    for number, name in enumerate((1, 2, 9, 10)):
+        cv2.imwrite(str(place / f"load_{name}.tif"), stretched(texture, number, noise))
+    (place / "notes.txt").write_text("no image")
+    return place
+
+
+@pytest.fixture(scope="module")
+def dataset(folder, tmp_path_factory):
+    told = []
+    target = tmp_path_factory.mktemp("measured") / "series.nc"
+    series = measure_images(
+        [folder], target, pixel_size=PIXEL, strain_window=41, progress=lambda image, count: told.append((image, count))
+    )
+    assert [image.name for image in series.images] == [f"load_{name}.tif" for name in (1, 2, 9, 10)]
+    assert [count for _, count in told] == [4] * 4
+    assert series.failed == []
+    with fringedic.open_experiment(series.dataset) as opened:
+        yield opened.load()
+
+
+def inner(values):
+    return values.isel(row=slice(8, -8), column=slice(8, -8))
+
+
+def test_residual_is_the_noise_of_both_images(dataset):
+    """Noise of 1 and quantisation of 1/12 grey level² in each; interpolation reduces that of one of them."""
+    spread = inner(dataset.grey_residual).std(("row", "column")).values
+    assert np.isnan(spread[0])
+    assert (spread[1:] > np.sqrt(13 / 12)).all()
+    assert (spread[1:] < np.sqrt(2 * 13 / 12)).all()
+
+
+def test_strain_is_exact_within_its_uncertainty(dataset):
+    last = inner(dataset.sel(step=3))
+    exact = {"e_xx": 3 * STRAIN + 4.5 * STRAIN**2, "e_yy": 3 * CONTRACTION + 4.5 * CONTRACTION**2, "e_xy": 0.0}
+    for name, value in exact.items():
+        error = last[name] - value
+        assert abs(float(error.mean())) < 60e-6, name
+        assert 0.7 < float(error.std() / last[f"sigma_{name}"].median()) < 1.3, name
+    assert float(last.e_1.median()) == pytest.approx(exact["e_xx"], abs=60e-6)
+    assert float(last.e_2.median()) == pytest.approx(exact["e_yy"], abs=60e-6)
+
+
+def test_scale_gives_metres_with_y_upwards(dataset):
+    last = dataset.sel(step=3)
+    np.testing.assert_allclose(last.u, PIXEL * last.displacement_x, rtol=1e-6)
+    np.testing.assert_allclose(last.v, -PIXEL * last.displacement_y, rtol=1e-6)
+    assert (dataset.u.attrs["units"], dataset.rms_displacement.attrs["units"]) == ("m", "m")
+    assert float(dataset.y_mm[0]) == pytest.approx(1e3 * PIXEL * 0.5 * (SIZE[0] - 1))
+    assert dataset.valid_fraction.values[0] > 0.85
+
+
+def test_extensometer_and_rigid_motion_need_no_shape(dataset):
+    gauge = dataset.fringedic.extensometer((40, 75), (160, 75), subset=21)
+    assert gauge.length.attrs["units"] == "m"
+    assert float(gauge.length[0]) == pytest.approx(120 * PIXEL)
+    error = gauge.strain.values - STRAIN * np.arange(4)
+    assert abs(error[1:]).max() < 4 * float(gauge.sigma_strain[-1])
+    rest = dataset.fringedic.remove_rigid_motion()
+    assert abs(float(rest.displacement_x.sel(step=3).mean())) < 1e-3
+    assert float(rest.translation.sel(step=3, axis="x")) == pytest.approx(float(dataset.u.sel(step=3).mean()), rel=0.02)
+    wider = dataset.fringedic.strain(61)
+    assert wider.attrs["virtual_strain_gauge_px"] == 32 + 64, "17 points every 4 px"
+    assert float(wider.sigma_e_xx.median()) < float(dataset.sigma_e_xx.sel(step=3).median())
+
+
+@pytest.mark.parametrize(("scale", "unit"), [({"pixel_size": PIXEL}, "m"), ({}, "px")])
+def test_rigid_motion_of_images_turns_about_their_middle(scale, unit):
+    """Points that turn about the middle of the image, seen in a corner of it, have no translation."""
+    angle, column, row = 0.02, np.arange(0, 80, 4), np.arange(0, 60, 4)
+    x, y = np.meshgrid(column - 0.5 * (SIZE[1] - 1), 0.5 * (SIZE[0] - 1) - row)
+    u, v = x * (np.cos(angle) - 1) - y * np.sin(angle), x * np.sin(angle) + y * (np.cos(angle) - 1)
+    maps = {"displacement_x": (("row", "column"), u), "displacement_y": (("row", "column"), -v)}
+    attributes = {"image_width": SIZE[1], "image_height": SIZE[0], **scale}
+    turned = xr.Dataset(maps, {"row": row, "column": column}, attributes)
+    rest = turned.fringedic.remove_rigid_motion()
+    assert rest.translation.attrs["units"] == unit
+    np.testing.assert_allclose(rest.translation, 0.0, atol=1e-9)
+    np.testing.assert_allclose(rest.rotation, [0.0, 0.0, angle], atol=1e-9)
+    gauge = turned.fringedic.extensometer((10, 10), (70, 50), subset=4)
+    assert float(gauge.strain) == pytest.approx(0.0, abs=1e-12)
+    assert float(gauge.length) == pytest.approx(np.hypot(60, 40) * scale.get("pixel_size", 1.0))
+
+
+def test_images_in_memory_have_the_same_methods(folder):
+    first, last = (cv2.imread(str(folder / f"load_{name}.tif"), cv2.IMREAD_UNCHANGED) for name in (1, 10))
+    field = fringedic.measure_displacement(first, last, spacing=4)
+    gauge = field.fringedic.extensometer((40, 75), (160, 75), subset=21)
+    assert gauge.length.attrs["units"] == "px"
+    assert float(gauge.strain) == pytest.approx(3 * STRAIN, abs=2e-4)
+    assert float(flat_strain(field, window=41).e_xx.median()) == pytest.approx(3 * STRAIN, abs=2e-4)
+    assert field.fringedic.plot("displacement_y").get_ylabel() == "row [px]"
+
+
+def test_one_bad_image_does_not_end_the_series(folder, tmp_path):
+    files = [folder / f"load_{name}.tif" for name in (1, 2, 9)]
+    other = tmp_path / "other.tif"
+    cv2.imwrite(str(other), stretched(speckle(99), 0, np.random.default_rng(2)))
+    (tmp_path / "empty.tif").write_bytes(b"")
+    series = measure_images([*files[:2], other, tmp_path / "empty.tif", files[2]], tmp_path / "a.nc")
+    assert [image.step for image in series.failed] == [2, 3]
+    assert "other.tif" in series.failed[0].error
+    assert "empty.tif is not an image" in series.failed[1].error
+    with fringedic.open_experiment(series.dataset) as dataset:
+        assert [bool(error) for error in dataset.error.values] == [False, False, True, True, False]
+        assert float(dataset.e_xx.sel(step=4).median()) == pytest.approx(2 * STRAIN, abs=2e-4)
+
+
+def test_nothing_is_left_when_no_image_shows_the_surface(folder, tmp_path):
+    other = tmp_path / "other.tif"
+    cv2.imwrite(str(other), stretched(speckle(99), 0, np.random.default_rng(2)))
+    with pytest.raises(CorrelationError, match=r"other\.tif: ") as refused:
+        measure_images([folder / "load_1.tif", other], tmp_path / "a.nc")
+    assert refused.value.code in (None, ErrorCode.NO_CORRELATION)
+    assert [file.name for file in tmp_path.iterdir()] == ["other.tif"]
+
+
+def test_interrupted_series_keeps_what_was_measured(folder, tmp_path):
+    def stop(image, _count):
+        if image.step == 2:
+            raise KeyboardInterrupt
+
+    series = measure_images([folder], tmp_path / "a.nc", progress=stop)
+    assert series.interrupted
+    with fringedic.open_experiment(series.dataset) as dataset:
+        assert dataset.step.values.tolist() == [0, 1, 2]
+
+
+def test_changing_surface_is_followed_by_increments(tmp_path):
+    """The spots are exchanged little by little: the last image has nothing in common with the first one."""
+    noise, old, new = np.random.default_rng(4), speckle(1), speckle(2)
+    for number, angle in enumerate(np.linspace(0, np.pi / 2, 7)):
+        mixed = 128 + np.cos(angle) * (old - 128) + np.sin(angle) * (new - 128)
+        cv2.imwrite(str(tmp_path / f"image_{number}.tif"), stretched(mixed, number, noise))
+    series = measure_images([tmp_path], tmp_path / "a.nc")
+    assert [image.error for image in series.failed] == []
+    assert series.images[1].increment_from == ""
+    assert series.images[-1].increment_from.startswith("image_")
+    with fringedic.open_experiment(series.dataset) as dataset:
+        # the new spots are noise to the old ones: a sixth of the contrast is exchanged per image
+        assert float(dataset.e_xx.sel(step=6).median()) == pytest.approx(6 * STRAIN + 18 * STRAIN**2, rel=0.15)
+        assert float(dataset.displacement_sigma_x.sel(step=6).median()) > 2 * float(
+            dataset.displacement_sigma_x.sel(step=1).median()
+        )
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"window": 4}, DatasetError, "window is 4: it has to be a whole number from 8 to 256"),
+        ({"pixel_size": 0.0}, DatasetError, "pixel_size is 0.0"),
+        ({"mask": np.ones((3, 3), bool)}, ImageError, "the mask has 3x3 px, the images have 200x150 px"),
+        ({"output": "a.txt"}, DatasetError, "is named .nc"),
+    ],
+)
+def test_wrong_options_are_one_sentence(folder, tmp_path, monkeypatch, options, error, words):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(error, match=words):
+        measure_images([folder], **{"output": "a.nc"} | options)
+    assert not list(tmp_path.iterdir())
+
+
+def test_mask_limits_the_measured_surface(folder, tmp_path):
+    mask = np.zeros(SIZE, bool)
+    mask[40:120, 50:150] = True
+    series = measure_images([folder], tmp_path / "a.nc", mask=mask)
+    with fringedic.open_experiment(series.dataset) as dataset:
+        measured = np.isfinite(dataset.displacement_x.sel(step=3))
+        assert not measured.sel(row=slice(0, 36)).any()
+        assert dataset.valid_fraction.values.min() > 0.8
+        assert json.loads(dataset.attrs["parameters"])[-1]["parameters"]["strain"]["strain_window_px"] == 41
+
+
+def test_a_folder_without_images_is_named(tmp_path):
+    with pytest.raises(ImageError, match="contains no images"):
+        measure_images([tmp_path], tmp_path / "a.nc")
