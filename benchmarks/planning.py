@@ -23,9 +23,9 @@ from fringedic.configuration.yaml_section import validate
 from fringedic.correlation import measure_displacement
 from fringedic.patterns.sequences import fringe_sequence
 from fringedic.phase.demodulation import absolute_phase
-from fringedic.rig_setup.plan import field_uncertainty
-from fringedic.rig_setup.plan_warnings import find_warnings
-from fringedic.rig_setup.planned_patch import QUANTITIES, PlannedRig
+from fringedic.planning.plan import field_uncertainty
+from fringedic.planning.plan_warnings import find_warnings
+from fringedic.planning.planned_patch import QUANTITIES, PlannedRig
 from fringedic.surface import couple, surface_strain
 from fringedic.virtual_rig import VirtualRig
 

@@ -9,8 +9,8 @@ import numpy as np
 from fringedic.errors import optional_import
 from fringedic.figures.calibration import draw_geometry
 from fringedic.patterns.pattern import Orientation
-from fringedic.rig_setup.plan import Plan
-from fringedic.rig_setup.plan_warnings import depth_of_field
+from fringedic.planning.plan import Plan
+from fringedic.planning.plan_warnings import depth_of_field
 
 with optional_import("figures"):
     from matplotlib.axes import Axes

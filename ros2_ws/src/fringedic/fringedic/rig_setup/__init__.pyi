@@ -7,9 +7,6 @@ from .live_figures import Figures as Figures
 from .live_figures import LiveView as LiveView
 from .noise_floor import noise_of_images as noise_of_images
 from .noise_floor import noise_of_recording as noise_of_recording
-from .plan import Plan as Plan
-from .plan import make_plan as make_plan
-from .planned_rig import PlannedRig as PlannedRig
 from .recommended_settings import advise_settings as advise_settings
 from .response import measure_response as measure_response
 from .timing import ProjectorTiming as ProjectorTiming

@@ -17,10 +17,10 @@ from fringedic.calibration.acceptance import (
     measure_place,
     unsuitable,
 )
+from fringedic.calibration.virtual_artefacts import measure_virtual_artefact
 from fringedic.configuration.rig_file import RigFile, load_calibration
 from fringedic.errors import CalibrationError
 from fringedic.report.acceptance import acceptance_text, place_in_words, write_acceptance_page
-from fringedic.rig_setup.virtual_artefacts import measure_virtual_artefact
 
 ARTEFACTS = Artefacts(diameter=12e-3, spacing=30e-3, volume=(55e-3, 40e-3, 20e-3))
 NOISE = 27e-6  # of z of a pixel; the distances of a cap scatter less
@@ -52,8 +52,12 @@ def model(rig):
     return load_calibration(rig, "rig.yaml")
 
 
+def shape_of(rig, model, place):
+    return measure_virtual_artefact(rig.virtual_configuration(), rig.patterns(), model, place, ARTEFACTS)
+
+
 def result_at(number, rig, model, calibration=None):
-    shape = measure_virtual_artefact(rig, calibration or model, PLACES[number], ARTEFACTS)
+    shape = shape_of(rig, calibration or model, PLACES[number])
     return measure_place(PLACES[number], shape, ARTEFACTS)
 
 
@@ -87,7 +91,7 @@ def test_errors_are_those_of_the_noise(results):
 
 def test_balls_are_where_they_were_placed(rig, model):
     place = PLACES[6]
-    shape = measure_virtual_artefact(rig, model, place, ARTEFACTS)
+    shape = shape_of(rig, model, place)
     residuals = measure_place(place, shape, ARTEFACTS).residuals
     # the highest point of the ball is above its centre
     assert shape.z.max() == pytest.approx(place.centre[2] + 6e-3, abs=6 * NOISE)
@@ -106,7 +110,7 @@ def test_a_wrong_scale_is_a_spacing_error(rig, model, results):
 
 
 def test_a_bent_shape_is_a_flatness_error(rig, model):
-    shape = measure_virtual_artefact(rig, model, PLACES[18], ARTEFACTS)
+    shape = shape_of(rig, model, PLACES[18])
     bent = shape.assign(z=shape.z + 3e-4 * (shape.x / 0.0275) ** 2)
     errors = [measure_place(PLACES[18], each, ARTEFACTS).errors[AcceptanceError.FLATNESS] for each in (shape, bent)]
     assert errors[1] - errors[0] > 2e-4
@@ -119,7 +123,7 @@ def test_what_is_missing_fails_its_limit(rig, results):
 
 
 def test_a_plane_is_no_ball(rig, model):
-    shape = measure_virtual_artefact(rig, model, PLACES[18], ARTEFACTS)
+    shape = shape_of(rig, model, PLACES[18])
     with pytest.raises(CalibrationError, match="ball"):
         measure_place(PLACES[0], shape, ARTEFACTS)
     with pytest.raises(CalibrationError, match="light it better"):
@@ -130,14 +134,14 @@ def test_a_plane_is_no_ball(rig, model):
 
 @pytest.mark.parametrize(("asked", "was"), [(1, 0), (9, 0), (11, 10), (14, 13), (15, 10), (19, 18), (21, 19), (22, 20)])
 def test_an_artefact_that_was_not_moved(asked, was, rig, model):
-    shape = measure_virtual_artefact(rig, model, PLACES[was], ARTEFACTS)
+    shape = shape_of(rig, model, PLACES[was])
     with pytest.raises(CalibrationError, match=rf"mm away from it and nearer to place {was + 1}"):
         measure_place(PLACES[asked], shape, ARTEFACTS)
 
 
 def test_places_need_not_be_exact(rig, model):
     beside = replace(PLACES[15], centre=(2e-3, -2e-3, 1e-3))
-    shape = measure_virtual_artefact(rig, model, beside, ARTEFACTS)
+    shape = shape_of(rig, model, beside)
     assert abs(measure_place(PLACES[15], shape, ARTEFACTS).errors[AcceptanceError.SPACING]) < 10e-6
 
 

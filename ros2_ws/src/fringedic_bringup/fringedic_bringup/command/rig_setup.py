@@ -83,8 +83,8 @@ def plan(
     """Predict the uncertainties of a rig from the data of its components, before anything is bought."""
     page = output_file(output, overwrite)
     from fringedic.configuration.changes import load_changed_rig_file
+    from fringedic.planning import PlannedRig, make_plan
     from fringedic.report.plan import plan_text, write_plan_page
-    from fringedic.rig_setup import PlannedRig, make_plan
 
     path = rig_path_of(rig)
     found = make_plan(PlannedRig.of(load_changed_rig_file(path, parameter_values(settings)), str(path)))

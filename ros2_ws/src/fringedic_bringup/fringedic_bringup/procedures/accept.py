@@ -78,11 +78,12 @@ def _virtual_shapes(
     rig: RigFile, model: RigModel, places: list[Place], artefacts: Artefacts, progress: Progress
 ) -> Iterator[xr.Dataset]:
     """Yield the surfaces of the artefacts before a virtual rig, rendered without nodes."""
-    from fringedic.rig_setup.virtual_artefacts import measure_virtual_artefact
+    from fringedic.calibration.virtual_artefacts import measure_virtual_artefact
 
+    virtual, patterns = rig.virtual_configuration(), rig.patterns()
     for number, place in enumerate(places, start=1):
         progress.part(number, len(places), place_in_words(place))
-        yield measure_virtual_artefact(rig, model, place, artefacts)
+        yield measure_virtual_artefact(virtual, patterns, model, place, artefacts)
 
 
 def shapes_by_nodes(

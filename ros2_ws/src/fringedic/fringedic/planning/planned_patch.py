@@ -20,7 +20,7 @@ from fringedic.frames.noise import CameraNoise
 from fringedic.phase.demodulation_kernel import CONFIDENCE
 from fringedic.phase.layout import Layout
 from fringedic.phase.noise import phase_deviation
-from fringedic.rig_setup.planned_rig import PlannedRig
+from fringedic.planning.planned_rig import PlannedRig
 from fringedic.surface import PreparedShape, couple, surface_strain
 from fringedic.virtual_rig.texture import make_texture, reflectance_at
 

@@ -20,9 +20,9 @@ from fringedic.correlation.transfer import shortest_period
 from fringedic.errors import RigSetupError
 from fringedic.patterns.pattern import Orientation, PatternKind
 from fringedic.phase.noise import phase_deviation
-from fringedic.rig_setup.plan_warnings import PlanWarning, find_warnings, steepest_light
-from fringedic.rig_setup.planned_patch import QUANTITIES, NoiseFactors, Patch, PatchUncertainty, patch_width
-from fringedic.rig_setup.planned_rig import PlannedRig
+from fringedic.planning.plan_warnings import PlanWarning, find_warnings, steepest_light
+from fringedic.planning.planned_patch import QUANTITIES, NoiseFactors, Patch, PatchUncertainty, patch_width
+from fringedic.planning.planned_rig import PlannedRig
 
 _GAUSS = np.polynomial.legendre.leggauss(3)  # exact for a variance that grows with the square of the distance
 ANGLES = tuple(math.radians(each) for each in range(5, 61, 5))

@@ -13,12 +13,12 @@ from fringedic.errors import ConfigurationError, RigSetupError
 from fringedic.patterns import fringe_sequence
 from fringedic.patterns.pattern import Orientation
 from fringedic.phase.demodulation import absolute_phase
+from fringedic.planning import PlannedRig, make_plan
+from fringedic.planning.plan import PlanChange, field_uncertainty, plane_noise, recommend_angle
+from fringedic.planning.plan_warnings import PlanProblem, PlanWarning, depth_of_field, find_warnings, fringe_period
+from fringedic.planning.planned_patch import Patch
+from fringedic.planning.planned_rig import pixel_ripple
 from fringedic.report.plan import plan_text, plan_warning_sentence, write_plan_page
-from fringedic.rig_setup import PlannedRig, make_plan
-from fringedic.rig_setup.plan import PlanChange, field_uncertainty, plane_noise, recommend_angle
-from fringedic.rig_setup.plan_warnings import PlanProblem, PlanWarning, depth_of_field, find_warnings, fringe_period
-from fringedic.rig_setup.planned_patch import Patch
-from fringedic.rig_setup.planned_rig import pixel_ripple
 from fringedic.surface import couple
 from fringedic.virtual_rig import VirtualRig
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
 
 from fringedic.calibration.acceptance import Artefact, Artefacts, Place
-from fringedic.configuration.rig_file import RigFile
+from fringedic.patterns.pattern import ProjectedPattern
 from fringedic.patterns.render import render_pattern
 from fringedic.phase import measure_phase
 from fringedic.rig.model import RigModel
@@ -18,20 +19,27 @@ _TRAVEL = 1e-3  # [m] of the crosshead, which brings the artefact from the origi
 _CAP_DEGREE = 70.0  # of the balls above their base
 
 
-def measure_virtual_artefact(rig: RigFile, model: RigModel, place: Place, artefacts: Artefacts) -> xr.Dataset:
+def measure_virtual_artefact(
+    virtual: VirtualRigConfiguration,
+    patterns: Sequence[ProjectedPattern],
+    model: RigModel,
+    place: Place,
+    artefacts: Artefacts,
+) -> xr.Dataset:
     """Return the surface of an artefact at a place, from rendered frames of the virtual rig.
 
     Parameters
     ----------
-    rig
-        Rig file with a virtual rig.
+    virtual
+        The virtual rig; the artefact replaces its specimen.
+    patterns
+        Of one step.
     model
-        Its calibration.
+        Calibration of the rig.
     place, artefacts
         What is placed where.
     """
-    twin = VirtualRig(_configuration(rig.virtual_configuration(), place, artefacts))
-    patterns = rig.patterns()
+    twin = VirtualRig(_configuration(virtual, place, artefacts))
     height, width = twin.projector_shape
     frames = np.array(
         [twin.expose(render_pattern(each, width, height), _TRAVEL, number) for number, each in enumerate(patterns)]

@@ -11,8 +11,8 @@ import numpy as np
 
 from fringedic.configuration.sections import FINEST_DEFAULT_PITCH_PX
 from fringedic.patterns.pattern import Orientation
-from fringedic.rig_setup.planned_patch import PatchUncertainty
-from fringedic.rig_setup.planned_rig import PlannedRig, pixel_ripple
+from fringedic.planning.planned_patch import PatchUncertainty
+from fringedic.planning.planned_rig import PlannedRig, pixel_ripple
 from fringedic.rig_setup.settings_warnings import LARGEST_FEATURE, SMALLEST_FEATURE
 from fringedic.rig_setup.window_choice import USUAL_FEATURES
 
