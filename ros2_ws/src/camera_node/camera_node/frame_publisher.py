@@ -10,9 +10,10 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, Image
 
 from camera_node.drivers import Driver, Frame
-from fringedic.errors import ClockJumpError, FringedicError, number_text
+from fringedic.errors import ClockJumpError, FringedicError
 from fringedic.frames.records import FrameRecord
 from fringedic.rig.model import RigModel
+from fringedic.wording.numbers import number_text
 from fringedic_msgs.msg import ClockDrift, Exposure, RigCalibration
 from fringedic_ros.camera_info import camera_info
 from fringedic_ros.diagnostics import NodeDiagnostics

@@ -7,10 +7,10 @@ from typing import Literal, Self
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 from yaml import YAMLError
 
-from fringedic.inputs.yaml_text import load_yaml
 from fringedic.patterns.pattern import PHASE_KINDS, ProjectedPattern
 from fringedic.patterns.sequences import FringeOrder, step_sequence
 from fringedic.steps.recorded_parameters import MODELS
+from fringedic.wording.yaml_text import load_yaml
 
 
 class ExperimentParameters(BaseModel):

@@ -15,8 +15,9 @@ from rclpy.node import Node
 from experiment_node.active_goal import StepFailure
 from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.running_step import RunningStep
-from fringedic.errors import WaitTimeoutError, number_text
+from fringedic.errors import WaitTimeoutError
 from fringedic.recording.load_samples import summarise_load
+from fringedic.wording.numbers import number_text
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import LoadState
 from fringedic_ros.polled import PolledTopic

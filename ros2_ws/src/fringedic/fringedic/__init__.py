@@ -5,13 +5,48 @@ The public names are listed in ``__init__.pyi`` and loaded on first use: most no
 
 import os
 import sys
+import tempfile
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import lazy_loader
 
-from fringedic.inputs.user_folder import replacement_of
+
+def replacement_of(folder: str) -> str | None:
+    """Return a temporary folder for files that usually are in a folder of the user.
+
+    Parameters
+    ----------
+    folder
+        The usual folder; it is made if it does not exist.
+
+    Returns
+    -------
+    str or None
+        None when the usual folder can be written. Otherwise the same temporary folder for all processes of this user,
+        which others cannot write: files such as compiled functions are executed.
+
+    Raises
+    ------
+    ImportError
+        No temporary folder can be written either; it is asked for while packages are imported.
+    """
+    try:
+        os.makedirs(folder, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        user = os.getuid() if hasattr(os, "getuid") else 0
+        try:
+            temporary = os.path.join(tempfile.gettempdir(), f"fringedic-{user}")
+        except FileNotFoundError:
+            raise ImportError(
+                f"neither {folder} nor a temporary folder can be written; set TMPDIR to one that can"
+            ) from None
+        os.makedirs(temporary, mode=0o700, exist_ok=True)
+        return temporary if os.stat(temporary).st_uid == user else tempfile.mkdtemp(prefix="fringedic-")
+    return None
+
 
 if "NUMBA_CACHE_DIR" not in os.environ and not os.access(os.path.dirname(__file__), os.W_OK):
     # Numba keeps compiled functions beside the source or in the home folder, and fails where it can write neither

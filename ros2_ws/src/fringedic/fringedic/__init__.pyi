@@ -41,3 +41,5 @@ from .surface import SpecimenFrame as SpecimenFrame
 from .surface import couple as couple
 from .surface import surface_strain as surface_strain
 from .surface import to_local_frame as to_local_frame
+
+def replacement_of(folder: str) -> str | None: ...

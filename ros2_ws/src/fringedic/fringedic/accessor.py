@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from fringedic.errors import DatasetError, optional_import
+from fringedic.errors import DatasetError
 from fringedic.frames.region import Point, Region
-from fringedic.inputs.arguments import check_arguments, several, text, whole
+from fringedic.wording.arguments import check_arguments, several, text, whole
+from fringedic.wording.optional_packages import optional_import
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

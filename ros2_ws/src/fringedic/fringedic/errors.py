@@ -5,10 +5,6 @@ A message names the thing that is wrong and says what to do.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator
-from contextlib import contextmanager
-from decimal import Decimal
 from enum import StrEnum
 
 
@@ -213,70 +209,3 @@ class OperatorError(FringedicError, RuntimeError):
 
 class WaitTimeoutError(FringedicError, TimeoutError):
     """A node, an answer or a message did not come in time; the message names it."""
-
-
-_EXTRAS = {
-    "figures": "drawing",
-    "report": "a report",
-    "operator": "the operator's page",
-    "foxglove": "a server for Foxglove",
-    "paraview": "a file for ParaView",
-    "models": "reading a model",
-    "zarr": "a Zarr dataset",
-    "campaign": "a campaign",
-}
-
-
-@contextmanager
-def optional_import(extra: str) -> Iterator[None]:
-    """Say how to install a package that only some tasks need, when its import fails.
-
-    Parameters
-    ----------
-    extra
-        The extra of this library that installs the package: ``figures``, ``report``, ``operator``, ``foxglove``,
-        ``paraview``, ``models``, ``zarr`` or ``campaign``.
-
-    Raises
-    ------
-    FringedicError
-        The package is not installed.
-
-    Examples
-    --------
-    >>> with optional_import("figures"):
-    ...     import a_package_that_nobody_has
-    Traceback (most recent call last):
-    fringedic.errors.FringedicError: drawing needs a_package_that_nobody_has: pip install 'fringedic[figures]'
-    """
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        package = str(error.name).partition(".")[0]
-        raise FringedicError(f"{_EXTRAS[extra]} needs {package}: pip install 'fringedic[{extra}]'") from error
-
-
-def number_text(value: float, digits: int = 4, *, sign: bool = False) -> str:
-    """Return a number as people write it: rounded, without an exponent; "-" when it is not finite.
-
-    Parameters
-    ----------
-    value
-        Any number.
-    digits
-        Significant digits; those before the decimal point are all written.
-    sign
-        Write the plus of a positive number.
-
-    Examples
-    --------
-    >>> [number_text(value) for value in (3.14159, 123456.0, -0.042, 3.191e-05, 0.0, float("nan"))]
-    ['3.142', '123456', '-0.042', '0.00003191', '0', '-']
-    >>> number_text(1793.4, 3, sign=True)
-    '+1793'
-    """
-    if not math.isfinite(value):
-        return "-"
-    rounded = f"{value:.0f}" if abs(value) >= 10**digits else f"{value:.{digits}g}"
-    text = format(Decimal(rounded), "f")
-    return f"+{text}" if sign and value > 0 else text

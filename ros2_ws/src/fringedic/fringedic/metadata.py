@@ -16,7 +16,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from fringedic.errors import ConfigurationError
-from fringedic.inputs.yaml_text import load_yaml
+from fringedic.wording.yaml_text import load_yaml
 
 FIRST_STEP = "first_step"
 OLD_GAUGES = "extensometers_px"  # key of earlier versions, (row, column)

@@ -13,8 +13,9 @@ import xarray as xr
 from fringedic.configuration.rig_file import load_programme, load_rig_file
 from fringedic.datasets.attributes import recorded_metadata
 from fringedic.datasets.opening import open_experiment
-from fringedic.errors import ConfigurationError, FringedicError, optional_import
+from fringedic.errors import ConfigurationError, FringedicError
 from fringedic.metadata import Metadata
+from fringedic.wording.optional_packages import optional_import
 
 RIG = "camera: {source: virtual}\nprojector: {source: virtual}\nvirtual_rig: {preset: plate, size: tiny}\n"
 OLD = "{extensometers_px: [[480, 200, 470, 1000]]}"

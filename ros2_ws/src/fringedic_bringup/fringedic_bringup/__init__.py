@@ -2,7 +2,7 @@
 
 import os
 
-from fringedic.inputs.user_folder import replacement_of
+from fringedic import replacement_of
 
 # linear algebra on one thread, as in the nodes: the desk's numbers are theirs, bit by bit. Set before NumPy is loaded.
 for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):

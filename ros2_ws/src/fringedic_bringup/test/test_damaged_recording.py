@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from fringedic.recording import BagReader, join
 from fringedic.recording.writer import Split
-from fringedic.report.counts import grouped
+from fringedic.wording.numbers import grouped
 from fringedic_bringup.command.main import app
 
 RECORDED = Path(__file__).parents[2] / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"

@@ -8,8 +8,8 @@ import yaml
 from pydantic import AfterValidator, Field
 
 from fringedic.errors import VirtualRigError
-from fringedic.inputs.yaml_text import load_yaml
 from fringedic.virtual_rig import VirtualRigConfiguration
+from fringedic.wording.yaml_text import load_yaml
 
 
 def virtual_configuration(text: str) -> VirtualRigConfiguration:

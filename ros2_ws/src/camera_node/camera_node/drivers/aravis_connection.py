@@ -12,8 +12,9 @@ from typing import Any
 
 from camera_node.drivers.aravis_library import Aravis
 from camera_node.drivers.aravis_settings import PIXEL_TYPES, AravisSettings, Trigger
-from fringedic.errors import CameraError, number_text
+from fringedic.errors import CameraError
 from fringedic.recording.clocks import DeviceClock
+from fringedic.wording.numbers import number_text
 
 # Frames that may wait in this process. The middleware may keep a publisher waiting for a second (decision 0031), and
 # 64 are two seconds at 30 frames/s; cameras with large images have fewer.

@@ -17,7 +17,8 @@ import xarray as xr
 from scipy.ndimage import gaussian_filter, uniform_filter
 from scipy.spatial.transform import Rotation
 
-from fringedic.errors import CalibrationError, number_text
+from fringedic.errors import CalibrationError
+from fringedic.wording.numbers import number_text
 
 REJECTED = 3e-3  # part of the points of each artefact that may be left out
 CAP = math.radians(45.0)  # half angle of the part of a ball around the direction to the camera that is evaluated

@@ -21,10 +21,11 @@ from fringedic.calibration.planes import CalibrationPlanes
 from fringedic.calibration.result import RigCalibration
 from fringedic.camera.distortion import DistortionMap
 from fringedic.camera.plane_homography import PlaneHomography
-from fringedic.errors import CalibrationError, number_text
-from fringedic.inputs.arguments import array, check_arguments, number, one_of, optional, several, whole
+from fringedic.errors import CalibrationError
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.geometry import current_model_name
+from fringedic.wording.arguments import array, check_arguments, number, one_of, optional, several, whole
+from fringedic.wording.numbers import number_text
 
 UNKNOWN_TILT = math.radians(1.0)  # standard uncertainty of the tilt of a camera that was aligned by eye
 _OUTSIDE = 0.02  # part of the projector's image that phases may reach beyond it

@@ -21,9 +21,9 @@ from fringedic.calibration.fit_results import GOOD
 from fringedic.calibration.planes import PlaneBlocks, reduce_plane, response_ripple
 from fringedic.camera.findings import Finding
 from fringedic.errors import CalibrationError, ImageError
-from fringedic.inputs.arguments import array, check_arguments, dataset, number, of_type, optional, several
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.model import RigModel
+from fringedic.wording.arguments import array, check_arguments, dataset, number, of_type, optional, several
 
 SCALE_TOLERANCE = 2e-3  # relative error of a known distance up to which the scale holds; a gauge block is far better
 _OLD = 30 * 86400.0  # [s]

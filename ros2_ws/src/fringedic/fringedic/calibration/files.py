@@ -16,9 +16,9 @@ from fringedic.calibration.findings import CalibrationWarning, ImageProblem
 from fringedic.calibration.fit_results import Candidate, FitResult, Parameter, PlaneResult
 from fringedic.calibration.variants import ModelVariant
 from fringedic.camera.findings import Finding, GridFinding
-from fringedic.inputs.yaml_text import load_yaml
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.geometry import current_model_name
+from fringedic.wording.yaml_text import load_yaml
 
 _VERSION = 2  # 1: verdict, warnings and problems were sentences
 _MICRO, _MILLI = 1e-6, 1e-3

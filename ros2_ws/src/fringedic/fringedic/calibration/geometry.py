@@ -18,11 +18,12 @@ from fringedic.calibration.closed_form import SixParameters
 from fringedic.calibration.placement import Placement
 from fringedic.camera.distortion import DistortionMap
 from fringedic.camera.plane_homography import PinHole, PlaneHomography
-from fringedic.errors import CalibrationError, number_text
+from fringedic.errors import CalibrationError
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.geometry import GENERAL as GENERAL_MODEL
 from fringedic.rig.geometry import SIX_PARAMETER
 from fringedic.rig.model import RigModel
+from fringedic.wording.numbers import number_text
 
 _WIDEST_FIELD = 2.0  # width over camera distance (an angle of view of 90 degree); wider means wrong angles
 _NEAREST, _FARTHEST = 0.01, 50.0  # [m] of the camera from the plane; the scale is wrong beyond these

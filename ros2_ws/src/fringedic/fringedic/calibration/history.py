@@ -12,8 +12,8 @@ from pydantic import ValidationError
 
 from fringedic.calibration.check import RigCheck
 from fringedic.errors import CalibrationError
-from fringedic.inputs.yaml_text import load_yaml
 from fringedic.metadata import CheckMetadata
+from fringedic.wording.yaml_text import load_yaml
 
 CHECKS_FILE = "calibration_checks.yaml"
 _UM, _MM, _FRINGE = 1e6, 1e3, 2 * math.pi

@@ -20,8 +20,8 @@ from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
 from fringedic.errors import GridError, ImageError
-from fringedic.inputs.arguments import array, check_value, whole
-from fringedic.inputs.yaml_text import load_yaml
+from fringedic.wording.arguments import array, check_value, whole
+from fringedic.wording.yaml_text import load_yaml
 
 _INVERSE_STEPS = 60  # a field with a gradient below 0.6 px per pixel is inverted to 1e-12 px
 _CONVERGED = 1e-10  # [px]

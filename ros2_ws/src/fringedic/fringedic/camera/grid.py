@@ -22,7 +22,7 @@ from fringedic.camera.homography import apply_homography, fit_homography
 from fringedic.camera.plane_homography import PlaneHomography
 from fringedic.camera.polynomials import Basis, choose_order, square
 from fringedic.errors import GridError, ImageError
-from fringedic.inputs.arguments import check_arguments, number, optional, whole
+from fringedic.wording.arguments import check_arguments, number, optional, whole
 
 # test_grid.py contains images on both sides of the thresholds that refuse an image or warn.
 SMALLEST_IMAGE = 64  # [px]

@@ -16,7 +16,8 @@ from typing import Any, Protocol
 
 from fringedic.campaign.plan import Unit
 from fringedic.campaign.unit import Failure, Receipt, attempt, record_failure
-from fringedic.errors import CampaignError, optional_import
+from fringedic.errors import CampaignError
+from fringedic.wording.optional_packages import optional_import
 
 with optional_import("campaign"):
     import psutil

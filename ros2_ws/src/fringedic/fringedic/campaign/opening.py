@@ -13,8 +13,8 @@ from fringedic.campaign.settings import FILE, load_campaign
 from fringedic.campaign.store import PLAN, RECEIPTS, CampaignStore
 from fringedic.datasets.millimetres import with_millimetres
 from fringedic.errors import CampaignError
-from fringedic.inputs.arguments import check_arguments
-from fringedic.inputs.arguments import path as file_path
+from fringedic.wording.arguments import check_arguments
+from fringedic.wording.arguments import path as file_path
 
 if TYPE_CHECKING:
     import pandas as pd

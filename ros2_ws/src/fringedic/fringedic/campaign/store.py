@@ -27,7 +27,8 @@ import numpy as np
 
 from fringedic.datasets.quantities import MAP_DIMENSIONS
 from fringedic.datasets.stores import TEXT, Variable, free_bytes
-from fringedic.errors import CampaignError, FringedicError, optional_import
+from fringedic.errors import CampaignError, FringedicError
+from fringedic.wording.optional_packages import optional_import
 
 with optional_import("campaign"):
     import fsspec

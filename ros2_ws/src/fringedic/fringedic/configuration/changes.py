@@ -13,7 +13,7 @@ import yaml
 from fringedic.configuration.rig_file import REPLACED_KEYS, RigFile, load_rig_file
 from fringedic.configuration.yaml_section import validate
 from fringedic.errors import ConfigurationError
-from fringedic.inputs.yaml_text import load_yaml
+from fringedic.wording.yaml_text import load_yaml
 
 
 def change_rig_file(path: str | os.PathLike[str], settings: str) -> Path:

@@ -29,8 +29,6 @@ from fringedic.configuration.sections import (
 from fringedic.configuration.virtual_calibration import calibration_of
 from fringedic.configuration.yaml_section import Section, load_sections
 from fringedic.errors import ConfigurationError, FringedicError
-from fringedic.inputs.arguments import check_arguments
-from fringedic.inputs.arguments import path as file_path
 from fringedic.metadata import CalibrationMetadata, HardwareMetadata, Metadata, NoiseFloorMetadata, SpecimenMetadata
 from fringedic.patterns.pattern import ProjectedPattern
 from fringedic.patterns.sequences import step_sequence
@@ -38,6 +36,8 @@ from fringedic.rig.compatibility import RigSetup, check_calibration
 from fringedic.rig.geometry import UNKNOWN_FIRST
 from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRigConfiguration
+from fringedic.wording.arguments import check_arguments
+from fringedic.wording.arguments import path as file_path
 
 Calibration = Annotated[
     Annotated[str, Tag("file")] | Annotated[CalibrationSection, Tag("values")],

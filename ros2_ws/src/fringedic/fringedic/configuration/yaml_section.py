@@ -11,7 +11,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from fringedic.errors import ConfigurationError
-from fringedic.inputs.yaml_text import load_yaml
+from fringedic.wording.yaml_text import load_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
 # Names of the members of unions in paths of pydantic, which are not keys of the file

@@ -20,7 +20,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from fringedic.correlation.transfer import noise_transfer, window_deviation
 from fringedic.errors import CorrelationError
-from fringedic.inputs.arguments import array, check_arguments, of_type
+from fringedic.wording.arguments import array, check_arguments, of_type
 
 f4 = np.float32
 

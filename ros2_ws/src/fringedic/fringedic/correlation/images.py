@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fringedic.correlation import image_kernels
-from fringedic.errors import CorrelationError, ErrorCode, ImageError, number_text
+from fringedic.errors import CorrelationError, ErrorCode, ImageError
+from fringedic.wording.numbers import number_text
 
 SMALLEST_WINDOW = 8  # [px], one cell of a pixel per node: see `window`
 # An end of the grey levels is saturated if at least this share of the pixels is there, and this many times those in the

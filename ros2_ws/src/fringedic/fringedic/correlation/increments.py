@@ -23,7 +23,7 @@ from scipy.sparse.linalg import splu
 
 from fringedic.correlation.transfer import error_correlation
 from fringedic.errors import CorrelationError
-from fringedic.inputs.arguments import check_arguments, dataset, number, several
+from fringedic.wording.arguments import check_arguments, dataset, number, several
 
 _MARGIN = 12  # points around a field: a cubic spline forgets its boundary condition as .27 per point
 _NAMES = ("displacement_x", "displacement_y", "sigma_x", "sigma_y")

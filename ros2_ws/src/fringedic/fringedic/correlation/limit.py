@@ -7,7 +7,7 @@ from scipy.ndimage import gaussian_filter
 
 from fringedic.correlation.transfer import noise_gain, window_deviation
 from fringedic.errors import CorrelationError
-from fringedic.inputs.arguments import array, check_arguments
+from fringedic.wording.arguments import array, check_arguments
 
 
 @check_arguments(CorrelationError, texture=array(2), variance=array(2))

@@ -20,7 +20,7 @@ from fringedic.correlation.images import (
 )
 from fringedic.correlation.window import design_window
 from fringedic.errors import CorrelationError, ImageError
-from fringedic.inputs.arguments import array, check_arguments, either, optional, several, whole
+from fringedic.wording.arguments import array, check_arguments, either, optional, several, whole
 
 f4 = np.float32
 

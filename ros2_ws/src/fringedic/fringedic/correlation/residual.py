@@ -6,7 +6,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from fringedic.errors import CorrelationError, ErrorCode
-from fringedic.inputs.arguments import array, check_arguments, whole
+from fringedic.wording.arguments import array, check_arguments, whole
 
 _LEAST = 3  # points of which brightness and contrast can be fitted
 _NO_TEXTURE = 1e-6  # of the mean: rounding of single precision

@@ -23,12 +23,13 @@ from fringedic.datasets.quantities import (
     layout_of_images,
 )
 from fringedic.datasets.stores import SUFFIXES, dataset_path
-from fringedic.errors import DatasetError, ErrorCode, RecordingError, optional_import
-from fringedic.inputs.arguments import check_arguments
-from fringedic.inputs.arguments import path as file_path
+from fringedic.errors import DatasetError, ErrorCode, RecordingError
 from fringedic.metadata import translate_metadata
 from fringedic.recording.bag_files import BAG, parts_of_run, recorded_bytes, recording_of
 from fringedic.recording.remote import file_system, is_remote, named_errors
+from fringedic.wording.arguments import check_arguments
+from fringedic.wording.arguments import path as file_path
+from fringedic.wording.optional_packages import optional_import
 
 _GROUP = "zarr.json"  # in the group of a recording in the store of a campaign
 _OF_EVERY_EXPERIMENT = ("step", "error")  # variables

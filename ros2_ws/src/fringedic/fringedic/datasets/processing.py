@@ -17,8 +17,6 @@ from fringedic.datasets.timeline import Timeline
 from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import DatasetError
 from fringedic.frames.records import frame_record
-from fringedic.inputs.arguments import check_arguments, optional
-from fringedic.inputs.arguments import path as file_path
 from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.bag_files import BAG, recording_of
 from fringedic.recording.frames import RecordedMessage, events, paired
@@ -30,6 +28,8 @@ from fringedic.rig.model import RigModel
 from fringedic.steps.pipeline import OfflinePipeline
 from fringedic.steps.recorded_parameters import StepSettings
 from fringedic.steps.recorded_rig import recorded_setup
+from fringedic.wording.arguments import check_arguments, optional
+from fringedic.wording.arguments import path as file_path
 
 PROCESSED_TOPICS = (
     "camera/image_raw",

@@ -18,7 +18,8 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets.quantities import MAP_DIMENSIONS
-from fringedic.errors import DatasetError, ErrorCode, optional_import
+from fringedic.errors import DatasetError, ErrorCode
+from fringedic.wording.optional_packages import optional_import
 
 SUFFIXES = (".nc", ".zarr")
 TEXT = "text"

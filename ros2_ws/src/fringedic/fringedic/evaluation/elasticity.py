@@ -23,8 +23,8 @@ from fringedic.evaluation.force import force_curve
 from fringedic.evaluation.probes import points_in
 from fringedic.evaluation.step_maps import StepValues, maps_by_step, require_maps, values_by_step
 from fringedic.frames.region import Region
-from fringedic.inputs.arguments import check_arguments, number, of_type, optional, several
-from fringedic.inputs.arguments import dataset as dataset_of
+from fringedic.wording.arguments import check_arguments, number, of_type, optional, several
+from fringedic.wording.arguments import dataset as dataset_of
 
 _STRAINS = ("e_11", "e_22")
 _SIGMAS = ("sigma_e_11", "sigma_e_22")

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from fringedic.errors import DatasetError
 from fringedic.evaluation.step_maps import StepValues, values_by_step
-from fringedic.inputs.arguments import array, check_arguments, number, optional
-from fringedic.inputs.arguments import dataset as dataset_of
+from fringedic.wording.arguments import array, check_arguments, number, optional
+from fringedic.wording.arguments import dataset as dataset_of
 
 
 @check_arguments(

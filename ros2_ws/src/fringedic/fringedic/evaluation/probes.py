@@ -18,8 +18,8 @@ from fringedic.errors import DatasetError
 from fringedic.evaluation.motion import motion_of
 from fringedic.evaluation.step_maps import StepValues, maps_by_step, require_maps, values_by_step
 from fringedic.frames.region import Point, Region
-from fringedic.inputs.arguments import check_arguments, number, of_type, optional, several, text, whole
-from fringedic.inputs.arguments import dataset as dataset_of
+from fringedic.wording.arguments import check_arguments, number, of_type, optional, several, text, whole
+from fringedic.wording.arguments import dataset as dataset_of
 
 MOST_POINTS = 1_000_000  # of a profile
 _STATISTICS = ("mean", "standard_deviation", "minimum", "median", "maximum")

@@ -10,8 +10,8 @@ from fringedic.errors import DatasetError
 from fringedic.evaluation.motion import Motion, motion_of
 from fringedic.evaluation.probes import points_in
 from fringedic.frames.region import Region
-from fringedic.inputs.arguments import check_arguments, of_type, optional
-from fringedic.inputs.arguments import dataset as dataset_of
+from fringedic.wording.arguments import check_arguments, of_type, optional
+from fringedic.wording.arguments import dataset as dataset_of
 
 _POSITION, _DISPLACEMENT = ("x", "y", "z"), ("u", "v", "w")
 _IN_IMAGE = {"displacement_x": 1, "displacement_y": -1}  # y of the image points downwards

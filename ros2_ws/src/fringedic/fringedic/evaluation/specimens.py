@@ -11,8 +11,8 @@ import xarray as xr
 from fringedic.datasets.quantities import MAP_DIMENSIONS, sigma_of
 from fringedic.errors import DatasetError
 from fringedic.evaluation.two_experiments import common_maps, references_differ
-from fringedic.inputs.arguments import check_arguments, several, whole
-from fringedic.inputs.arguments import dataset as dataset_of
+from fringedic.wording.arguments import check_arguments, several, whole
+from fringedic.wording.arguments import dataset as dataset_of
 
 STATISTICS = {
     "points": "points that are measured of all specimens",

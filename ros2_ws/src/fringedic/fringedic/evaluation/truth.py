@@ -11,8 +11,8 @@ import numpy as np
 import xarray as xr
 
 from fringedic.errors import DatasetError
-from fringedic.inputs.arguments import check_arguments, path
-from fringedic.inputs.arguments import dataset as dataset_of
+from fringedic.wording.arguments import check_arguments, path
+from fringedic.wording.arguments import dataset as dataset_of
 
 MICRO = 1e-6
 _AT_REST = 1e-9  # [m] largest displacement of the step from which a truth counts

@@ -12,8 +12,8 @@ import xarray as xr
 from fringedic.datasets.attributes import plain
 from fringedic.datasets.quantities import MAP_DIMENSIONS, sigma_of
 from fringedic.errors import DatasetError
-from fringedic.inputs.arguments import check_arguments, whole
-from fringedic.inputs.arguments import dataset as dataset_of
+from fringedic.wording.arguments import check_arguments, whole
+from fringedic.wording.arguments import dataset as dataset_of
 
 COMPARED = ("displacement_x", "displacement_y", "u", "v", "w", "e_11", "e_22", "e_12")
 """Maps that are compared where both experiments have them."""

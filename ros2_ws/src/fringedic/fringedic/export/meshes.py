@@ -10,9 +10,10 @@ import xarray as xr
 
 from fringedic.datasets.attributes import file_stem, origin_text
 from fringedic.datasets.quantities import people_unit
-from fringedic.errors import ExportError, optional_import
+from fringedic.errors import ExportError
 from fringedic.export.surfaces import MILLI, collection_entry, write_collection
-from fringedic.inputs.arguments import check_arguments, dataset, path
+from fringedic.wording.arguments import check_arguments, dataset, path
+from fringedic.wording.optional_packages import optional_import
 
 _LOCATION = ("x", "y", "z", "triangles", "displacement_of_model")
 

@@ -11,8 +11,9 @@ import xarray as xr
 
 from fringedic.datasets.attributes import file_stem, map_names, origin_text, seconds, step_numbers
 from fringedic.datasets.quantities import people_unit
-from fringedic.errors import ExportError, optional_import
+from fringedic.errors import ExportError
 from fringedic.evaluation.motion import in_space
+from fringedic.wording.optional_packages import optional_import
 
 MILLI = 1e-3
 _POSITIONS, _MOTION = ("x", "y", "z"), ("u", "v", "w")

@@ -16,7 +16,8 @@ import xarray as xr
 from fringedic.datasets.attributes import map_names, origin_of, origin_text, seconds, step_numbers
 from fringedic.datasets.quantities import MAP_DIMENSIONS, STEP_NUMBERS, PeopleUnit, people_unit
 from fringedic.datasets.stores import save_netcdf
-from fringedic.errors import ExportError, optional_import
+from fringedic.errors import ExportError
+from fringedic.wording.optional_packages import optional_import
 
 MATLAB_LIMIT = 2**31 - 1  # bytes of one variable in a MATLAB 5 file
 _WITH_MARK = "utf-8-sig"  # spreadsheets take µ for another character without a byte-order mark

@@ -18,8 +18,8 @@ from fringedic.export import r3xa, surfaces, tables
 from fringedic.figures.animation import save_animation
 from fringedic.figures.maps import save_pictures
 from fringedic.figures.panels import ANIMATED
-from fringedic.inputs.arguments import check_arguments, optional, path, several, text, whole
-from fringedic.inputs.arguments import dataset as dataset_of
+from fringedic.wording.arguments import check_arguments, optional, path, several, text, whole
+from fringedic.wording.arguments import dataset as dataset_of
 
 
 class _Format(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from fringedic.calibration.acceptance import Acceptance, AcceptanceError
-from fringedic.errors import optional_import
+from fringedic.wording.optional_packages import optional_import
 
 with optional_import("figures"):
     from matplotlib.figure import Figure

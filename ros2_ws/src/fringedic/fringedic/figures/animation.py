@@ -14,9 +14,10 @@ import xarray as xr
 
 from fringedic.datasets.attributes import origin_text
 from fringedic.datasets.quantities import people_unit
-from fringedic.errors import DatasetError, optional_import
+from fringedic.errors import DatasetError
 from fringedic.figures.maps import map_figure, redraw_map
 from fringedic.figures.panels import Panel
+from fringedic.wording.optional_packages import optional_import
 
 if TYPE_CHECKING:
     from matplotlib.backends.backend_agg import FigureCanvasAgg

@@ -9,10 +9,12 @@ import numpy as np
 
 from fringedic.calibration.check import RigCheck
 from fringedic.calibration.result import RigCalibration
-from fringedic.errors import CalibrationError, number_text, optional_import
+from fringedic.errors import CalibrationError
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.model import RigModel
 from fringedic.rig.uncertainty import position_errors
+from fringedic.wording.numbers import number_text
+from fringedic.wording.optional_packages import optional_import
 
 with optional_import("figures"):
     from matplotlib.axes import Axes

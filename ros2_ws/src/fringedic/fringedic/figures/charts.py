@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import DatasetError, optional_import
+from fringedic.errors import DatasetError
+from fringedic.wording.optional_packages import optional_import
 
 with optional_import("report"):
     import plotly.graph_objects as go

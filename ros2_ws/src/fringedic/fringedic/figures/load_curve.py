@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import xarray as xr
 
-from fringedic.errors import optional_import
+from fringedic.wording.optional_packages import optional_import
 
 with optional_import("figures"):
     from matplotlib.figure import Figure

@@ -12,14 +12,16 @@ import xarray as xr
 
 from fringedic.datasets.attributes import origin_text
 from fringedic.datasets.quantities import people_unit
-from fringedic.errors import DatasetError, number_text, optional_import
+from fringedic.errors import DatasetError
 from fringedic.evaluation.step_maps import with_principal_strains
 from fringedic.evaluation.truth import truth_errors
 from fringedic.figures.panels import ERRORS, Panel, pictures_of
 from fringedic.figures.previews import NOT_MEASURED
 from fringedic.frames.region import Point
-from fringedic.inputs.arguments import check_arguments, path
-from fringedic.inputs.arguments import dataset as dataset_of
+from fringedic.wording.arguments import check_arguments, path
+from fringedic.wording.arguments import dataset as dataset_of
+from fringedic.wording.numbers import number_text
+from fringedic.wording.optional_packages import optional_import
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fringedic.errors import optional_import
 from fringedic.metadata import NOISE_COLUMNS
 from fringedic.rig_setup.noise_floor import NoiseMeasurement
+from fringedic.wording.optional_packages import optional_import
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

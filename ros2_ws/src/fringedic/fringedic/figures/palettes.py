@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fringedic.errors import optional_import
+from fringedic.wording.optional_packages import optional_import
 
 COLOURS = 256
 PALETTES = ("viridis", "RdBu_r", "gray")

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import optional_import
+from fringedic.wording.optional_packages import optional_import
 
 _WIDEST = 900  # points of a map along its longer side
 

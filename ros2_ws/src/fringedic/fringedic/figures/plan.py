@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from fringedic.errors import optional_import
 from fringedic.figures.calibration import draw_geometry
 from fringedic.patterns.pattern import Orientation
 from fringedic.planning.plan import Plan
 from fringedic.planning.plan_warnings import depth_of_field
+from fringedic.wording.optional_packages import optional_import
 
 with optional_import("figures"):
     from matplotlib.axes import Axes

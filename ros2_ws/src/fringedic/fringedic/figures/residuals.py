@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import number_text, optional_import
 from fringedic.figures.maps import draw_map
 from fringedic.figures.panels import GREY_RESIDUAL
+from fringedic.wording.numbers import number_text
+from fringedic.wording.optional_packages import optional_import
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fringedic.errors import optional_import
 from fringedic.patterns.response import FULL_SCALE, ResponseCurve
 from fringedic.phase.checks.harmonic_error import HarmonicError
+from fringedic.wording.optional_packages import optional_import
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from fringedic.errors import optional_import
 from fringedic.rig_setup.timing import ProjectorTiming
 from fringedic.rig_setup.timing_samples import TimingSamples
+from fringedic.wording.optional_packages import optional_import
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fringedic.errors import ImageError
-from fringedic.inputs.arguments import check_value, number, several
-from fringedic.inputs.yaml_text import load_yaml
+from fringedic.wording.arguments import check_value, number, several
+from fringedic.wording.yaml_text import load_yaml
 
 SUBPIXEL_BITS = 4  # of the corners, when they are drawn
 _LARGEST_IMAGE = 32_768  # width or height [px]

@@ -20,7 +20,6 @@ from fringedic.datasets.stores import dataset_path
 from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import DatasetError, FringedicError, ImageError
 from fringedic.frames.files import image_files, read_grey
-from fringedic.inputs.arguments import array, check_arguments, number, optional, path, several, whole
 from fringedic.metadata import Metadata
 from fringedic.steps.closures import ClosureChecks
 from fringedic.steps.displacement_tracker import DisplacementTracker
@@ -30,6 +29,7 @@ from fringedic.steps.statistics import measured_part_and_rms
 from fringedic.steps.step_results import DicResult
 from fringedic.surface.flat import flat_strain
 from fringedic.surface.planes import WIDEST_WINDOW
+from fringedic.wording.arguments import array, check_arguments, number, optional, path, several, whole
 
 STRAIN_WINDOW = 41  # [px], by default
 _ALL = "images"  # name of the experiment for the tracker

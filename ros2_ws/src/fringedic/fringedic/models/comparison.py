@@ -16,7 +16,16 @@ import xarray as xr
 from fringedic.datasets.quantities import MAP_DIMENSIONS
 from fringedic.errors import ModelError
 from fringedic.evaluation.motion import in_space
-from fringedic.inputs.arguments import (
+from fringedic.models.agreement import AGREEMENT, Agreement, assess, assess_curve
+from fringedic.models.levelling import Levelling, levelling_of
+from fringedic.models.model import Model
+from fringedic.models.observed import FEATURE_CHECKS, Edge, Features, Pair, place_on_step, placement_text
+from fringedic.models.placement import Placement
+from fringedic.models.rendering import measure_rendered
+from fringedic.models.sampling import facing, sample
+from fringedic.models.sensitivity import Sensitivity, image_jacobian, surface_gradient, tangent_components
+from fringedic.models.shift import SHIFT, Shift, estimate_shift, fit_changes
+from fringedic.wording.arguments import (
     array,
     check_arguments,
     dataset,
@@ -27,15 +36,6 @@ from fringedic.inputs.arguments import (
     several,
     whole,
 )
-from fringedic.models.agreement import AGREEMENT, Agreement, assess, assess_curve
-from fringedic.models.levelling import Levelling, levelling_of
-from fringedic.models.model import Model
-from fringedic.models.observed import FEATURE_CHECKS, Edge, Features, Pair, place_on_step, placement_text
-from fringedic.models.placement import Placement
-from fringedic.models.rendering import measure_rendered
-from fringedic.models.sampling import facing, sample
-from fringedic.models.sensitivity import Sensitivity, image_jacobian, surface_gradient, tangent_components
-from fringedic.models.shift import SHIFT, Shift, estimate_shift, fit_changes
 
 _POSITION, _DISPLACEMENT = ("x", "y", "z"), ("u", "v", "w")
 _STRAINS = (("e_11", "e_22", "e_12"), ("e_xx", "e_yy", "e_xy"))

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fringedic.errors import ModelError, optional_import
-from fringedic.inputs.arguments import check_arguments, number, one_of, optional, path, several, text
+from fringedic.errors import ModelError
 from fringedic.models.results_table import NodalResults, node_labels, read_results
+from fringedic.wording.arguments import check_arguments, number, one_of, optional, path, several, text
+from fringedic.wording.optional_packages import optional_import
 
 if TYPE_CHECKING:
     import pyvista

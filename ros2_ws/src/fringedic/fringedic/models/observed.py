@@ -11,9 +11,9 @@ import xarray as xr
 from scipy.ndimage import binary_dilation, label
 
 from fringedic.errors import ModelError
-from fringedic.inputs.arguments import Check, number, one_of, optional, several
 from fringedic.models.model import Model
 from fringedic.models.placement import Placement, PointPair, place_model
+from fringedic.wording.arguments import Check, number, one_of, optional, several
 
 Pair = tuple[Sequence[float], Sequence[float]]
 """(column, row) [px of the reference image] of a point, and its (x, y, z) [m] in the frame of the model."""

@@ -8,9 +8,9 @@ import numpy as np
 import xarray as xr
 
 from fringedic.errors import ModelError
-from fringedic.inputs.arguments import check_arguments, dataset, of_type
 from fringedic.models.model import Model
 from fringedic.models.sampling import facing, sample
+from fringedic.wording.arguments import check_arguments, dataset, of_type
 
 _PREFIXES = ("", "model_", "difference_", "sigma_difference_", "normalized_")
 

@@ -12,13 +12,13 @@ import xarray as xr
 
 from fringedic.datasets.quantities import MAP_DIMENSIONS
 from fringedic.errors import ModelError
-from fringedic.inputs.arguments import check_arguments, dataset, of_type, optional, whole
 from fringedic.models.agreement import AGREEMENT, assess
 from fringedic.models.comparison import KEPT
 from fringedic.models.model import Model
 from fringedic.models.observed import FEATURE_CHECKS, Edge, Features, Pair, place_on_step, placement_text
 from fringedic.models.placement import Placement, seen_side
 from fringedic.models.sampling import Distances, distances
+from fringedic.wording.arguments import check_arguments, dataset, of_type, optional, whole
 
 _SHAPE = ("shape_x", "shape_y", "shape_z")
 _FIGURES = {name: AGREEMENT[name] for name in AGREEMENT if not name.endswith("factor")} | {

@@ -9,9 +9,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, cast
 
-from fringedic.errors import OperatorError, optional_import
+from fringedic.errors import OperatorError
 from fringedic.recording.reader import BagReader
 from fringedic.recording.topics import RawMessage
+from fringedic.wording.optional_packages import optional_import
 
 LOCAL = "127.0.0.1"  # the protocol has no token: other computers are not served
 TICK_S = 0.02

@@ -10,8 +10,8 @@ import numpy as np
 import yaml
 
 from fringedic.errors import PatternError
-from fringedic.inputs.arguments import check_value, number, several
-from fringedic.inputs.yaml_text import load_yaml
+from fringedic.wording.arguments import check_value, number, several
+from fringedic.wording.yaml_text import load_yaml
 
 FULL_SCALE = 255  # of the projector
 _LEAST_BRIGHTNESS = 0.02  # of the fit of gamma: below, rounding to 8 bits and noise dominate the logarithm

@@ -11,10 +11,10 @@ from typing import Literal
 import numpy as np
 
 from fringedic.errors import PatternError
-from fringedic.inputs.arguments import check_arguments, either, number, several, text, whole
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.patterns.render import check_pattern, render_pattern
 from fringedic.patterns.response import ResponseCurve
+from fringedic.wording.arguments import check_arguments, either, number, several, text, whole
 
 MOST_FRAMES = 10_000  # of one pitch or period; a larger number is a typing error
 FringeOrder = Literal["pitches", "gray_code", "one_image"]

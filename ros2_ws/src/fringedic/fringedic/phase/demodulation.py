@@ -13,11 +13,11 @@ import xarray as xr
 
 from fringedic.errors import ErrorCode, ImageError, PhaseError
 from fringedic.frames.noise import ROUNDING_NOISE, CameraNoise, saturation_level
-from fringedic.inputs.arguments import check_arguments, either, grey_levels, number, of_type, optional, several, whole
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.phase.demodulation_kernel import Limits, Maps, NoiseModel, Shifts, measure_stack
 from fringedic.phase.layout import Layout, check_frames, layout_of, pixels, shift_angles
 from fringedic.phase.noise import estimate_noise
+from fringedic.wording.arguments import check_arguments, either, grey_levels, number, of_type, optional, several, whole
 
 
 @check_arguments(

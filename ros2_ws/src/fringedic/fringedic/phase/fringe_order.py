@@ -10,8 +10,8 @@ import xarray as xr
 from skimage.restoration import unwrap_phase
 
 from fringedic.errors import ImageError
-from fringedic.inputs.arguments import array, check_arguments, number, several
 from fringedic.phase.layout import check_finer, pixels
+from fringedic.wording.arguments import array, check_arguments, number, several
 
 
 @check_arguments(ImageError, wrapped=several(array(2)), pitches=several(number(1e-9)))

@@ -6,7 +6,7 @@ import numpy as np
 
 from fringedic.errors import PhaseError
 from fringedic.frames.noise import CameraNoise
-from fringedic.inputs.arguments import array, check_arguments
+from fringedic.wording.arguments import array, check_arguments
 
 
 @check_arguments(PhaseError, texture=array(2), modulation=array(2), phase=array(2))

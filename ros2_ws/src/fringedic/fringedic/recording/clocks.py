@@ -7,7 +7,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from fringedic.errors import ClockJumpError, number_text
+from fringedic.errors import ClockJumpError
+from fringedic.wording.numbers import number_text
 
 # the tests in test_clocks.py fix these limits
 _LARGEST_DRIFT = 1e-4  # [s/s] between two quartz clocks, each specified to 50 ppm or better

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fringedic.errors import FringedicError, RecordingError, optional_import
+from fringedic.errors import FringedicError, RecordingError
 from fringedic.recording.bag_files import BAG, METADATA, open_file
 from fringedic.recording.mcap_file import MAGIC, ChunkPlace, McapFile, index_start
+from fringedic.wording.optional_packages import optional_import
 
 _TAIL = 1_000_000  # [byte] of a file that usually contain its index
 _GAP = 16_384  # [byte] between chunks that are fetched rather than asked for separately: their message indices

@@ -15,9 +15,9 @@ from fringedic.calibration.acceptance import (
     Place,
     unsuitable,
 )
-from fringedic.errors import number_text
 from fringedic.report.embedding import base64_png
 from fringedic.report.templates import render_page
+from fringedic.wording.numbers import number_text
 
 ACCEPTANCE_PAGE = "acceptance.html"
 GUIDELINE = "VDI/VDE 2634 part 2"

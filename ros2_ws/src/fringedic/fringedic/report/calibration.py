@@ -12,7 +12,6 @@ from fringedic.calibration.fit_results import GOOD, USABLE, PlaneResult, Verdict
 from fringedic.calibration.placement import PlaneKind
 from fringedic.calibration.result import RigCalibration
 from fringedic.calibration.variants import ModelVariant
-from fringedic.errors import number_text
 from fringedic.metadata import Metadata
 from fringedic.recording.reader import BagReader
 from fringedic.report.calibration_sentences import (
@@ -25,6 +24,7 @@ from fringedic.report.embedding import base64_png
 from fringedic.report.entries import MISSING
 from fringedic.report.templates import render_page
 from fringedic.steps.recorded_parameters import RecordedParameters
+from fringedic.wording.numbers import number_text
 
 _DPI = 110
 _STRONG = 0.95  # correlations above this are listed

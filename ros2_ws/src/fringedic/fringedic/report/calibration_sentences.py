@@ -21,7 +21,8 @@ from fringedic.camera.carriers import aliasing_text
 from fringedic.camera.findings import Finding, GridFinding
 from fringedic.camera.grid import GridMeasurement
 from fringedic.camera.tilted_grid import contradiction_text
-from fringedic.errors import CalibrationError, number_text
+from fringedic.errors import CalibrationError
+from fringedic.wording.numbers import number_text
 
 CHECK_AFTER = 7 * 86400.0  # [s] after which a change of temperature or an accidental contact is likely
 _MM, _UM, _FRINGE = 1e3, 1e6, 2 * math.pi

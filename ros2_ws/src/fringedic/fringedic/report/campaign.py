@@ -9,7 +9,7 @@ from typing import Any
 from fringedic.campaign.plan import Plan, Unit
 from fringedic.campaign.run import Status
 from fringedic.campaign.unit import Failure, Receipt
-from fringedic.report.counts import counted
+from fringedic.wording.numbers import counted
 
 _SHOWN = 20  # failures, before the rest is counted
 

@@ -15,13 +15,14 @@ from fringedic.campaign.run import Status
 from fringedic.campaign.store import CampaignStore
 from fringedic.campaign.unit import Receipt
 from fringedic.datasets.quantities import people_unit
-from fringedic.errors import CampaignError, number_text
+from fringedic.errors import CampaignError
 from fringedic.figures.charts import SpecimenCurve, specimen_charts
 from fringedic.figures.thumbnails import thumbnail_png
 from fringedic.report.campaign import status_sentences
 from fringedic.report.embedding import base64_text, chart_html, chart_script
 from fringedic.report.specimens import specimen_curve
 from fringedic.report.templates import render_page
+from fringedic.wording.numbers import number_text
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

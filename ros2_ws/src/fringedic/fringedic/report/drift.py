@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from fringedic.errors import number_text
 from fringedic.steps.drift_marker import COMPONENTS, MarkerMotion
+from fringedic.wording.numbers import number_text
 
 
 def drift_sentence(motion: MarkerMotion) -> str:

@@ -6,7 +6,7 @@ import base64
 import io
 from typing import TYPE_CHECKING
 
-from fringedic.errors import optional_import
+from fringedic.wording.optional_packages import optional_import
 
 if TYPE_CHECKING:
     import plotly.graph_objects as go

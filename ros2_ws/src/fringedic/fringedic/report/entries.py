@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fringedic.errors import number_text
 from fringedic.metadata import FIRST_STEP
 from fringedic.report.data import ReportData
+from fringedic.wording.numbers import number_text
 
 MISSING = "not known"
 VIRTUAL = "virtual rig (simulated)"

@@ -28,7 +28,6 @@ from fringedic.figures.maps import maps_figure, reference_figure
 from fringedic.figures.panels import DISPLACEMENT, DISPLACEMENT_IN_IMAGE, ERRORS, FLAT_STRAIN, pictures_of
 from fringedic.figures.residuals import residual_figure
 from fringedic.frames.region import Point, Region
-from fringedic.inputs.arguments import check_arguments, optional, path, several, whole
 from fringedic.metadata import NOISE_COLUMNS
 from fringedic.recording.bag_files import recording_of
 from fringedic.report.confirmation import confirmation_sentence
@@ -42,6 +41,7 @@ from fringedic.report.templates import render_page, require_new, write_errors_na
 from fringedic.report.warnings import warnings
 from fringedic.rig_setup.advice import Advice
 from fringedic.rig_setup.recommended_settings import advise_settings
+from fringedic.wording.arguments import check_arguments, optional, path, several, whole
 
 TRUTH = "truth.nc"
 GAUGE_SUBSET = 21.0  # [px], side of the gauge subsets of virtual extensometers

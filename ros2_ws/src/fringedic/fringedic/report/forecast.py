@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from fringedic.configuration.forecast import Forecast
-from fringedic.report.counts import counted, grouped
+from fringedic.wording.numbers import counted, grouped
 
 
 def forecast_sentence(forecast: Forecast) -> str:

@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets.quantities import people_unit
-from fringedic.errors import number_text
 from fringedic.images.image_series import ImageSeries
 from fringedic.report.confirmation import confirmation_sentence
+from fringedic.wording.numbers import number_text
 
 _DISPLACEMENTS = (("u", "v"), ("displacement_x", "displacement_y"))
 _STRAINS = ("e_xx", "e_yy", "e_xy")

@@ -10,12 +10,12 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets.quantities import people_unit
-from fringedic.errors import number_text
 from fringedic.figures.load_curve import load_curve_figure
 from fringedic.figures.maps import maps_figure
 from fringedic.figures.panels import Panel, panel_of
 from fringedic.report.embedding import base64_png
 from fringedic.report.templates import render_page, require_new, write_page
+from fringedic.wording.numbers import number_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

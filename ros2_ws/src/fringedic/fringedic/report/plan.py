@@ -6,12 +6,12 @@ import math
 from collections.abc import Callable
 from pathlib import Path
 
-from fringedic.errors import number_text
 from fringedic.planning.plan import NoiseSource, Plan
 from fringedic.planning.plan_warnings import PlanProblem, PlanWarning, depth_of_field, fringe_period, projector_pixel
 from fringedic.planning.planned_patch import QUANTITIES
 from fringedic.report.embedding import base64_png
 from fringedic.report.templates import render_page
+from fringedic.wording.numbers import number_text
 
 PLAN_PAGE = "plan.html"
 NOTE = (

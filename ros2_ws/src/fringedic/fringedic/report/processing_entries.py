@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import number_text
 from fringedic.metadata import CheckMetadata
 from fringedic.report.data import ReportData
 from fringedic.report.entries import VIRTUAL, Entry, entered, without
+from fringedic.wording.numbers import number_text
 
 _CORRELATION = {
     "dense": {

@@ -6,7 +6,7 @@ import math
 
 from fringedic.configuration.conditions import MetCondition, Quantity
 from fringedic.configuration.programme import BlockEnd
-from fringedic.errors import number_text
+from fringedic.wording.numbers import number_text
 
 _UNITS = {Quantity.FORCE: " N", Quantity.STRAIN: " %", Quantity.VALID_FRACTION: ""}
 

@@ -11,7 +11,7 @@ from fringedic.recording.programme_end import ProgrammeEnd
 from fringedic.recording.reader import describe_parts
 from fringedic.recording.repair import Content
 from fringedic.recording.verification import Verification
-from fringedic.report.counts import counted, grouped
+from fringedic.wording.numbers import counted, grouped
 
 
 def content_sentences(content: Content) -> list[str]:

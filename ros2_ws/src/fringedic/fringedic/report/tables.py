@@ -11,12 +11,12 @@ import xarray as xr
 
 from fringedic.datasets.attributes import seconds
 from fringedic.datasets.quantities import people_unit
-from fringedic.errors import number_text
 from fringedic.evaluation.noise_floor import NoiseFloor
 from fringedic.evaluation.probes import region_statistics
 from fringedic.evaluation.truth import compare_with_truth
 from fringedic.frames.region import Region
 from fringedic.metadata import NOISE_QUANTITIES
+from fringedic.wording.numbers import number_text
 
 MILLI, MICRO = 1e-3, 1e-6
 REGION_MAPS = ("u", "v", "w", "displacement_x", "displacement_y", "e_11", "e_22", "e_12", "e_xx", "e_yy", "e_xy")

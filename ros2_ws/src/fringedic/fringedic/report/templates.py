@@ -8,8 +8,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from fringedic.errors import DatasetError, optional_import
+from fringedic.errors import DatasetError
 from fringedic.provenance import git_commit, software
+from fringedic.wording.optional_packages import optional_import
 
 with optional_import("report"):
     import jinja2

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from fringedic.errors import CalibrationError, ErrorCode, PatternError, number_text
+from fringedic.errors import CalibrationError, ErrorCode, PatternError
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.rig.geometry import UNKNOWN_FIRST, RigGeometry
+from fringedic.wording.numbers import number_text
 
 # Half width of the view over its distance: 0.2 to 120 degree of view. The limits differ by a factor of 1000, so that a
 # length in m or µm instead of mm is outside for every lens between them.

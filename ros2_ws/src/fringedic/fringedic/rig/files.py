@@ -10,8 +10,8 @@ import yaml
 
 from fringedic.camera.distortion import DistortionMap
 from fringedic.errors import CalibrationError
-from fringedic.inputs.yaml_text import load_yaml
 from fringedic.rig.geometry import ADDED, RigGeometry
+from fringedic.wording.yaml_text import load_yaml
 
 _MM, _DEGREE, _ONE = 1e-3, math.pi / 180, 1
 

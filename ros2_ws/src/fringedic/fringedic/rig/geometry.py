@@ -19,9 +19,9 @@ from numpy.typing import ArrayLike
 
 from fringedic.camera.distortion import DistortionMap
 from fringedic.errors import CalibrationError
-from fringedic.inputs.arguments import Check, check_value, excerpt, several, text
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.projector_lens import ProjectorLens, distorted
+from fringedic.wording.arguments import Check, check_value, excerpt, several, text
 
 SIX_PARAMETER, GENERAL = "six_parameter", "general"
 UNKNOWN_FIRST = (-1, -1)

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fringedic.errors import CalibrationError, GridError, ImageError
-from fringedic.inputs.arguments import array, check_arguments, number, optional
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.files import parse_rig, read_rig, write_rig
 from fringedic.rig.geometry import RigGeometry
 from fringedic.rig.messages import fields_of_rig, rig_of_fields
 from fringedic.rig.six_parameter import SixParameterModel
+from fringedic.wording.arguments import array, check_arguments, number, optional
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -13,7 +13,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from fringedic.errors import RigSetupError
-from fringedic.inputs.yaml_text import load_yaml
+from fringedic.wording.yaml_text import load_yaml
 
 
 class SetupItem(StrEnum):

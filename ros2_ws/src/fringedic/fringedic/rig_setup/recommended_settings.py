@@ -19,11 +19,11 @@ from fringedic.correlation import Reference, measure_displacement
 from fringedic.correlation.transfer import shortest_period
 from fringedic.errors import CorrelationError, ErrorCode, RigSetupError
 from fringedic.evaluation.noise_floor import NoiseFloor, noise_floor
-from fringedic.inputs.arguments import check_arguments, number, optional, whole
 from fringedic.rig_setup.advice import Advice
 from fringedic.rig_setup.settings_warnings import image_warnings
 from fringedic.rig_setup.static_images import ImageFigures, StaticImages, describe_images
 from fringedic.rig_setup.window_choice import FIRST_WINDOW, WindowRequest, choose_window
+from fringedic.wording.arguments import check_arguments, number, optional, whole
 
 STEPS_PER_SUBSET = 4  # a step size of a third to a half of the subset is usual; a quarter loses no information
 TABLE_WINDOWS = (16, 24, 32, 48, 64, 96, 128)  # [px]

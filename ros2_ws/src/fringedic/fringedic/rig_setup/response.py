@@ -12,9 +12,9 @@ from scipy.optimize import isotonic_regression
 
 from fringedic.errors import ImageError, PatternError
 from fringedic.frames.noise import saturation_level
-from fringedic.inputs.arguments import array, check_arguments, number, of_type, optional, several
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.patterns.response import FULL_SCALE, ResponseCurve
+from fringedic.wording.arguments import array, check_arguments, number, of_type, optional, several
 
 _RAMP = 18  # greys of the procedure; 255 is 17 equal steps of 15
 _LEAST_CONTRAST = 5.0  # [grey level] between dark and white, some times the noise of a pixel

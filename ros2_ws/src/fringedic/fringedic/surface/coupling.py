@@ -8,13 +8,13 @@ import numpy as np
 import xarray as xr
 
 from fringedic.errors import ImageError, SurfaceError
-from fringedic.inputs.arguments import check_arguments, dataset, either, number, of_type, optional
 from fringedic.patterns.pattern import Orientation
 from fringedic.rig.model import RigModel
 from fringedic.rig.reconstruction import pixel_positions
 from fringedic.surface.calibration_uncertainty import calibration_covariance
 from fringedic.surface.coupling_kernels import InPlane, couple_points, cubic
 from fringedic.surface.prepared import WIDEST_FILTER, PreparedShape, require_one_calibration, sample_gaussian
+from fringedic.wording.arguments import check_arguments, dataset, either, number, of_type, optional
 
 _GAIN_STEPS = 64  # of a pixel, at which the noise of interpolated values is tabulated
 

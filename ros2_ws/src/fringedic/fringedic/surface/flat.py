@@ -6,9 +6,9 @@ import numpy as np
 import xarray as xr
 
 from fringedic.errors import SurfaceError
-from fringedic.inputs.arguments import check_arguments, dataset, number, optional, whole
 from fringedic.surface.planes import WIDEST_WINDOW
 from fringedic.surface.strain import surface_strain
+from fringedic.wording.arguments import check_arguments, dataset, number, optional, whole
 
 _FAR = 1e6  # distance of the camera [px]: its lines of sight are parallel, as the evaluation of a flat specimen assumes
 _NAMES = {

@@ -9,9 +9,9 @@ import xarray as xr
 from numba import njit, prange
 
 from fringedic.errors import SurfaceError
-from fringedic.inputs.arguments import check_arguments, dataset, whole
 from fringedic.surface.noise_correlation import height_correlation, height_gains
 from fringedic.surface.planes import WIDEST_WINDOW, Planes, fit_planes
+from fringedic.wording.arguments import check_arguments, dataset, whole
 
 _LOCAL = {
     "u_t": ("m", "displacement along the surface, in the plane of x and z"),

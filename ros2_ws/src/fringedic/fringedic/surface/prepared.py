@@ -10,10 +10,10 @@ import xarray as xr
 from numba import njit, prange
 
 from fringedic.errors import CalibrationError, ImageError, SurfaceError
-from fringedic.inputs.arguments import check_arguments, dataset, number, of_type, optional
 from fringedic.rig.model import RigModel
 from fringedic.rig.reconstruction import pixel_positions
 from fringedic.surface.coupling_kernels import SurfaceArrays
+from fringedic.wording.arguments import check_arguments, dataset, number, of_type, optional
 
 # Standard deviations of a third difference of z beyond which a surface is discontinuous: 2e-9 of normal noise, so that
 # no pixel of an image is lost by chance; test_nothing_leaks_over_a_step_of_the_surface.

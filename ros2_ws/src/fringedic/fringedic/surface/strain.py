@@ -10,11 +10,11 @@ import xarray as xr
 from numba import njit, prange
 
 from fringedic.errors import SurfaceError
-from fringedic.inputs.arguments import check_arguments, dataset, number, several, text, whole
 from fringedic.surface.discontinuities import find_discontinuities
 from fringedic.surface.noise_correlation import displacement_gains, height_gains
 from fringedic.surface.planes import WIDEST_WINDOW, Planes, fit_planes
 from fringedic.surface.strain_measures import MEASURES, SurfaceStrain, require_measures
+from fringedic.wording.arguments import check_arguments, dataset, number, several, text, whole
 
 _ERRORS = ("noise_z", "noise_z_deformed", "displacement_sigma_x", "displacement_sigma_y")
 _STRAIN = {

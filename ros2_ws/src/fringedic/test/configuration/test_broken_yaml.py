@@ -14,10 +14,10 @@ from fringedic.configuration.forecast import forecast
 from fringedic.configuration.rig_file import RigFile, load_programme, load_rig_file
 from fringedic.errors import ConfigurationError, FringedicError
 from fringedic.frames.region import Region
-from fringedic.inputs.yaml_text import load_yaml
 from fringedic.metadata import Metadata, NoiseFloorMetadata
 from fringedic.patterns.response import ResponseCurve
 from fringedic.rig.model import RigModel
+from fringedic.wording.yaml_text import load_yaml
 
 RIG = "camera: {source: virtual}\nvirtual_rig: {preset: plate, size: tiny}\n"
 BROKEN = [

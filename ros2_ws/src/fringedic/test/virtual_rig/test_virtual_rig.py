@@ -242,7 +242,7 @@ def test_no_other_room_is_imported():
     code = (
         "import sys, fringedic.virtual_rig\n"
         "print([m for m in sys.modules if m.startswith('fringedic.')"
-        " and not m.startswith(('fringedic.virtual_rig', 'fringedic.errors', 'fringedic.inputs'))])"
+        " and not m.startswith(('fringedic.virtual_rig', 'fringedic.errors', 'fringedic.wording'))])"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"

@@ -15,7 +15,7 @@ from rich.console import Console
 from typer.core import TyperCommand, TyperGroup
 
 from fringedic.errors import ConfigurationError, FringedicError, RecordingError
-from fringedic.inputs.yaml_text import load_yaml
+from fringedic.wording.yaml_text import load_yaml
 from fringedic_bringup.procedures.folders import output_folder
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ from fringedic.configuration.rig_file import RigFile, load_fitting_calibration
 from fringedic.configuration.sections import ExtensometerSection
 from fringedic.errors import ConfigurationError, ImageError
 from fringedic.frames.region import Region
-from fringedic.inputs.yaml_text import load_yaml
 from fringedic.metadata import Metadata
 from fringedic.recording.reader import BagReader
+from fringedic.wording.yaml_text import load_yaml
 
 PROCESSING_NODES = {"phase": "phase_node", "dic": "dic_node", "coupling": "coupling_node"}
 STEP_TOPIC = "experiment/step"

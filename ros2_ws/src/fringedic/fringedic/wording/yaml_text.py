@@ -89,7 +89,7 @@ def load_yaml(text: str) -> Any:
     {'window': 24, 'spacing': 2}
     >>> load_yaml("{window: 24, window: 32}")
     Traceback (most recent call last):
-    fringedic.inputs.yaml_text.InvalidYamlError: line 1: the key 'window' is in line 1 already: remove one of them
+    fringedic.wording.yaml_text.InvalidYamlError: line 1: the key 'window' is in line 1 already: remove one of them
     """
     try:
         return yaml.load(text, _Loader)

@@ -10,7 +10,8 @@ import reprlib
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ParamSpec, TypeVar
 
-from fringedic.errors import FringedicError, number_text
+from fringedic.errors import FringedicError
+from fringedic.wording.numbers import number_text
 
 # Returns the value that the function uses; raises ValueError with the end of a sentence: "it has to be ..."
 Check = Callable[[Any], Any]
