@@ -19,13 +19,13 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 from fringedic.calibration import RigCalibration, calibrate_rig
+from fringedic.calibration.sentences import model_choice_sentence, verdict_sentence
 from fringedic.camera import DistortionMap
 from fringedic.camera.grid import GridMeasurement, measure_distortion
 from fringedic.camera.plane_homography import PlaneHomography
 from fringedic.camera.tilted_grid import TiltedGrid, locate_pin_hole, measure_tilted_grid
 from fringedic.patterns.sequences import fringe_sequence
 from fringedic.phase import absolute_phase
-from fringedic.report.calibration_sentences import model_choice_sentence, verdict_sentence
 from fringedic.rig.geometry import parameter_values
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 

@@ -24,8 +24,8 @@ import numpy as np
 from fringedic.errors import ErrorCode
 from fringedic.patterns.sequences import PatternSequence, fringe_sequence, gray_code_sequence
 from fringedic.phase.checks.stack import inspect_stack
-from fringedic.phase.finding_sentences import describe
 from fringedic.phase.findings import FindingKind
+from fringedic.phase.sentences import describe
 from fringedic.phase.settings import PhaseSettings
 from fringedic.virtual_rig import FringeScene
 

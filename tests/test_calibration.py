@@ -13,10 +13,10 @@ from rewritten import copy_topics
 from running_system import Progress, without_ros
 
 from fringedic.calibration.recorded import calibrate_recording
+from fringedic.calibration.sentences import check_in_words
 from fringedic.configuration.rig_file import load_rig_file
 from fringedic.configuration.virtual_calibration import calibration_of
 from fringedic.errors import RecordingError
-from fringedic.report.calibration_sentences import check_in_words
 from fringedic.rig.model import RigModel
 from fringedic_bringup.procedures.calibrate import calibrate, with_angles
 from fringedic_bringup.procedures.check import check

@@ -12,10 +12,10 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from coupling_node.arrow_markers import ArrowMarkers
 from fringedic.patterns.pattern import Orientation, PatternKind
-from fringedic.report.drift import drift_sentence
 from fringedic.rig.compatibility import RigSetup, check_calibration
 from fringedic.rig.model import RigModel
 from fringedic.steps.parameters import CouplingParameters
+from fringedic.steps.sentences import drift_sentence
 from fringedic.steps.shape_tracker import ShapeTracker, StepSurface
 from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult, displacement_field
 from fringedic.warm_up.rehearsal import rehearse_coupling

@@ -12,16 +12,16 @@ from experiment_node.calibration_goals import grid_angles, plane_sequence
 from experiment_node.calibration_run import CalibrationRun
 from experiment_node.plane_steps import Images, PlaneSteps
 from fringedic.calibration.result import RigCalibration
-from fringedic.calibration.session import CalibrationSession, Plane, Setting
-from fringedic.patterns.pattern import PatternKind, ProjectedPattern
-from fringedic.report.calibration import CALIBRATION_REPORT, write_calibration_report
-from fringedic.report.calibration_sentences import (
+from fringedic.calibration.sentences import (
     calibration_in_words,
     grid_in_words,
+    place_in_words,
     plane_in_words,
     verdict_sentence,
 )
-from fringedic.report.plane_instructions import place_in_words
+from fringedic.calibration.session import CalibrationSession, Plane, Setting
+from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.report.calibration import CALIBRATION_REPORT, write_calibration_report
 from fringedic.rig.model import RigModel
 from fringedic_msgs.msg import ReferencePlane
 from fringedic_ros.images import image_array

@@ -16,9 +16,9 @@ from experiment_node.calibration_run import CalibrationRun
 from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.running_step import RunningStep
 from experiment_node.step_runner import StepRunner
+from fringedic.calibration.sentences import place_in_words
 from fringedic.errors import FringedicError, WaitTimeoutError
 from fringedic.patterns.pattern import ProjectedPattern
-from fringedic.report.plane_instructions import place_in_words
 from fringedic_msgs.msg import ReferencePlane
 from fringedic_msgs.srv import PlaceReferencePlane
 from fringedic_ros.parameters import Parameters

@@ -31,9 +31,9 @@ from rclpy.task import Future
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
+from fringedic.calibration.sentences import place_in_words
 from fringedic.configuration.conditions import Reading
 from fringedic.errors import MoveStoppedError, RigBusyError, StepFailedError, WaitTimeoutError
-from fringedic.report.plane_instructions import place_in_words
 from fringedic_bringup.launch.readiness import Readiness
 from fringedic_bringup.participant import Participant
 from fringedic_msgs.action import CalibrateDistortion, CalibrateRig, MeasureStep, MoveCrosshead

@@ -10,10 +10,10 @@ import pytest
 from fringedic.datasets import open_experiment, process_bag
 from fringedic.recording.reader import BagReader
 from fringedic.recording.repair import info, recover
+from fringedic.recording.sentences import content_sentences, next_command
 from fringedic.recording.topics import RawMessage
 from fringedic.recording.verification import verify
 from fringedic.recording.writer import Split
-from fringedic.report.recordings import content_sentences, next_command
 from fringedic_bringup.procedures import recording_parts
 from fringedic_bringup.procedures.recording_parts import join_parts, next_part
 

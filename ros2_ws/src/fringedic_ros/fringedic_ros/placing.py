@@ -8,7 +8,7 @@ from builtin_interfaces.msg import Time
 from rclpy.node import Node
 
 from fringedic.calibration.placement import apart
-from fringedic.report.plane_instructions import position_in_words
+from fringedic.calibration.sentences import position_in_words
 from fringedic_msgs.msg import ReferencePlane
 from fringedic_msgs.srv import PlaceReferencePlane
 from fringedic_ros.qos import LATCHED

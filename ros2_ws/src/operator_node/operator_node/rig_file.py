@@ -6,12 +6,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from fringedic.calibration.sentences import in_force_words
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_rig_file
 from fringedic.configuration.sections import VIRTUAL_RIG
 from fringedic.errors import FringedicError
 from fringedic.frames.region import Region
-from fringedic.report.calibration_sentences import in_force_words
 from fringedic.wording.yaml_text import InvalidYamlError, load_yaml
 
 MOST_ROWS = 1000  # of the programme table

@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from fringedic.patterns.pattern import PatternKind
-from fringedic.report.check_list import TITLES
-from fringedic.report.live_view import live_entries
 from fringedic.rig_setup.check_list import SetupItem
+from fringedic.rig_setup.live_sentences import TITLES, live_entries
 from fringedic_msgs.msg import ProcedureStatus, StepStatus
 
 LOG_LINES = 200

@@ -10,7 +10,7 @@ from sensor_msgs.msg import Image
 from fringedic.figures.previews import phase_preview
 from fringedic.frames.collector import Stack
 from fringedic.patterns.pattern import PatternKind
-from fringedic.phase.finding_sentences import describe
+from fringedic.phase.sentences import describe
 from fringedic.steps.parameters import PhaseParameters
 from fringedic.steps.phase import phase_step
 from fringedic.warm_up.rehearsal import rehearse_phase

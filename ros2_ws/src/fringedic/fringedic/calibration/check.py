@@ -86,7 +86,7 @@ class RigCheck:
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
-        """What should be better, as codes; `fringedic.report.calibration_sentences` makes sentences of them."""
+        """What should be better, as codes; `fringedic.calibration.sentences` makes sentences of them."""
         return tuple(self._find_warnings())
 
     @property

@@ -29,7 +29,7 @@ def record_check(folder: str | Path, check: RigCheck, when: datetime, *, verdict
     check, when
         The check and its time.
     verdict
-        Its result in words, stored for people; `fringedic.report.calibration_sentences.check_in_words`.
+        Its result in words, stored for people; `fringedic.calibration.sentences.check_in_words`.
 
     Raises
     ------

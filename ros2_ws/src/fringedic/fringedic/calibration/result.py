@@ -54,7 +54,7 @@ class RigCalibration(FitResult):
     residual_map
         ``residual`` [m], ``phase`` and ``sigma`` [rad] of block means with the dimensions (plane, row, column).
     warnings
-        What should be better, as codes with values; `fringedic.report.calibration_sentences` makes sentences of them.
+        What should be better, as codes with values; `fringedic.calibration.sentences` makes sentences of them.
     verdict, reason, go, tested
         Whether the calibration can be used, why, the same as a bool, and whether a plane kept out of the fit was at
         another position than every fitted one.
@@ -93,7 +93,7 @@ class RigCalibration(FitResult):
         folder
             Is created when it does not exist.
         summary
-            The verdict in words, stored for people; `fringedic.report.calibration_sentences.verdict_sentence`.
+            The verdict in words, stored for people; `fringedic.calibration.sentences.verdict_sentence`.
 
         Raises
         ------

@@ -71,7 +71,7 @@ class GridMeasurement:
     valid_fraction
         Part of the image that shows the grid.
     warnings
-        What should be better, as codes with values; `fringedic.report.calibration_sentences` makes sentences of them.
+        What should be better, as codes with values; `fringedic.calibration.sentences` makes sentences of them.
     """
 
     distortion: DistortionMap

@@ -40,7 +40,7 @@ class Quantity(StrEnum):
 
 
 class MetCondition(NamedTuple):
-    """A limit that a reading reached; `fringedic.report.programme.condition_sentence` composes the sentence.
+    """A limit that a reading reached; `fringedic.configuration.sentences.condition_sentence` composes the sentence.
 
     Attributes
     ----------

@@ -43,7 +43,7 @@ UNKNOWN_SIZE = 2560, 1920  # (width, height) [px] assumed for images whose size 
 
 @dataclass(frozen=True)
 class Forecast:
-    """Time and disk space of a programme; `fringedic.report.forecast.forecast_sentence` composes a sentence.
+    """Time and disk space of a programme; `fringedic.configuration.sentences.forecast_sentence` composes a sentence.
 
     Attributes
     ----------

@@ -21,7 +21,7 @@ MOST_STEPS = 100_000  # a test of 14 days at 12 s per step; a larger number is a
 
 
 class BlockEnd(NamedTuple):
-    """A block that a condition ended; `fringedic.report.programme.block_end_sentence` composes the sentence."""
+    """A block that a condition ended; `fringedic.configuration.sentences.block_end_sentence` composes the sentence."""
 
     block: Literal["ramp", "cycle"]
     condition: MetCondition

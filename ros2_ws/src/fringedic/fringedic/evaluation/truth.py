@@ -14,6 +14,7 @@ from fringedic.errors import DatasetError
 from fringedic.wording.arguments import check_arguments, path
 from fringedic.wording.arguments import dataset as dataset_of
 
+TRUTH = "truth.nc"  # file of the ground truth beside the recording of a virtual rig
 MICRO = 1e-6
 _AT_REST = 1e-9  # [m] largest displacement of the step from which a truth counts
 _LONGEST_CAUSE = 200  # characters; HDF5 appends the state of its reader
@@ -39,7 +40,7 @@ def open_truth(path: str | os.PathLike[str]) -> xr.Dataset:
     DatasetError
         There is no such truth, or it is damaged.
     """
-    file = Path(path) / "truth.nc" if Path(path).is_dir() else Path(path)
+    file = Path(path) / TRUTH if Path(path).is_dir() else Path(path)
     with _damage_named(file):
         return xr.open_dataset(file, engine="h5netcdf")
 

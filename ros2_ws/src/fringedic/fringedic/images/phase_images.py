@@ -19,10 +19,10 @@ from fringedic.phase.checks.sample_noise import estimate_sample_noise
 from fringedic.phase.checks.sampling import Sample, half_periods
 from fringedic.phase.checks.stack import inspect_stack
 from fringedic.phase.demodulation import absolute_phase
-from fringedic.phase.finding_sentences import describe
 from fringedic.phase.fringe_order import assign_orders, unwrap_spatial
 from fringedic.phase.harmonic_correction import fit_harmonic_error
 from fringedic.phase.layout import layout_of
+from fringedic.phase.sentences import describe
 from fringedic.phase.settings import PhaseSettings
 
 TURN = 2 * np.pi

@@ -1,4 +1,4 @@
-"""Findings about the frames of a step, as data; `fringedic.phase.finding_sentences` puts them into words."""
+"""Findings about the frames of a step, as data; `fringedic.phase.sentences` puts them into words."""
 
 from __future__ import annotations
 

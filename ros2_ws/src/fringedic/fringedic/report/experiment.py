@@ -15,13 +15,14 @@ import xarray as xr
 
 from fringedic.correlation import grey_residual
 from fringedic.datasets.opening import open_experiment
+from fringedic.datasets.sentences import confirmation_sentence
 from fringedic.datasets.stores import SUFFIXES
 from fringedic.errors import CorrelationError, DatasetError, FringedicError
 from fringedic.evaluation.noise_floor import check_static_steps, noise_floors
 from fringedic.evaluation.noise_floor import static_steps as steps_at_rest
 from fringedic.evaluation.probes import extensometer
 from fringedic.evaluation.step_maps import with_principal_strains
-from fringedic.evaluation.truth import open_truth, truth_errors
+from fringedic.evaluation.truth import TRUTH, open_truth, truth_errors
 from fringedic.figures.animation import FRAME_MS, animation_frames
 from fringedic.figures.charts import curve_charts, extensometer_charts, surface_chart
 from fringedic.figures.maps import maps_figure, reference_figure
@@ -30,7 +31,6 @@ from fringedic.figures.residuals import residual_figure
 from fringedic.frames.region import Point, Region
 from fringedic.metadata import NOISE_COLUMNS
 from fringedic.recording.bag_files import recording_of
-from fringedic.report.confirmation import confirmation_sentence
 from fringedic.report.data import ReportData
 from fringedic.report.embedding import base64_png, base64_text, chart_html, chart_script
 from fringedic.report.entries import MISSING, Entry, hardware_entries, specimen_entries
@@ -43,7 +43,6 @@ from fringedic.rig_setup.advice import Advice
 from fringedic.rig_setup.recommended_settings import advise_settings
 from fringedic.wording.arguments import check_arguments, optional, path, several, whole
 
-TRUTH = "truth.nc"
 GAUGE_SUBSET = 21.0  # [px], side of the gauge subsets of virtual extensometers
 GaugePoints = tuple[Point, Point]
 """The two points of a virtual extensometer, each (column, row) [px]."""

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import xarray as xr
 
 from fringedic.datasets.quantities import people_unit
 from fringedic.figures.load_curve import load_curve_figure
 from fringedic.figures.maps import maps_figure
 from fringedic.figures.panels import Panel, panel_of
+from fringedic.models.sentences import agreement_sentences, deviation_text, placement_sentences, shape_sentences
 from fringedic.report.embedding import base64_png
 from fringedic.report.templates import render_page, require_new, write_page
 from fringedic.wording.numbers import number_text
@@ -113,7 +112,7 @@ def write_shape_comparison(comparison: xr.Dataset, output: Path, *, overwrite: b
         Panel("sigma_deviation", "its standard uncertainty"),
         Panel("normalized_deviation", "deviation over its uncertainty", symmetric=True),
     )
-    lengths = {name: _length(step[name]) for name in _SHAPE_COLUMNS}
+    lengths = {name: deviation_text(step[name]) for name in _SHAPE_COLUMNS}
     page = _page(
         comparison,
         shape_sentences(comparison),
@@ -134,85 +133,6 @@ def _page(comparison: xr.Dataset, sentences: list[str], **content: Any) -> str:
         sentences=[*sentences, *placement_sentences(comparison)],
         **content,
     )
-
-
-def shape_sentences(comparison: xr.Dataset) -> list[str]:
-    """Return how many points agree with the nominal shape, and the range of the deviation beside that of noise."""
-    step = comparison.isel(step=0)
-    return [
-        f"{100 * float(step['within_2_sigma']):.1f} % of {int(step['points'])} points are within 2 sigma of the "
-        f"nominal shape (95 % expected of noise); RMS deviation {_length(step['rms_difference'])}, of which "
-        f"{_length(step['systematic'])} exceed the noise",
-        f"The deviation ranges over {_length(step['peak_to_valley'])} ± {_length(2 * step['sigma_peak_to_valley'])} "
-        f"(95 %; the flatness, if the nominal shape is a plane); noise alone would give "
-        f"{_length(step['noise_peak_to_valley'])}.",
-    ]
-
-
-def _length(value: xr.DataArray) -> str:
-    return f"{number_text(1e6 * float(value))} µm"
-
-
-def agreement_sentences(step: xr.Dataset) -> list[str]:
-    """Return a sentence for each quantity of a step, how many points agree and the factor, and one of the shift."""
-    sentences = []
-    for name in step["quantity"].values.tolist():
-        found = step.sel(quantity=name)
-        factor, sigma = float(found["factor"]), float(found["sigma_factor"])
-        sentences.append(
-            f"{name}: {100 * float(found['within_2_sigma']):.1f} % of {int(found['points'])} points within 2 sigma "
-            f"(95 % expected of noise); the model times {factor:.4f} ± {2 * sigma:.4f} (95 %) fits best"
-        )
-    return [*sentences, *_shift_sentences(step)]
-
-
-def _shift_sentences(step: xr.Dataset) -> list[str]:
-    """Return by how much the features of the model have to be moved along the surface, where that is determined."""
-    found = [
-        f"{number_text(1e3 * float(step[f'shift_{axis}']))} ± "
-        f"{number_text(2e3 * float(step[f'sigma_shift_{axis}']))} mm along {axis}"
-        for axis in "xy"
-        if np.isfinite(step[f"shift_{axis}"])
-    ]
-    if not found:
-        return []
-    return [
-        f"The displacement fits best with the model shifted by {' and '.join(found)} (95 %, without the uncertainty of "
-        "the alignment)."
-    ]
-
-
-def placement_sentences(comparison: xr.Dataset) -> list[str]:
-    """Return how well the model is aligned, and what its shape does not determine."""
-    placement: dict[str, Any] = json.loads(comparison.attrs["placement"])
-    shift = ", ".join(number_text(1e6 * each) for each in placement["sigma_translation"])
-    turn = ", ".join(number_text(1e3 * each) for each in placement["sigma_rotation"])
-    sentences = [
-        f"Alignment: {placement['points']} points, residual {number_text(1e6 * placement['residual'])} µm; standard "
-        f"uncertainty of the translation {shift} µm along x, y, z, of the rotation {turn} mrad about them."
-    ]
-    if placement["alternatives"]:
-        sentences.append(
-            f"{placement['alternatives']} other orientations by principal axes fit the surface as well: check the "
-            "orientation in the maps, or give point pairs."
-        )
-    if placement["free"] is not None:
-        free = placement["free"]
-        directions = [f"translation along {_vector(each)}" for each in free["translations"]]
-        directions += [f"rotation about {_vector(each)}" for each in free["rotations"]]
-        sentences.append(
-            f"The shape is {free['shape']} and does not determine the {' and the '.join(directions)}; "
-            + (
-                f"{placement['undetermined']} of these count as exact: give holes, edges or point pairs."
-                if placement["undetermined"]
-                else "features of the surface or the displacement determine them."
-            )
-        )
-    return sentences
-
-
-def _vector(direction: list[float]) -> str:
-    return f"({', '.join(f'{each:.2f}' for each in direction)})"
 
 
 def _rows(step: xr.Dataset) -> list[list[str]]:

@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import xarray as xr
 
+from fringedic.datasets.sentences import references_sentence
 from fringedic.evaluation.noise_floor import NoiseFloor
 from fringedic.provenance import UNKNOWN
 from fringedic.report.data import ReportData
-from fringedic.report.drift import drift_sentence
-from fringedic.report.references import references_sentence
-from fringedic.report.settings import warning_sentence
+from fringedic.rig_setup.settings_sentences import warning_sentence
 from fringedic.steps.drift_marker import drift_of_steps
+from fringedic.steps.sentences import drift_sentence
 
 FEW_POINTS = 0.5  # share of measured points below which a step is named
 EXPLAINED = (0.8, 1.25)  # measured noise over the stated one: what the scatter of a few steps at rest explains

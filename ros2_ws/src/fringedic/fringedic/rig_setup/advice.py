@@ -55,7 +55,7 @@ class Advice:
     """What the images are, the settings recommended for them, and the noise floors at these settings.
 
     Pairs are (x, y): right and down in the image. Displacements are in pixels, strains dimensionless, grey levels as
-    stored. `fringedic.report.settings.settings_report` writes an advice as text.
+    stored. `fringedic.rig_setup.settings_sentences.settings_report` writes an advice as text.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class Advice:
     table
         Expected noise [px] and period [px] of other windows [px]: (window, noise, period).
     warnings
-        What should be put right before the test; `fringedic.report.settings.warning_sentence` composes the sentences.
+        What should be put right before the test; the sentences are in `fringedic.rig_setup.settings_sentences`.
     """
 
     shape: tuple[int, int]

@@ -1,4 +1,4 @@
-"""Checks of static images by good practice; `fringedic.report.settings` composes the sentences."""
+"""Checks of static images by good practice; `fringedic.rig_setup.settings_sentences` composes the sentences."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ _LEAST_CONTRAST = 0.02  # (bright - dark) / bright; a camera that sees no projec
 
 @dataclass(frozen=True)
 class ProjectorTiming:
-    """Delay, jitter, rise and refresh of a projector; `fringedic.report.timing` composes sentences about it.
+    """Delay, jitter, rise and refresh of a projector; the sentences are in `fringedic.rig_setup.projector_sentences`.
 
     Attributes
     ----------

@@ -37,7 +37,7 @@ class PhaseResult:
     harmonic_error
         RMS error of the phase by the harmonics of a nonlinear response [fringe], which ``sigma`` does not contain.
     remarks
-        What needs attention although the phase is measured; `fringedic.phase.finding_sentences.describe` puts it into
+        What needs attention although the phase is measured; `fringedic.phase.sentences.describe` puts it into
         words.
     corrections
         What was corrected in the phase, in words: the same for all phases that are compared.

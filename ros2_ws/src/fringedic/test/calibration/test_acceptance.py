@@ -17,10 +17,11 @@ from fringedic.calibration.acceptance import (
     measure_place,
     unsuitable,
 )
+from fringedic.calibration.acceptance_sentences import acceptance_text, place_in_words
 from fringedic.calibration.virtual_artefacts import measure_virtual_artefact
 from fringedic.configuration.rig_file import RigFile, load_calibration
 from fringedic.errors import CalibrationError
-from fringedic.report.acceptance import acceptance_text, place_in_words, write_acceptance_page
+from fringedic.report.acceptance import write_acceptance_page
 
 ARTEFACTS = Artefacts(diameter=12e-3, spacing=30e-3, volume=(55e-3, 40e-3, 20e-3))
 NOISE = 27e-6  # of z of a pixel; the distances of a cap scatter less

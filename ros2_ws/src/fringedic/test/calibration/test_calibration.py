@@ -20,13 +20,13 @@ import xarray as xr
 from fringedic.calibration import RigCalibration, Verdict, calibrate_rig
 from fringedic.calibration.findings import CalibrationWarning
 from fringedic.calibration.fit_results import Reason
+from fringedic.calibration.sentences import in_force_words, problem_sentence, verdict_sentence, warning_sentences
 from fringedic.calibration.variants import ModelVariant
 from fringedic.camera.plane_homography import PinHole, PlaneHomography
 from fringedic.configuration.calibration_section import calibration_metadata
 from fringedic.errors import CalibrationError, ImageError
 from fringedic.metadata import CalibrationMetadata
 from fringedic.patterns.pattern import Orientation
-from fringedic.report.calibration_sentences import in_force_words, problem_sentence, verdict_sentence, warning_sentences
 from fringedic.rig.geometry import parameter_values
 from fringedic.rig.uncertainty import displacement_variance, position_errors
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration

@@ -16,18 +16,18 @@ from fringedic.calibration.fit_results import Reason, Verdict
 from fringedic.calibration.history import record_check
 from fringedic.calibration.placement import PlaneKind
 from fringedic.calibration.recorded import calibrate_recording
+from fringedic.calibration.sentences import (
+    check_in_words,
+    in_force_words,
+    place_in_words,
+    plane_in_words,
+    verdict_sentence,
+)
 from fringedic.calibration.session import CalibrationSession, Plane, Setting
 from fringedic.errors import CalibrationError, RecordingError
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.recording import BagWriter, Topic
 from fringedic.report.calibration import write_calibration_report
-from fringedic.report.calibration_sentences import (
-    check_in_words,
-    in_force_words,
-    plane_in_words,
-    verdict_sentence,
-)
-from fringedic.report.plane_instructions import place_in_words
 from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 

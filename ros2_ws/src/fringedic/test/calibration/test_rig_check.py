@@ -15,10 +15,10 @@ import xarray as xr
 from fringedic.calibration import CheckVerdict, check_rig
 from fringedic.calibration.findings import CheckProblem, CheckWarning
 from fringedic.calibration.history import CHECKS_FILE, record_check, recorded_checks
+from fringedic.calibration.sentences import check_in_words, check_sentence, check_warning_sentences
+from fringedic.calibration.traceability import Traceability
 from fringedic.errors import CalibrationError, ImageError
 from fringedic.metadata import CalibrationMetadata, Metadata
-from fringedic.report.calibration import Traceability
-from fringedic.report.calibration_sentences import check_in_words, check_sentence, check_warning_sentences
 from fringedic.report.check import write_check_page
 from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from fringedic.calibration.sentences import finding_sentence
 from fringedic.camera import DistortionMap
 from fringedic.camera.findings import GridFinding
 from fringedic.camera.grid import GridMeasurement, measure_distortion
 from fringedic.camera.homography import apply_homography, fit_homography
 from fringedic.errors import GridError, ImageError
-from fringedic.report.calibration_sentences import finding_sentence
 from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 

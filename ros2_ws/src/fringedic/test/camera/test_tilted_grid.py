@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
+from fringedic.calibration.sentences import finding_sentence
 from fringedic.camera.findings import GridFinding
 from fringedic.camera.grid import GridMeasurement, measure_distortion
 from fringedic.camera.tilted_grid import TiltedGrid, locate_pin_hole, measure_tilted_grid
 from fringedic.errors import GridError, ImageError
 from fringedic.patterns.pattern import Orientation
-from fringedic.report.calibration_sentences import finding_sentence
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
 PITCH = 1.0e-3

@@ -35,6 +35,7 @@ from fringedic.campaign import (
 from fringedic.campaign.opening import open_group
 from fringedic.campaign.plan import plan_of, predicted_memory
 from fringedic.campaign.recordings import Found, summarise
+from fringedic.campaign.sentences import CampaignProgress, plan_sentences, status_sentences
 from fringedic.campaign.settings import Labels
 from fringedic.campaign.store import GroupStore
 from fringedic.datasets.processing import process_into
@@ -42,7 +43,6 @@ from fringedic.datasets.rows import Row
 from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import CampaignError, ConfigurationError
 from fringedic.recording import BagReader, BagWriter
-from fringedic.report.campaign import CampaignProgress, plan_sentences, status_sentences
 from fringedic.steps.recorded_parameters import RecordedParameters
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"

@@ -27,10 +27,10 @@ from fringedic.campaign import (
     update_plan,
 )
 from fringedic.campaign import unit as units
+from fringedic.campaign.sentences import plan_sentences, status_sentences
 from fringedic.campaign.software import worker_name
 from fringedic.errors import CampaignError
 from fringedic.recording import BagReader, BagWriter, RawMessage, Split
-from fringedic.report.campaign import plan_sentences, status_sentences
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 END = 3  # stage of fringedic_msgs/StepStatus

@@ -25,6 +25,7 @@ from fringedic.datasets import MAPS, dataset_from_derived, open_experiment, proc
 from fringedic.datasets.derived import Collected
 from fringedic.datasets.quantities import SCALARS, STEP_NUMBERS
 from fringedic.datasets.rows import Row, with_lost_steps
+from fringedic.datasets.sentences import confirmation_sentence
 from fringedic.errors import ConfigurationError, DatasetError, RecordingError
 from fringedic.evaluation import compare_with_truth, truth_errors
 from fringedic.frames.collector import Stack
@@ -36,7 +37,6 @@ from fringedic.recording.frames import records
 from fringedic.recording.reader import BagReader
 from fringedic.recording.topics import Topic
 from fringedic.recording.writer import BagWriter
-from fringedic.report.confirmation import confirmation_sentence
 from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.phase import phase_step

@@ -18,7 +18,8 @@ from fringedic.planning.plan import PlanChange, field_uncertainty, plane_noise, 
 from fringedic.planning.plan_warnings import PlanProblem, PlanWarning, depth_of_field, find_warnings, fringe_period
 from fringedic.planning.planned_patch import Patch
 from fringedic.planning.planned_rig import pixel_ripple
-from fringedic.report.plan import plan_text, plan_warning_sentence, write_plan_page
+from fringedic.planning.sentences import plan_text, plan_warning_sentence
+from fringedic.report.plan import write_plan_page
 from fringedic.surface import couple
 from fringedic.virtual_rig import VirtualRig
 

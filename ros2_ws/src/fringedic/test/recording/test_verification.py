@@ -16,7 +16,7 @@ from fringedic.recording import BagReader, BagWriter, Split, Topic, recover, ver
 from fringedic.recording.frames import records
 from fringedic.recording.manifest import write_manifest
 from fringedic.recording.repair import info
-from fringedic.report.recordings import content_sentences, verification_sentences
+from fringedic.recording.sentences import content_sentences, verification_sentences
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 IMAGE, EXPOSURE, STEP = "/rig/camera/image_raw", "/rig/camera/exposure", "/rig/experiment/step"

@@ -12,10 +12,11 @@ import numpy as np
 import xarray as xr
 
 from fringedic.calibration import RigCalibration, calibrate_rig
+from fringedic.calibration.sentences import verdict_sentence, warning_sentences
+from fringedic.calibration.traceability import Traceability
 from fringedic.patterns.sequences import fringe_sequence
 from fringedic.phase import absolute_phase
-from fringedic.report.calibration import Traceability, write_calibration_report
-from fringedic.report.calibration_sentences import verdict_sentence, warning_sentences
+from fringedic.report.calibration import write_calibration_report
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
 ANGLES_DEGREE = (-15.0, -10.0, -5.0, 0.0, 5.0, 10.0, 15.0)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from fringedic.errors import RigSetupError
-from fringedic.report.check_list import TITLES, next_sentence
 from fringedic.rig_setup.check_list import CheckList, ItemState, SetupItem, SetupRecord
+from fringedic.rig_setup.live_sentences import TITLES, next_sentence
 
 START = datetime(2026, 5, 4, 8, 0, tzinfo=UTC)
 

@@ -8,9 +8,9 @@ import xarray as xr
 from aligned_rig import aligned_rig
 from pydantic import ValidationError
 
-from fringedic.report.drift import drift_sentence
 from fringedic.steps.drift_marker import drift_of_steps, measure_drift
 from fringedic.steps.parameters import CouplingParameters
+from fringedic.steps.sentences import drift_sentence
 from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.steps.step_results import DicResult, PhaseResult, displacement_field
 

@@ -311,7 +311,7 @@ def for_each(bags: list[BagKind], work: Callable[[BagKind], None]) -> None:
 def losses(bag: Path) -> list[str]:
     """Return what of a damaged recording is whole and what is lost; nothing of a whole one."""
     from fringedic.recording.repair import info
-    from fringedic.report.recordings import content_sentences
+    from fringedic.recording.sentences import content_sentences
 
     content = info(bag)
     return [] if content.whole else content_sentences(content)

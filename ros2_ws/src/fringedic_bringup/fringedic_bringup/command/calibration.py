@@ -104,8 +104,8 @@ def check(
         refuse_unused(context, {"distance_mm"}, "--vdi measures artefacts, not a distance; leave one of them out")
         _accept(rig_path_of(rig), output)
         return
+    from fringedic.calibration.sentences import check_sentence, check_warning_sentences
     from fringedic.configuration.rig_file import load_rig_file
-    from fringedic.report.calibration_sentences import check_sentence, check_warning_sentences
     from fringedic.report.check import CHECK_PAGE
     from fringedic_bringup.procedures.check import check as check_rig
 
@@ -120,8 +120,9 @@ def check(
 
 def _accept(path: Path, output: Path) -> None:
     """Run the acceptance test; exit code 1 if an error exceeds its limit."""
+    from fringedic.calibration.acceptance_sentences import acceptance_text
     from fringedic.configuration.rig_file import load_rig_file
-    from fringedic.report.acceptance import ACCEPTANCE_PAGE, acceptance_text
+    from fringedic.report.acceptance import ACCEPTANCE_PAGE
     from fringedic_bringup.procedures.accept import accept
 
     folder = unused_folder(output)

@@ -66,7 +66,7 @@ def init(folder: Folder) -> None:
 def plan(folder: Folder, recompute: Recompute = False) -> None:
     """Read the summaries of the recordings and write the plan; refuse what is damaged."""
     from fringedic.campaign import load_campaign, update_plan
-    from fringedic.report.campaign import plan_sentences
+    from fringedic.campaign.sentences import plan_sentences
 
     made = update_plan(load_campaign(folder), recompute=recompute)
     say(*plan_sentences(made), f"next: `fringedic campaign run {folder}`")
@@ -112,7 +112,7 @@ def status(folder: Folder) -> None:
     """Say what is complete, failed and waiting, by the receipts in the store alone."""
     from fringedic.campaign import CampaignStore, read_plan, status_of
     from fringedic.campaign.opening import store_address
-    from fringedic.report.campaign import status_sentences
+    from fringedic.campaign.sentences import status_sentences
 
     store = CampaignStore(store_address(folder))
     found = status_of(store, read_plan(store))
@@ -126,11 +126,10 @@ def open_results(
     output: Annotated[Path | None, typer.Option(help="HTML file; by default campaign.html in the folder.")] = None,
 ) -> None:
     """Print the catalogue, write a page with a thumbnail of each recording and data-summary.json into the store."""
-    from fringedic.campaign import CampaignStore, open_campaign, read_plan, status_of
+    from fringedic.campaign import CampaignStore, data_summary, open_campaign, read_plan, status_of
     from fringedic.campaign.opening import store_address
-    from fringedic.report import data_summary
-    from fringedic.report.campaign import unplanned_sentences
-    from fringedic.report.campaign_page import write_campaign_page
+    from fringedic.campaign.page import write_campaign_page
+    from fringedic.campaign.sentences import unplanned_sentences
 
     _, catalogue = open_campaign(folder)
     columns = ["specimen", "group", "steps", "confirmed_fraction", "largest_strain", "sigma_largest_strain"]
@@ -156,7 +155,7 @@ def _run(
     folder: Path, engine: Engine, shard: tuple[int, int], *, recompute: bool = False, follow: bool = False
 ) -> None:
     from fringedic.campaign import CampaignStore, current_plan, load_campaign, status_of, update_plan
-    from fringedic.report.campaign import plan_sentences, status_sentences
+    from fringedic.campaign.sentences import plan_sentences, status_sentences
 
     campaign = load_campaign(folder)
     store = CampaignStore(campaign.store)
@@ -173,7 +172,7 @@ def _run(
 
 
 def _process(units: list[Unit], engine: Engine) -> None:
-    from fringedic.report.campaign import CampaignProgress
+    from fringedic.campaign.sentences import CampaignProgress
 
     outcome: Receipt | Failure
     parts = [part for unit in units if not unit.growing for part in unit.parts]

@@ -81,8 +81,8 @@ def measure(  # noqa: PLR0913 (options of a command)
     from fringedic.datasets import open_experiment
     from fringedic.frames.files import image_files, read_grey
     from fringedic.images import measure_images
+    from fringedic.images.sentences import failure_sentences, series_sentences
     from fringedic.report import write_report
-    from fringedic.report.image_series import failure_sentences, series_sentences
     from fringedic_bringup.display.region_window import draw_scale
     from fringedic_bringup.procedures.region import mask_of
 
@@ -137,7 +137,7 @@ def phase(
     from fringedic.datasets.stores import save_netcdf
     from fringedic.figures.phase_images import save_phase_picture
     from fringedic.images import measure_phase_images
-    from fringedic.report.phase_images import phase_sentences
+    from fringedic.images.sentences import phase_sentences
 
     with kept_if_filled(output):
         measured = measure_phase_images(folder, FringeImageDescription.load(description or folder / "phase.yaml"))
@@ -167,7 +167,7 @@ def advise(
 ) -> None:
     """Recommend window and spacing from three images at rest; print noise floors and possible improvements."""
     begin(reference)
-    from fringedic.report.settings import settings_report
+    from fringedic.rig_setup.settings_sentences import settings_report
     from fringedic_bringup.procedures.images import advise_on_images
 
     advice = advise_on_images(

@@ -103,13 +103,8 @@ def compare_model(  # noqa: PLR0913 (options of a command)
     from fringedic.models import compare_shape, on_mesh, read_model
     from fringedic.models.model import UNITS
     from fringedic.models.observed import Features
-    from fringedic.report.model_comparison import (
-        agreement_sentences,
-        placement_sentences,
-        shape_sentences,
-        write_model_comparison,
-        write_shape_comparison,
-    )
+    from fringedic.models.sentences import agreement_sentences, placement_sentences, shape_sentences
+    from fringedic.report.model_comparison import write_model_comparison, write_shape_comparison
 
     scale = _MILLI if by == "position" else 1.0
     of_mesh = None if load is None else [scale * each for each in load]

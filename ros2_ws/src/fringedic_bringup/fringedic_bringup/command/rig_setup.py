@@ -84,7 +84,8 @@ def plan(
     page = output_file(output, overwrite)
     from fringedic.configuration.changes import load_changed_rig_file
     from fringedic.planning import PlannedRig, make_plan
-    from fringedic.report.plan import plan_text, write_plan_page
+    from fringedic.planning.sentences import plan_text
+    from fringedic.report.plan import write_plan_page
 
     path = rig_path_of(rig)
     found = make_plan(PlannedRig.of(load_changed_rig_file(path, parameter_values(settings)), str(path)))
@@ -174,7 +175,7 @@ def noise(
     else:
         refuse_unused(context, {"window", "spacing"}, "with a rig file they are nodes.dic in this file; set them there")
     begin(rig or (images or [])[0])
-    from fringedic.report.noise_floor import noise_floor_text
+    from fringedic.rig_setup.settings_sentences import noise_floor_text
     from fringedic_bringup.procedures.noise import measure_noise, measure_noise_of_images
 
     folder = unused_folder(output)

@@ -13,7 +13,7 @@ from rich.live import Live
 from rich.table import Table
 from rich.text import Text
 
-from fringedic.report.live_view import live_entries
+from fringedic.rig_setup.live_sentences import live_entries
 from fringedic_bringup.procedures.setup_patterns import LivePattern
 
 if TYPE_CHECKING:

@@ -13,17 +13,16 @@ from typing import Any, NamedTuple
 import cv2
 from yaml import YAMLError
 
+from fringedic.calibration.acceptance_sentences import acceptance_text
+from fringedic.calibration.sentences import check_sentence, check_warning_sentences
 from fringedic.configuration.changes import change_rig_file
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_rig_file
 from fringedic.configuration.yaml_section import Section, validate
 from fringedic.errors import ConfigurationError, FringedicError, NodeDiedError, OperatorError, WaitTimeoutError
 from fringedic.frames.region import Region
-from fringedic.report.acceptance import acceptance_text
-from fringedic.report.calibration_sentences import check_sentence, check_warning_sentences
-from fringedic.report.live_view import live_entries
-from fringedic.report.noise_floor import noise_floor_text
-from fringedic.report.settings import settings_report
+from fringedic.rig_setup.live_sentences import live_entries
+from fringedic.rig_setup.settings_sentences import noise_floor_text, settings_report
 from fringedic.wording.yaml_text import load_yaml
 from fringedic_bringup.launch.graph import exposing_graph, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph

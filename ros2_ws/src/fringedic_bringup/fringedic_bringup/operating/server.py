@@ -13,8 +13,8 @@ from typing import Any, Self
 from std_msgs.msg import Bool
 
 from fringedic.errors import FringedicError, OperatorError
-from fringedic.report.check_list import next_sentence
 from fringedic.rig_setup.check_list import CheckList, ListedItem, SetupItem, SetupRecord
+from fringedic.rig_setup.live_sentences import next_sentence
 from fringedic_bringup.operating.procedures import Place, Request, execute, requested
 from fringedic_bringup.operating.status import STOPPED, Job, State, Status
 from fringedic_bringup.participant import Participant

@@ -9,9 +9,10 @@ from pathlib import Path
 import xarray as xr
 
 from fringedic.calibration.acceptance import Acceptance, Artefacts, Place, measure_place
+from fringedic.calibration.acceptance_sentences import place_in_words
 from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import CalibrationError, ConfigurationError, StepFailedError
-from fringedic.report.acceptance import ACCEPTANCE_PAGE, place_in_words, write_acceptance_page
+from fringedic.report.acceptance import ACCEPTANCE_PAGE, write_acceptance_page
 from fringedic.rig.model import RigModel
 from fringedic_bringup.procedures.calibration_in_use import calibration_to_check
 from fringedic_bringup.procedures.outcome import Progress

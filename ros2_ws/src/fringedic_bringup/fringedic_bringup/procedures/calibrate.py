@@ -12,12 +12,13 @@ from rclpy.parameter import Parameter
 
 from fringedic.calibration.placement import PlaneKind
 from fringedic.calibration.result import RigCalibration
+from fringedic.calibration.sentences import place_in_words
+from fringedic.calibration.traceability import Traceability
 from fringedic.configuration.rig_file import RigFile
 from fringedic.configuration.sections import ReferencePlaneSection
 from fringedic.configuration.yaml_section import validate
 from fringedic.errors import ConfigurationError
-from fringedic.report.calibration import CALIBRATION_REPORT, Traceability, write_calibration_report
-from fringedic.report.plane_instructions import place_in_words
+from fringedic.report.calibration import CALIBRATION_REPORT, write_calibration_report
 from fringedic_bringup.client import PERSON_S, START_TIMEOUT_S, RigClient
 from fringedic_bringup.launch.graph import calibration_graph
 from fringedic_bringup.launch.processes import RunningGraph

@@ -5,13 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 
 from fringedic.calibration.recorded import calibrate_recording
-from fringedic.report.calibration import CALIBRATION_REPORT, recorded_traceability, write_calibration_report
-from fringedic.report.calibration_sentences import (
+from fringedic.calibration.sentences import (
     calibration_in_words,
     grid_in_words,
     recorded_plane_in_words,
     verdict_sentence,
 )
+from fringedic.calibration.traceability import recorded_traceability
+from fringedic.report.calibration import CALIBRATION_REPORT, write_calibration_report
 from fringedic_bringup.procedures.outcome import CalibrationReport, Progress
 
 

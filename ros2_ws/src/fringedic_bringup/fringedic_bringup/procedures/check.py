@@ -12,12 +12,12 @@ import xarray as xr
 from fringedic.calibration import RigCalibration, RigCheck, check_rig
 from fringedic.calibration.history import record_check
 from fringedic.calibration.placement import apart
+from fringedic.calibration.sentences import check_in_words
 from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import CalibrationError, RecordingError
 from fringedic.frames.messages import image_array
 from fringedic.frames.records import stamp_of
 from fringedic.recording.reader import BagReader
-from fringedic.report.calibration_sentences import check_in_words
 from fringedic.report.check import CHECK_PAGE, write_check_page
 from fringedic_bringup.procedures.calibrate import calibration_client, traceability_of
 from fringedic_bringup.procedures.calibration_in_use import calibration_to_check

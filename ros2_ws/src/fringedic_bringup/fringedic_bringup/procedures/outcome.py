@@ -138,7 +138,7 @@ class CalibrationReport:
     @property
     def report(self) -> Path | None:
         """The report; None when the calibration ended before it was written."""
-        from fringedic.report.calibration import CALIBRATION_REPORT  # not at the top: it loads the calibration
+        from fringedic.report.calibration import CALIBRATION_REPORT
 
         path = self.folder / CALIBRATION_REPORT
         return path if path.exists() else None

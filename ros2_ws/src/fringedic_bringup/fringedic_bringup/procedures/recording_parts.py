@@ -7,8 +7,8 @@ from pathlib import Path
 
 from fringedic.recording.bag_files import numbered_parts
 from fringedic.recording.repair import join
+from fringedic.recording.sentences import content_sentences
 from fringedic.recording.writer import Split
-from fringedic.report.recordings import content_sentences
 from fringedic_bringup.procedures.outcome import Progress
 
 

@@ -15,7 +15,7 @@ from fringedic.figures.response import response_figure
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.patterns.response import ResponseCurve
 from fringedic.phase.checks.harmonic_error import SERIES_SHIFTS, HarmonicError, measure_harmonic_error
-from fringedic.report.response import response_sentences
+from fringedic.rig_setup.projector_sentences import response_sentences
 from fringedic.rig_setup.response import measure_response, response_patterns
 from fringedic.rig_setup.response_correction import Correction, assess_correction
 from fringedic_bringup.launch.graph import Graph, NodeEntry, exposing_graph, full_scale

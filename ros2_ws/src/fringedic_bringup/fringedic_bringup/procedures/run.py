@@ -10,24 +10,24 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
+from fringedic.calibration.sentences import in_force_words
 from fringedic.configuration.forecast import Forecast, forecast
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_programme, load_rig_file
 from fringedic.configuration.sections import VIRTUAL_RIG
+from fringedic.configuration.sentences import forecast_sentence
 from fringedic.configuration.virtual_calibration import calibration_of
 from fringedic.datasets import dataset_from_derived, open_experiment, process_bag
+from fringedic.datasets.sentences import confirmation_sentence
 from fringedic.errors import ConfigurationError, DatasetError, ImageError
 from fringedic.evaluation import compare_with_truth, open_truth
+from fringedic.evaluation.truth import TRUTH
 from fringedic.figures.maps import save_pictures
 from fringedic.frames.files import image_files
 from fringedic.frames.records import frame_record, stamp_of
 from fringedic.recording.frames import EXPOSURE, IMAGE, with_losses
 from fringedic.recording.reader import BagReader
 from fringedic.report import write_report
-from fringedic.report.calibration_sentences import in_force_words
-from fringedic.report.confirmation import confirmation_sentence
-from fringedic.report.experiment import TRUTH
-from fringedic.report.forecast import forecast_sentence
 from fringedic_bringup.launch.environment import domain_of, node_environment
 from fringedic_bringup.launch.graph import rig_graph
 from fringedic_bringup.launch.processes import RunningGraph, require_no_nodes

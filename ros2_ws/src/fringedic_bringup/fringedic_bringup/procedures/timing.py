@@ -12,7 +12,7 @@ from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import ConfigurationError, RigSetupError
 from fringedic.figures.timing import timing_figure
 from fringedic.frames.image_quality import full_scale_of
-from fringedic.report.timing import timing_sentences
+from fringedic.rig_setup.projector_sentences import timing_sentences
 from fringedic.rig_setup.timing import ProjectorTiming, measure_timing, rough_delay
 from fringedic.rig_setup.timing_samples import TimingSamples
 from fringedic_bringup.launch.graph import exposing_graph, full_scale

@@ -26,9 +26,9 @@ from fringedic.phase.checks.projector_lag import find_lag
 from fringedic.phase.checks.sample_noise import estimate_sample_noise
 from fringedic.phase.checks.sampling import SAMPLES, Sample
 from fringedic.phase.demodulation_kernel import CONFIDENCE
-from fringedic.phase.finding_sentences import describe
 from fringedic.phase.findings import Finding, FindingKind
 from fringedic.phase.layout import check_frames, layout_of
+from fringedic.phase.sentences import describe
 from fringedic.phase.settings import DEFAULT_SETTINGS, PhaseSettings
 from fringedic.phase.sinusoids import fit_wave
 

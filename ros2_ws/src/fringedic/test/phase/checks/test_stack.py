@@ -10,7 +10,7 @@ from fringedic.errors import ErrorCode, StepError
 from fringedic.patterns.pattern import PatternKind
 from fringedic.patterns.sequences import PatternSequence, fringe_sequence, gray_code_sequence
 from fringedic.phase.checks import check_stack
-from fringedic.phase.finding_sentences import describe
+from fringedic.phase.sentences import describe
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration
 
 

@@ -8,17 +8,11 @@ from math import nan
 import numpy as np
 import pytest
 
-from fringedic.configuration.conditions import MetCondition, Quantity
-from fringedic.configuration.forecast import Forecast
-from fringedic.configuration.programme import BlockEnd
 from fringedic.metadata import NoiseFloorMetadata
-from fringedic.report.forecast import forecast_sentence
-from fringedic.report.noise_floor import noise_floor_text
-from fringedic.report.programme import block_end_sentence, condition_sentence
-from fringedic.report.settings import settings_report, warning_sentence
-from fringedic.report.timing import timing_sentences
 from fringedic.rig_setup.advice import Advice, SettingsProblem, SettingsWarning
+from fringedic.rig_setup.projector_sentences import timing_sentences
 from fringedic.rig_setup.refresh import Refresh
+from fringedic.rig_setup.settings_sentences import noise_floor_text, settings_report, warning_sentence
 from fringedic.rig_setup.timing import ProjectorTiming
 
 ADVICE = Advice(
@@ -143,28 +137,3 @@ def test_noise_floor_as_text() -> None:
     assert "camera: 1.6 grey levels without light, and a variance of 0.03 per grey level" in text
     assert "displacement u [µm]                       1.234            -            -          1.2" in text
     assert text.endswith("with window 32 px")
-
-
-def test_forecast() -> None:
-    forecast = Forecast(14, 13, 121, 15000, duration=610.0, writing=80.0, size=2.5e9, early=True)
-    sentence = forecast_sentence(forecast)
-    assert sentence.startswith("at most 14 steps, 121 frames and 15 000 of the free run: about 10 min, then 80 s for")
-    assert sentence.endswith("2.5 GB of disk space")
-    short = dataclasses.replace(forecast, early=False, free_frames=0, duration=7500.0, size=3e8)
-    assert forecast_sentence(short).startswith("14 steps, 121 frames: about 2 h 05 min")
-    assert forecast_sentence(short).endswith("300 MB of disk space")
-
-
-@pytest.mark.parametrize(
-    ("condition", "sentence"),
-    [
-        (MetCondition(Quantity.FORCE, 10.0, 10.0, rising=True), "the force of 10 N reached 10 N"),
-        (MetCondition(Quantity.FORCE, -11.0, -10.0, rising=False), "the force of -11 N fell to -10 N"),
-        (MetCondition(Quantity.STRAIN, 2.01, 2.0, rising=True), "the strain of 2.01 % reached 2 %"),
-        (MetCondition(Quantity.STRAIN, nan, 2.0, rising=True), "the strain is not known"),
-        (MetCondition(Quantity.VALID_FRACTION, 0.5, 0.6, rising=False), "the valid fraction of 0.5 fell to 0.6"),
-    ],
-)
-def test_conditions(condition: MetCondition, sentence: str) -> None:
-    assert condition_sentence(condition) == sentence
-    assert block_end_sentence(BlockEnd("ramp", condition)) == f"ramp ended: {sentence}"

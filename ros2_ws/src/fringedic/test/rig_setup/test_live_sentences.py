@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from fringedic.patterns.pattern import PatternKind
-from fringedic.report.live_view import live_entries
 from fringedic.rig_setup.live_figures import Figures
+from fringedic.rig_setup.live_sentences import live_entries
 
 HISTOGRAM = np.zeros(256, np.uint32)
 HISTOGRAM[40:200] = 100

@@ -12,13 +12,13 @@ import xarray as xr
 from fringedic.campaign.groups import GroupStatistic, group_statistics
 from fringedic.campaign.opening import open_group
 from fringedic.campaign.run import Status
+from fringedic.campaign.sentences import status_sentences
 from fringedic.campaign.store import CampaignStore
 from fringedic.campaign.unit import Receipt
 from fringedic.datasets.quantities import people_unit
 from fringedic.errors import CampaignError
 from fringedic.figures.charts import SpecimenCurve, specimen_charts
 from fringedic.figures.thumbnails import thumbnail_png
-from fringedic.report.campaign import status_sentences
 from fringedic.report.embedding import base64_text, chart_html, chart_script
 from fringedic.report.specimens import specimen_curve
 from fringedic.report.templates import render_page

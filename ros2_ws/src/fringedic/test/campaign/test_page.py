@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from fringedic.campaign import Failure, Receipt, group_statistics
-from fringedic.report.campaign import CampaignProgress
-from fringedic.report.campaign_page import group_rows
+from fringedic.campaign.page import group_rows
+from fringedic.campaign.sentences import CampaignProgress
 
 
 def receipt(name: str, group: str, strain: float | None) -> Receipt:

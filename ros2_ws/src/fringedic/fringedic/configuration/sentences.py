@@ -1,9 +1,13 @@
-"""Sentence about the time and the disk space of a programme."""
+"""Sentences about a programme: its time and disk space, and the conditions that end its moves."""
 
 from __future__ import annotations
 
+import math
+
+from fringedic.configuration.conditions import MetCondition, Quantity
 from fringedic.configuration.forecast import Forecast
-from fringedic.wording.numbers import counted, grouped
+from fringedic.configuration.programme import BlockEnd
+from fringedic.wording.numbers import counted, grouped, number_text
 
 
 def forecast_sentence(forecast: Forecast) -> str:
@@ -27,3 +31,20 @@ def _duration(seconds: float) -> str:
 
 def _size(size: float) -> str:
     return f"{size / 1e6:.0f} MB" if size < 1e9 else f"{size / 1e9:.1f} GB"
+
+
+_UNITS = {Quantity.FORCE: " N", Quantity.STRAIN: " %", Quantity.VALID_FRACTION: ""}
+
+
+def condition_sentence(condition: MetCondition) -> str:
+    """Return which condition a reading met."""
+    if math.isnan(condition.value):
+        return f"the {condition.quantity} is not known"
+    unit = _UNITS[condition.quantity]
+    reached = "reached" if condition.rising else "fell to"
+    return f"the {condition.quantity} of {number_text(condition.value)}{unit} {reached} {condition.limit:g}{unit}"
+
+
+def block_end_sentence(end: BlockEnd) -> str:
+    """Return which block a condition ended, and why."""
+    return f"{end.block} ended: {condition_sentence(end.condition)}"
