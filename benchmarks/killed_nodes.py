@@ -21,7 +21,8 @@ from itertools import pairwise
 from pathlib import Path
 
 sys.path.extend(
-    str(Path(__file__).resolve().parents[1] / folder) for folder in ("tests", "ros2_ws/src/fringedic/test/page")
+    str(Path(__file__).resolve().parents[1] / folder)
+    for folder in ("tests", "ros2_ws/src/fringedic/test/report/page_server")
 )
 from test_real_devices import RIGS, devices
 

@@ -19,7 +19,8 @@ from pathlib import Path
 import pytest
 
 sys.path.extend(
-    str(Path(__file__).resolve().parents[1] / folder) for folder in ("tests", "ros2_ws/src/fringedic/test/page")
+    str(Path(__file__).resolve().parents[1] / folder)
+    for folder in ("tests", "ros2_ws/src/fringedic/test/report/page_server")
 )
 from launch_stand_in import launched
 from test_two_hosts import PROCESSING_SIDE, RIG_SIDE, lost_images

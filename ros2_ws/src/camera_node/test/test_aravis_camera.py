@@ -29,8 +29,8 @@ from camera_node.drivers.aravis import IncompleteFrameError
 from camera_node.drivers.aravis_library import load_aravis
 from camera_node.testing import FakeCamera, Studio
 from fringedic.errors import CameraError, CameraTimeoutError
+from fringedic.frames.clocks import DeviceClock
 from fringedic.frames.records import frame_record
-from fringedic.recording.clocks import DeviceClock
 from fringedic_msgs.msg import StepStatus
 from fringedic_msgs.srv import CaptureFrame
 from fringedic_ros.images import image_array

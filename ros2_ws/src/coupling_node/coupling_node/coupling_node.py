@@ -15,10 +15,10 @@ from fringedic.patterns.pattern import Orientation, PatternKind
 from fringedic.rig.compatibility import RigSetup, check_calibration
 from fringedic.rig.model import RigModel
 from fringedic.steps.parameters import CouplingParameters
+from fringedic.steps.rehearsal import rehearse_coupling
 from fringedic.steps.sentences import drift_sentence
 from fringedic.steps.shape_tracker import ShapeTracker, StepSurface
 from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult, displacement_field
-from fringedic.warm_up.rehearsal import rehearse_coupling
 from fringedic_msgs.msg import Exposure, NodeStatus, RigCalibration
 from fringedic_ros.clouds import cloud_message
 from fringedic_ros.images import image_array

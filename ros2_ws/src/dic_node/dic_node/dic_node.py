@@ -13,8 +13,8 @@ from fringedic.frames.collector import Stack
 from fringedic.patterns.pattern import PatternKind
 from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import DicParameters
+from fringedic.steps.rehearsal import rehearse_displacement
 from fringedic.steps.step_results import DicResult
-from fringedic.warm_up.rehearsal import rehearse_displacement
 from fringedic_msgs.msg import NodeStatus, Reference
 from fringedic_ros.frame_steps import FrameSteps
 from fringedic_ros.images import image_array, image_message

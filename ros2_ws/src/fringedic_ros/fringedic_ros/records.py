@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from fringedic.frames.clocks import ClockEstimate
 from fringedic.frames.records import FrameRecord
-from fringedic.recording.clocks import ClockEstimate
 from fringedic_msgs.msg import ClockDrift, Exposure, RigCalibration
 from fringedic_ros.stamps import to_msg
 

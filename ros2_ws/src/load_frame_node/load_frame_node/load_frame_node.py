@@ -13,7 +13,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from fringedic.errors import ClockJumpError, MachineError
-from fringedic.recording.clocks import DeviceClock
+from fringedic.frames.clocks import DeviceClock
 from fringedic_msgs.msg import ClockDrift, LoadState
 from fringedic_ros.lifecycle import HardwareNode
 from fringedic_ros.main import run

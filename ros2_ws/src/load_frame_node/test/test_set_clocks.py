@@ -86,7 +86,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     clock = Clock()
     for module in ("crosshead", "move_server", "machines.scpi", "machines.controller"):
         monkeypatch.setattr(f"load_frame_node.{module}.time", clock)
-    monkeypatch.setattr("fringedic.recording.clocks.time", clock)
+    monkeypatch.setattr("fringedic.frames.clocks.time", clock)
     return clock
 
 

@@ -32,9 +32,9 @@ from fringedic.datasets.quantities import MAPS
 from fringedic.errors import ConfigurationError, FringedicError, OperatorError, StepFailedError
 from fringedic.figures.live_preview import browser_picture
 from fringedic.frames.messages import cloud_arrays
-from fringedic.page.app import Control, Hold, Measure, Start
-from fringedic.page.maps import RecordedMaps, SpooledMaps, described
-from fringedic.page.server import Address, PageServer
+from fringedic.report.page_server.app import Control, Hold, Measure, Start
+from fringedic.report.page_server.maps import RecordedMaps, SpooledMaps, described
+from fringedic.report.page_server.server import Address, PageServer
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import LiveView, LoadState, NodeStatus, ProcedureStatus, RecorderStatus, SetupState, StepStatus
 from fringedic_msgs.srv import ControlProcedure, StartProcedure
@@ -133,7 +133,7 @@ class OperatorNode(RigNode):
         # the bytes: only the few frames that are shown are decoded
         self._images = PolledTopic[bytes](self, Image, "camera/image_raw", PREVIEWS, raw=True)
 
-    # what the page shows, as of `fringedic.page.app.Rig`
+    # what the page shows, as of `fringedic.report.page_server.app.Rig`
 
     @property
     def maps(self) -> SpooledMaps:

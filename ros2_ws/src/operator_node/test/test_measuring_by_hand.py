@@ -11,7 +11,7 @@ import rclpy
 from rclpy.action.server import ActionServer, GoalResponse, ServerGoalHandle
 
 from fringedic.errors import OperatorError
-from fringedic.page.app import Measure
+from fringedic.report.page_server.app import Measure
 from fringedic_msgs.action import MeasureStep
 from fringedic_ros.testing import Peer
 from operator_node import operator_node

@@ -13,7 +13,7 @@ from fringedic.patterns.pattern import PatternKind
 from fringedic.phase.sentences import describe
 from fringedic.steps.parameters import PhaseParameters
 from fringedic.steps.phase import phase_step
-from fringedic.warm_up.rehearsal import rehearse_phase
+from fringedic.steps.rehearsal import rehearse_phase
 from fringedic_msgs.msg import Exposure, NodeStatus
 from fringedic_ros.frame_steps import FrameSteps
 from fringedic_ros.images import image_message

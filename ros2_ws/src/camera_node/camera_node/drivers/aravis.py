@@ -22,7 +22,7 @@ from camera_node.drivers.aravis_library import error_message, load_aravis
 from camera_node.drivers.aravis_settings import PIXEL_TYPES, AravisSettings, Trigger
 from camera_node.drivers.driver import Frame, Scene
 from fringedic.errors import CameraError, CameraTimeoutError
-from fringedic.recording.clocks import ClockEstimate
+from fringedic.frames.clocks import ClockEstimate
 
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 8.0  # between two attempts to find a lost camera
 _ATTEMPTS = 3  # to take a frame of which packets are lost, while its pattern is on the screen

@@ -13,7 +13,7 @@ from typing import Any
 from camera_node.drivers.aravis_library import Aravis
 from camera_node.drivers.aravis_settings import PIXEL_TYPES, AravisSettings, Trigger
 from fringedic.errors import CameraError
-from fringedic.recording.clocks import DeviceClock
+from fringedic.frames.clocks import DeviceClock
 from fringedic.wording.numbers import number_text
 
 # Frames that may wait in this process. The middleware may keep a publisher waiting for a second (decision 0031), and

@@ -8,7 +8,7 @@ from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from fringedic.recording.clocks import ClockEstimate
+from fringedic.frames.clocks import ClockEstimate
 
 
 @dataclass(frozen=True)

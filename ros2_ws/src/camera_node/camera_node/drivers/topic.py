@@ -19,8 +19,8 @@ from sensor_msgs.msg import Image
 from camera_node.drivers.driver import Frame, Scene
 from camera_node.drivers.stamp_of import StampOf
 from fringedic.errors import CameraError, CameraTimeoutError, ClockJumpError
+from fringedic.frames.clocks import ClockEstimate, DeviceClock
 from fringedic.frames.grey import luminance
-from fringedic.recording.clocks import ClockEstimate, DeviceClock
 from fringedic.wording.numbers import number_text
 from fringedic_ros.images import image_array
 from fringedic_ros.rig_node import FIXED_QOS

@@ -17,7 +17,7 @@ import numpy as np
 from camera_node.drivers.driver import Frame, Scene
 from camera_node.drivers.stamp_of import StampOf
 from fringedic.errors import CameraError, CameraTimeoutError
-from fringedic.recording.clocks import ClockEstimate, wall_minus_monotonic_ns
+from fringedic.frames.clocks import ClockEstimate, wall_minus_monotonic_ns
 
 NO_DROP = Path("/sys/module/uvcvideo/parameters/nodrop")  # whether the kernel returns frames with lost packets
 _CAPABILITY = 0x80685600  # VIDIOC_QUERYCAP

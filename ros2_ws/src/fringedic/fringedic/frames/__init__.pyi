@@ -1,3 +1,5 @@
+from .clocks import ClockEstimate as ClockEstimate
+from .clocks import DeviceClock as DeviceClock
 from .collector import FrameCollector as FrameCollector
 from .collector import Stack as Stack
 from .exposures import merge_exposures as merge_exposures

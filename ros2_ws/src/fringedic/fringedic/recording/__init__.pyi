@@ -1,5 +1,3 @@
-from .clocks import ClockEstimate as ClockEstimate
-from .clocks import DeviceClock as DeviceClock
 from .load_samples import LoadSummary as LoadSummary
 from .load_samples import summarise_load as summarise_load
 from .reader import BagReader as BagReader

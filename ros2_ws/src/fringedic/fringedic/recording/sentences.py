@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
+from fringedic.frames.clocks import ClockEstimate
 from fringedic.recording.bag_files import METADATA
-from fringedic.recording.clocks import ClockEstimate
 from fringedic.recording.frames import IMAGE
 from fringedic.recording.manifest import MANIFEST, ManifestCheck
 from fringedic.recording.programme_end import ProgrammeEnd
@@ -135,7 +135,7 @@ def clock_sentences(clocks: Mapping[str, ClockEstimate]) -> list[str]:
     Parameters
     ----------
     clocks
-        Estimates by the name of the device, as `fringedic.recording.recorded_clocks.recorded_clocks` returns them.
+        Estimates by the name of the device, as `fringedic.recording.clocks.recorded_clocks` returns them.
 
     Examples
     --------

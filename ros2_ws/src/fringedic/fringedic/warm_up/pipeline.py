@@ -24,11 +24,11 @@ from fringedic.models.sampling import sample
 from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.phase import phase_step
+from fringedic.steps.rehearsal import SIZE, WINDOW, at_rest, rehearse_coupling, set_writable, small_rig, small_stack
 from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
 from fringedic.surface.planes import fit_planes
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration, preset
-from fringedic.warm_up.rehearsal import SIZE, WINDOW, at_rest, rehearse_coupling, set_writable, small_rig, small_stack
 
 _PHASE = PhaseParameters(lens_blur_px=0.5)
 DENSE = {"window_px": 32, "method": "dense"}

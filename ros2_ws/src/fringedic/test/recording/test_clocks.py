@@ -1,151 +1,71 @@
-"""Clocks that drift, frames that arrive late, and jumps, with exactly known times."""
+"""The clocks of devices in a recording, and the sentences about them."""
 
 from __future__ import annotations
 
-import numpy as np
+from math import nan
+from pathlib import Path
+
 import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from fringedic.errors import ClockJumpError
-from fringedic.recording.clocks import DeviceClock, wall_minus_monotonic_ns
+from fringedic.errors import RecordingError
+from fringedic.frames.clocks import ClockEstimate
+from fringedic.recording.clocks import recorded_clocks
+from fringedic.recording.sentences import clock_sentences
+from fringedic.recording.topics import Topic
+from fringedic.recording.writer import BagWriter
 
-SECOND = 1_000_000_000
-START_NS = 1_700_000_000 * SECOND  # of the wall clock, when the device's shows 5 s
-
-
-class Clocks:
-    """A device whose clock runs faster by `drift`, read over a network with a delay of 2 ms or more."""
-
-    def __init__(self, drift: float) -> None:
-        self.drift = drift
-        self.set_by_ns = 0
-        self.clock = DeviceClock(wall_minus_monotonic=lambda: START_NS + self.set_by_ns)
-        self._random = np.random.default_rng(3)
-
-    def device_ns(self, at_s: float) -> int:
-        return round(5e9 + 1e9 * at_s * (1 + self.drift))
-
-    def arrival_error_s(self, at_s: float, late_s: float | None = None, device_jump_s: float = 0.0) -> float:
-        """Return the error of the arrival time of a frame that the device stamps at a time [s]."""
-        late = self._random.exponential(3e-3) if late_s is None else late_s
-        exact = START_NS + self.set_by_ns + round(1e9 * at_s) + 2_000_000
-        device = self.device_ns(at_s) + round(1e9 * device_jump_s)
-        return 1e-9 * (self.clock.arrival(device, exact + round(1e9 * late)) - exact)
+DRIFT = "fringedic_msgs/msg/ClockDrift"
+STAMP, HEADER = "builtin_interfaces/msg/Time", "std_msgs/msg/Header"
+SEPARATOR = f"\n{'=' * 80}\n"
+DEFINITION = SEPARATOR.join(
+    [
+        "std_msgs/Header header\nstring clock\nfloat64 offset\nfloat64 drift\nfloat64 drift_sigma\nuint32 samples",
+        "MSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id",
+        "MSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec",
+    ]
+)
 
 
-@pytest.mark.parametrize("drift", [4e-5, -4e-5])
-@pytest.mark.parametrize("period_s", [1 / 30, 2.0])
-def test_late_frames_do_not_move_stamps_and_the_drift_is_found(drift: float, period_s: float) -> None:
-    """Also with rare frames, between which the clocks drift apart by more than the jitter of the network."""
-    clocks = Clocks(drift)
-    errors = np.array([clocks.arrival_error_s(period_s * number) for number in range(1600)])
-    estimate = clocks.clock.estimate
-    assert estimate is not None
-    tail = 1e3 * errors[100:]
-    error = estimate.drift - drift
-    assert tail.min() >= -1e-3, "never before a frame with the shortest delay"
-    assert tail.mean() < (0.5 if period_s < 1 else 2.5)
-    assert estimate.samples == 100
-    assert abs(error) < 4 * estimate.drift_sigma < 4e-5
-    grown = drift * 1600 * period_s
-    assert estimate.offset == pytest.approx(grown, abs=4e-3), f"offset {estimate.offset} s, exact {grown} s"
-    assert estimate.stamp_ns == pytest.approx(START_NS + 1e9 * period_s * 1599, abs=20e6)
+def write(path: Path, clocks: dict[str, list[ClockEstimate]]) -> Path:
+    """Write a recording with these estimates by topic."""
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(DEFINITION, DRIFT))
+    with BagWriter(path) as writer:
+        for topic, estimates in clocks.items():
+            writer.add_recorded_topic(Topic(topic, DRIFT, DEFINITION, "ros2msg", "", ""))
+            for each in estimates:
+                stamp = store.types[STAMP](*divmod(each.stamp_ns, 1_000_000_000))
+                header = store.types[HEADER](stamp, "")
+                message = store.types[DRIFT](header, topic, each.offset, each.drift, each.drift_sigma, each.samples)
+                writer.write(topic, bytes(store.serialize_cdr(message, DRIFT)), each.stamp_ns, each.stamp_ns)
+    return path
+
+
+def test_the_last_estimate_of_each_device_is_read(tmp_path: Path) -> None:
+    estimates = [ClockEstimate(3 * 10**9 + step, 1e-3 * step, 2e-5, 3e-7, 10 + step) for step in range(4)]
+    bag = write(tmp_path / "bag", {"/rig/camera/clock": estimates, "/rig/load_frame/clock": estimates[:1]})
+    assert recorded_clocks(bag) == {"camera": estimates[-1], "load frame": estimates[0]}
+
+
+def test_a_recording_without_device_clocks_has_none(tmp_path: Path) -> None:
+    assert recorded_clocks(write(tmp_path / "bag", {"/rig/other/clock": [ClockEstimate(0, 0, 0, 0, 0)]})) == {}
+
+
+def test_a_missing_recording_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match="nowhere"):
+        recorded_clocks(tmp_path / "nowhere")
 
 
 @pytest.mark.parametrize(
-    ("fault", "words"),
+    ("drift", "sigma", "end"),
     [
-        ({"device_jump_s": -30.0}, "the camera's clock jumped back by 30 s"),
-        ({"device_jump_s": 30.0}, "the camera's clock jumped forward by 30 s"),
-        ({"set_by_ns": -3600 * SECOND}, "this computer's clock jumped back by 3600 s"),
-        ({"set_by_ns": 2 * SECOND}, "this computer's clock jumped forward by 2 s"),
+        (nan, nan, "since the first comparison."),
+        (2e-5, nan, "comparison; drift +20.0 ppm."),
+        (-2e-5, 3e-7, "comparison; drift -20.0 ppm (standard uncertainty 0.3 ppm)."),
     ],
 )
-def test_clock_that_is_set_is_told_once(fault: dict, words: str) -> None:
-    clocks = Clocks(1e-5)
-    for number in range(50):
-        clocks.arrival_error_s(0.1 * number)
-    clocks.set_by_ns = fault.get("set_by_ns", 0)
-    jump = fault.get("device_jump_s", 0.0)
-    with pytest.raises(ClockJumpError, match=words):
-        clocks.arrival_error_s(5.0, device_jump_s=jump)
-    assert clocks.clock.estimate is None
-    error = clocks.arrival_error_s(5.1, late_s=0.0, device_jump_s=jump)
-    assert error == pytest.approx(0.0, abs=1e-6)
-
-
-def test_shortest_delay_is_known_after_ten_frames_and_again_after_a_pause() -> None:
-    clocks = Clocks(0.0)
-    settled = []
-    for pause_s in (0.0, 100.0, 200.0):
-        if pause_s == 200.0:
-            with pytest.raises(ClockJumpError):
-                clocks.arrival_error_s(pause_s, device_jump_s=-500.0)
-        for number in range(10):
-            settled.append(clocks.clock.settled)
-            clocks.arrival_error_s(pause_s + 0.1 * number)
-    unsettled = [False] * 10
-    assert settled == [*unsettled, True, *unsettled[1:], *unsettled]
-    assert clocks.clock.settled
-
-
-def test_process_that_was_stopped_is_no_jump() -> None:
-    """Frames that waited seconds for this process keep their stamps."""
-    clocks = Clocks(0.0)
-    for number in range(50):
-        clocks.arrival_error_s(0.1 * number)
-    assert clocks.arrival_error_s(5.0, late_s=7.0) == pytest.approx(0.0, abs=2e-3)
-
-
-def test_little_is_known_of_few_frames() -> None:
-    clocks = Clocks(0.0)
-    assert clocks.clock.estimate is None
-    clocks.arrival_error_s(0.0, late_s=0.5)
-    clocks.arrival_error_s(0.1, late_s=0.0)  # the first frame was late: no jump
-    estimate = clocks.clock.estimate
-    assert estimate is not None
-    assert estimate.samples == 0
-    assert np.isnan(estimate.drift)
-    assert np.isnan(estimate.drift_sigma)
-
-
-class BusyComputer:
-    """Stands in for the module `time` of a process that other processes interrupt between two reads of a clock."""
-
-    def __init__(self) -> None:
-        self.passed_ns = 0
-        self.interruptions_ns: list[int] = []  # after each of the next reads
-
-    def monotonic_ns(self) -> int:
-        return self._read(self.passed_ns)
-
-    def time_ns(self) -> int:
-        return self._read(START_NS + self.passed_ns)
-
-    def _read(self, shown: int) -> int:
-        self.passed_ns += self.interruptions_ns.pop(0) if self.interruptions_ns else 100
-        return shown
-
-
-@pytest.mark.parametrize("reads_before", [0, 1])
-def test_interruption_between_two_reads_of_the_clock_is_no_jump(
-    reads_before: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of 284 ms, as seen on a busy computer: the next frame failed, as the clock seemed to be set."""
-    computer = BusyComputer()
-    monkeypatch.setattr("fringedic.recording.clocks.time", computer)
-    clock = DeviceClock()
-    arrivals = []
-    for number in range(3):
-        computer.interruptions_ns = [100] * reads_before + [284_000_000] if number == 1 else []
-        device_ns = SECOND * number + 5
-        arrivals.append(clock.arrival(device_ns, START_NS + device_ns))
-    assert np.diff(arrivals).tolist() == [SECOND] * 2
-
-
-def test_computer_that_always_interrupts_is_compared_with_its_shortest_interruption(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    computer = BusyComputer()
-    computer.interruptions_ns = [90_000_000] * 6 + [1_000_000] * 3 + [50_000_000] * 1000
-    monkeypatch.setattr("fringedic.recording.clocks.time", computer)
-    assert abs(wall_minus_monotonic_ns() - START_NS) <= 1_000_000
+def test_sentence_of_a_clock(drift: float, sigma: float, end: str) -> None:
+    (sentence,) = clock_sentences({"load frame": ClockEstimate(0, -2.5e-3, drift, sigma, 3)})
+    assert sentence.startswith("Clock of the load frame: -2.500 ms relative to this computer ")
+    assert sentence.endswith(end)

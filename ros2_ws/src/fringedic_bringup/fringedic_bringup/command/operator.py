@@ -19,7 +19,7 @@ from fringedic_bringup.launch.rig_files import rig_path_of
 from fringedic_bringup.procedures.folders import output_folder
 
 if TYPE_CHECKING:
-    from fringedic.page.server import Address
+    from fringedic.report.page_server.server import Address
 
 LOCAL, PORT, FOXGLOVE_PORT = "127.0.0.1", 8090, 8765
 LOOK_S = 0.5  # between two looks for Ctrl-C
@@ -55,8 +55,8 @@ def view(
 
 def view_page(bag: Path, place: Address) -> None:
     """Serve the page of a recording until Ctrl-C."""
-    from fringedic.page.recorded import RecordedRig
-    from fringedic.page.server import PageServer
+    from fringedic.report.page_server.recorded import RecordedRig
+    from fringedic.report.page_server.server import PageServer
 
     with suppress(KeyboardInterrupt):
         recorded = RecordedRig(bag)
@@ -72,7 +72,7 @@ def view_page(bag: Path, place: Address) -> None:
 
 def view_with_foxglove(bag: Path | None, port: int) -> None:
     """Serve Foxglove with a recording, or with the topics of running nodes, until Ctrl-C."""
-    from fringedic.page.foxglove import RecordingPlayer
+    from fringedic.export.foxglove import RecordingPlayer
 
     if bag is None:
         from fringedic_bringup.operating.live_topics import LiveTopics
@@ -138,8 +138,8 @@ def page_address(host: str, port: int, certificate: Path | None, key: Path | Non
     ConfigurationError
         There is a certificate without its key or the reverse, or the address stands for several.
     """
-    from fringedic.page.access import new_token
-    from fringedic.page.server import Address
+    from fringedic.report.page_server.access import new_token
+    from fringedic.report.page_server.server import Address
 
     if (certificate is None) != (key is None):
         raise ConfigurationError("TLS needs both --certificate and --key")

@@ -10,7 +10,7 @@ from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from fringedic.errors import RecordingError
-from fringedic.page.foxglove import TopicServer
+from fringedic.export.foxglove import TopicServer
 from fringedic.recording.definitions import interface_definition
 from fringedic_bringup.participant import Participant
 from fringedic_ros.qos import LATCHED_BY_MANY, PREVIEWS

@@ -10,7 +10,7 @@ from contextlib import nullcontext, suppress
 from pathlib import Path
 
 from fringedic.errors import WaitTimeoutError
-from fringedic.page.server import Address, listen
+from fringedic.report.page_server.server import Address, listen
 from fringedic_bringup.launch.graph import Graph, NodeEntry
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.operating.procedures import Place

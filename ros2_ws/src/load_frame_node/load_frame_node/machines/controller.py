@@ -13,7 +13,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 
 from fringedic.errors import MachineError
-from fringedic.recording.clocks import wall_minus_monotonic_ns
+from fringedic.frames.clocks import wall_minus_monotonic_ns
 from fringedic_ros.stamps import to_nanoseconds
 from load_frame_node.machines.machine import FARTHEST_M, LARGEST_FORCE_N, LoadMode, Motion, Sample
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from fringedic.recording.clocks import wall_minus_monotonic_ns
+from fringedic.frames.clocks import wall_minus_monotonic_ns
 from fringedic.virtual_rig import CrossheadState, SimulatedLoadFrame
 from load_frame_node.machines.machine import LoadMode, Sample
 

@@ -9,8 +9,8 @@ import pytest
 import xarray as xr
 
 from fringedic.errors import DatasetError
-from fringedic.page import maps
-from fringedic.page.maps import RecordedMaps, SpooledMaps, described, gauge, tile
+from fringedic.report.page_server import maps
+from fringedic.report.page_server.maps import RecordedMaps, SpooledMaps, described, gauge, tile
 
 
 def plane(rows: int, columns: int, value: float = 1.0) -> np.ndarray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from fringedic.errors import OperatorError
-from fringedic.page.access import ABSENT_S, Sessions, Wheel, new_token
+from fringedic.report.page_server.access import ABSENT_S, Sessions, Wheel, new_token
 
 
 def test_cookie_is_given_for_the_token_only_and_outlives_a_restart() -> None:

@@ -9,7 +9,7 @@ from starlette.requests import HTTPConnection, Request
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from fringedic.page.access import Sessions
+from fringedic.report.page_server.access import Sessions
 
 EXPIRED = "This page belongs to another start of the program: open the address that fringedic has printed."
 HEADERS = {

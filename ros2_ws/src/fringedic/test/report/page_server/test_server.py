@@ -21,8 +21,8 @@ from websockets.exceptions import InvalidStatus
 from websockets.typing import Origin
 
 from fringedic.errors import OperatorError
-from fringedic.page.app import LARGEST_BODY
-from fringedic.page.server import Address, PageServer, listen
+from fringedic.report.page_server.app import LARGEST_BODY
+from fringedic.report.page_server.server import Address, PageServer, listen
 
 START = {"procedure": "run"}
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from fringedic.datasets.quantities import MAPS
 from fringedic.errors import OperatorError
-from fringedic.page.maps import RecordedMaps, described
+from fringedic.report.page_server.maps import RecordedMaps, described
 
 
 class RecordedRig:

@@ -15,8 +15,8 @@ import numpy as np
 from websockets.sync.client import ClientConnection, connect
 
 from fringedic.errors import OperatorError
-from fringedic.page.maps import SpooledMaps
-from fringedic.page.server import Address, PageServer
+from fringedic.report.page_server.maps import SpooledMaps
+from fringedic.report.page_server.server import Address, PageServer
 
 TOKEN = "secret of this test"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from fringedic.page.streams import Client, Hub, Payload
+from fringedic.report.page_server.streams import Client, Hub, Payload
 
 
 def test_newest_message_replaces_one_that_was_not_taken() -> None:

@@ -29,7 +29,7 @@ from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseP
 from fringedic.steps.phase import phase_step
 from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.steps.step_results import DicResult, displacement_field
-from fringedic.warm_up import rehearsal
+from fringedic.steps import rehearsal
 
 part, inputs = sys.argv[1], sys.argv[2]
 with open(inputs, "rb") as file:

@@ -23,10 +23,10 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from fringedic.errors import FringedicError, OperatorError
 from fringedic.figures.palettes import PALETTES, palette
 from fringedic.frames.region import Point
-from fringedic.page import maps
-from fringedic.page.access import Wheel
-from fringedic.page.guard import REPORT_POLICY
-from fringedic.page.streams import Client, Hub
+from fringedic.report.page_server import maps
+from fringedic.report.page_server.access import Wheel
+from fringedic.report.page_server.guard import REPORT_POLICY
+from fringedic.report.page_server.streams import Client, Hub
 
 PAGE = Path(__file__).with_name("static")
 LARGEST_BODY = 500_000  # [byte] of a command; the longest is a programme

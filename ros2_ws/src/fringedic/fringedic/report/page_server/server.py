@@ -15,10 +15,10 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 from websockets.protocol import State
 
 from fringedic.errors import OperatorError
-from fringedic.page.access import Sessions, Wheel
-from fringedic.page.app import Rig, make_app
-from fringedic.page.guard import Guard
-from fringedic.page.streams import Hub, Payload
+from fringedic.report.page_server.access import Sessions, Wheel
+from fringedic.report.page_server.app import Rig, make_app
+from fringedic.report.page_server.guard import Guard
+from fringedic.report.page_server.streams import Hub, Payload
 
 LONGEST_MESSAGE = 4096  # [byte] of a browser on the stream: it has nothing to say there
 ENDING_S = 2.0

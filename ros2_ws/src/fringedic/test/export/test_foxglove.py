@@ -12,7 +12,7 @@ from served import free_port
 from viewer import WAIT_S, Viewer, viewing
 
 from fringedic.errors import OperatorError, RecordingError
-from fringedic.page.foxglove import RecordingPlayer, TopicServer
+from fringedic.export.foxglove import RecordingPlayer, TopicServer
 from fringedic.recording import BagWriter, Topic
 
 MS = 1_000_000
