@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -13,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from fringedic.errors import DatasetError
 from fringedic.frames.region import Point, Region
-from fringedic.wording.arguments import check_arguments, several, text, whole
+from fringedic.wording.arguments import check_arguments, text, whole
 from fringedic.wording.optional_packages import optional_import
 
 if TYPE_CHECKING:
@@ -71,12 +70,12 @@ class ExperimentAccessor:
         FringedicError
             The package ``matplotlib`` is not installed.
         """
-        from fringedic.evaluation.step_maps import require_maps
+        from fringedic.evaluation.step_maps import require_maps, step_of
         from fringedic.figures.maps import draw_map
         from fringedic.figures.panels import panel_of
 
         require_maps(self._dataset, [name])
-        maps = self._step(step)
+        maps = step_of(self._dataset, step)
         if ax is None:
             with optional_import("figures"):
                 from matplotlib import pyplot
@@ -104,43 +103,11 @@ class ExperimentAccessor:
 
         return region_statistics(self._dataset, _list(names), region)
 
-    @check_arguments(DatasetError, step=whole(), measures=several(text))
     def strain(self, window: int, *, step: int = -1, measures: Iterable[str] = ()) -> xr.Dataset:
-        """Return the strain of a step with a window of one's own.
+        """Return the strain of a step with a window of one's own; see `fringedic.evaluation.strain`."""
+        from fringedic.evaluation.strain import strain
 
-        Parameters
-        ----------
-        window
-            Width of the window [px of the reference image].
-        step
-            Number of the step; negative numbers count from the last one.
-        measures
-            Of `fringedic.surface_strain`, such as ``"von_mises"``.
-
-        Returns
-        -------
-        Dataset
-            As of `fringedic.surface_strain`; of images alone as of `fringedic.surface.flat_strain`.
-
-        Raises
-        ------
-        DatasetError
-            There is no such step.
-        SurfaceError
-            The dataset has no displacement, the window contains fewer than 3 x 3 points, or a measure is unknown.
-        """
-        from fringedic.evaluation.motion import motion_of
-        from fringedic.surface.flat import flat_strain
-        from fringedic.surface.strain import surface_strain
-
-        one = self._step(step)
-        if motion_of(one).spatial:
-            return surface_strain(one, window=window, measures=measures)
-        if measures:
-            raise DatasetError(
-                f"measures is {list(measures)}: images alone give the von Mises strain only, which needs no measure"
-            )
-        return flat_strain(_field(one), window=window, pixel_size=one.attrs.get("pixel_size"))
+        return strain(self._dataset, window, step=step, measures=measures)
 
     def remove_rigid_motion(self, region: Region | None = None) -> xr.Dataset:
         """Return the displacement without its rigid motion; see `fringedic.evaluation.remove_rigid_motion`."""
@@ -181,29 +148,6 @@ class ExperimentAccessor:
 
         return export_dataset(self._dataset, Path(folder), _list(formats), steps=steps, overwrite=overwrite)
 
-    def _step(self, number: int) -> xr.Dataset:
-        """Return one step, by its number or counted from the last one; a dataset without steps is one step."""
-        if "step" not in self._dataset.dims:
-            return self._dataset
-        present = self._dataset["step"].values.tolist()
-        if number < 0 and -number <= len(present):
-            return self._dataset.isel(step=number)
-        if number not in present:
-            raise DatasetError(
-                f"the dataset has no step {number}; it has {', '.join(map(str, present))}, and -1 is the last one"
-            )
-        return self._dataset.sel(step=number)
-
 
 def _list(names: str | Sequence[str]) -> list[str]:
     return [names] if isinstance(names, str) else list(names)
-
-
-def _field(step: xr.Dataset) -> xr.Dataset:
-    """Return a step of a series of images as `fringedic.measure_displacement` returns it."""
-    if "displacement_sigma_x" not in step:
-        return step
-    window = json.loads(step.attrs.get("parameters", "[]"))
-    attributes = {"window_px": window[-1]["parameters"]["dic"]["window"]} if window else {}
-    names = {"displacement_sigma_x": "sigma_x", "displacement_sigma_y": "sigma_y"}
-    return step[["displacement_x", "displacement_y", *names]].rename(names).assign_attrs(attributes)

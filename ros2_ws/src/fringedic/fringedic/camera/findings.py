@@ -1,4 +1,4 @@
-"""What a measurement found to be worth a remark: a code with values (SI); the sentences are composed in the report."""
+"""What a measurement found to be worth a remark: a code with values (SI); sentences are composed elsewhere."""
 
 from __future__ import annotations
 

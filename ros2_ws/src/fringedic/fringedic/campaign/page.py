@@ -19,9 +19,8 @@ from fringedic.datasets.quantities import people_unit
 from fringedic.errors import CampaignError
 from fringedic.figures.charts import SpecimenCurve, specimen_charts
 from fringedic.figures.thumbnails import thumbnail_png
-from fringedic.report.embedding import base64_text, chart_html, chart_script
 from fringedic.report.specimens import specimen_curve
-from fringedic.report.templates import render_page
+from fringedic.report.templates import base64_text, chart_html, chart_script, render_page
 from fringedic.wording.numbers import number_text
 
 if TYPE_CHECKING:

@@ -29,6 +29,26 @@ def require_maps(dataset: xr.Dataset, names: Iterable[str]) -> None:
         raise DatasetError(f"{', '.join(other)}: contains no numbers")
 
 
+def step_of(dataset: xr.Dataset, number: int) -> xr.Dataset:
+    """Return one step, by its number or counted from the last one; a dataset without steps is one step.
+
+    Raises
+    ------
+    DatasetError
+        There is no such step.
+    """
+    if "step" not in dataset.dims:
+        return dataset
+    present = dataset["step"].values.tolist()
+    if number < 0 and -number <= len(present):
+        return dataset.isel(step=number)
+    if number not in present:
+        raise DatasetError(
+            f"the dataset has no step {number}; it has {', '.join(map(str, present))}, and -1 is the last one"
+        )
+    return dataset.sel(step=number)
+
+
 def maps_by_step(dataset: xr.Dataset, names: Sequence[str]) -> Iterator[np.ndarray]:
     """Iterate over the maps of each step, shape (map, row, column); a dataset without steps is one step."""
     chosen = dataset[list(names)].transpose(..., "row", "column")

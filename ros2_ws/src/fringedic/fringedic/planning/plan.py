@@ -57,7 +57,7 @@ class PlanChange(Enum):
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Prediction for a planned rig; `fringedic.report.plan` writes it as text and page.
+    """Prediction for a planned rig; `fringedic.planning.sentences` writes it as text.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What to look at in a planned rig before it is bought; `fringedic.report.plan` composes the sentences."""
+"""What to look at in a planned rig before it is bought; `fringedic.planning.sentences` composes the sentences."""
 
 from __future__ import annotations
 

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fringedic.configuration.plan_section import PlanSection
-from fringedic.configuration.planned import planned_configuration
 from fringedic.configuration.rig_file import RigFile
 from fringedic.configuration.virtual_calibration import calibration_of
-from fringedic.errors import CalibrationError, PatternError, RigSetupError
+from fringedic.errors import CalibrationError, ConfigurationError, PatternError, RigSetupError
 from fringedic.frames.noise import ROUNDING_NOISE, CameraNoise
 from fringedic.patterns.pattern import Orientation, ProjectedPattern
 from fringedic.patterns.render import BRIGHTEST, DARKEST
@@ -173,3 +172,37 @@ def pixel_ripple(pitch: float, blur: float) -> float:
     waves = np.array([1 / pitch, 1 - 1 / pitch, 1 + 1 / pitch])
     fringe, below, above = np.sinc(waves) * np.exp(-2 * (math.pi * blur * waves) ** 2)
     return float(abs(below) + abs(above)) / float(fringe) / math.sqrt(2)
+
+
+_BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono16": 16}
+
+
+def planned_configuration(rig: RigFile, name: str) -> VirtualRigConfiguration:
+    """Return the rig that a rig file plans as a virtual rig: that of its section plan, or of virtual_rig without one.
+
+    Parameters
+    ----------
+    rig
+        The content of the rig file.
+    name
+        Of the file, for the error.
+
+    Raises
+    ------
+    ConfigurationError
+        The file has neither section, or does not state the sizes of camera and projector.
+    """
+    if rig.plan is None and rig.virtual_rig is None:
+        raise ConfigurationError(
+            f"{name}: has no section plan, so sensor, lenses and distances are not known; "
+            f"`fringedic plan planned` shows an example"
+        )
+    if rig.projector is None:
+        raise ConfigurationError(f"{name}: has no projector to plan; add the section projector with width and height")
+    if rig.plan is None:
+        return rig.virtual_configuration()
+    sizes = rig.camera_size(), rig.projector_size()
+    if sizes[0] is None or sizes[1] is None:
+        raise ConfigurationError(f"{name}: a plan needs width and height of camera and projector")
+    bits = _BITS[rig.camera.pixel_format]
+    return VirtualRigConfiguration.from_dict(rig.plan.virtual_entries(sizes[0], sizes[1], bits))

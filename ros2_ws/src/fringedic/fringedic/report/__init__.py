@@ -1,4 +1,4 @@
-"""Every page and sentence for people: reports of experiments, calibrations and settings."""
+"""The pages: reports of experiments, calibrations, checks, plans and comparisons; all from one template environment."""
 
 import lazy_loader
 

@@ -1,1 +1,10 @@
+from .acceptance import write_acceptance_page as write_acceptance_page
+from .calibration import write_calibration_report as write_calibration_report
+from .check import write_check_page as write_check_page
 from .experiment import write_report as write_report
+from .model_comparison import write_model_comparison as write_model_comparison
+from .model_comparison import write_shape_comparison as write_shape_comparison
+from .plan import write_plan_page as write_plan_page
+from .printing import print_page as print_page
+from .specimens import write_specimens as write_specimens
+from .two_experiments import write_comparison as write_comparison

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from fringedic.calibration.acceptance import Acceptance
 from fringedic.calibration.acceptance_sentences import error_rows, place_rows, size_sentences, verdict_sentence
-from fringedic.report.embedding import base64_png
-from fringedic.report.templates import render_page
+from fringedic.report.templates import base64_png, render_page
 
 ACCEPTANCE_PAGE = "acceptance.html"
 GUIDELINE = "VDI/VDE 2634 part 2"

@@ -16,9 +16,8 @@ from fringedic.calibration.sentences import (
 )
 from fringedic.calibration.traceability import Traceability
 from fringedic.calibration.variants import ModelVariant
-from fringedic.report.embedding import base64_png
 from fringedic.report.entries import MISSING
-from fringedic.report.templates import render_page
+from fringedic.report.templates import base64_png, render_page
 from fringedic.wording.numbers import number_text
 
 _DPI = 110

@@ -10,8 +10,7 @@ from fringedic.calibration.check import SCALE_TOLERANCE, RigCheck
 from fringedic.calibration.sentences import check_sentence, check_warning_sentences, measured_distance
 from fringedic.calibration.traceability import Traceability
 from fringedic.report.calibration import traceability_entries
-from fringedic.report.embedding import base64_png
-from fringedic.report.templates import render_page
+from fringedic.report.templates import base64_png, render_page
 from fringedic.wording.numbers import number_text
 
 CHECK_PAGE = "check.html"

@@ -13,8 +13,7 @@ from fringedic.datasets.quantities import people_unit
 from fringedic.errors import DatasetError
 from fringedic.figures.maps import maps_figure
 from fringedic.figures.panels import Panel
-from fringedic.report.embedding import base64_png, chart_script
-from fringedic.report.templates import render_page, write_page
+from fringedic.report.templates import base64_png, chart_script, render_page, write_page
 from fringedic.wording.numbers import number_text
 
 _DRAWN = ("u", "v", "w", "e_11", "e_22", "displacement_x", "displacement_y")

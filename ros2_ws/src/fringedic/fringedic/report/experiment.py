@@ -31,13 +31,20 @@ from fringedic.figures.residuals import residual_figure
 from fringedic.frames.region import Point, Region
 from fringedic.metadata import NOISE_COLUMNS
 from fringedic.recording.bag_files import recording_of
-from fringedic.report.data import ReportData
-from fringedic.report.embedding import base64_png, base64_text, chart_html, chart_script
+from fringedic.report.data import ReportData, read_exposures, read_textures
 from fringedic.report.entries import MISSING, Entry, hardware_entries, specimen_entries
 from fringedic.report.processing_entries import analysis_entries, fringe_entries
-from fringedic.report.recorded_exposures import read_exposures, read_textures
 from fringedic.report.tables import gauge_rows, noise_floor_row, region_rows, step_columns, truth_rows
-from fringedic.report.templates import render_page, require_new, write_errors_named, write_page
+from fringedic.report.templates import (
+    base64_png,
+    base64_text,
+    chart_html,
+    chart_script,
+    render_page,
+    require_new,
+    write_errors_named,
+    write_page,
+)
 from fringedic.report.warnings import warnings
 from fringedic.rig_setup.advice import Advice
 from fringedic.rig_setup.recommended_settings import advise_settings

@@ -12,8 +12,7 @@ from fringedic.figures.load_curve import load_curve_figure
 from fringedic.figures.maps import maps_figure
 from fringedic.figures.panels import Panel, panel_of
 from fringedic.models.sentences import agreement_sentences, deviation_text, placement_sentences, shape_sentences
-from fringedic.report.embedding import base64_png
-from fringedic.report.templates import render_page, require_new, write_page
+from fringedic.report.templates import base64_png, render_page, require_new, write_page
 from fringedic.wording.numbers import number_text
 
 if TYPE_CHECKING:

@@ -14,8 +14,7 @@ from fringedic.planning.sentences import (
     recommendation_sentences,
     uncertainty_rows,
 )
-from fringedic.report.embedding import base64_png
-from fringedic.report.templates import render_page
+from fringedic.report.templates import base64_png, render_page
 
 PLAN_PAGE = "plan.html"
 

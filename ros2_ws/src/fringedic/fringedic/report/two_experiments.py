@@ -17,8 +17,7 @@ from fringedic.report.compared_points import (
     reference_sentences,
     write_compared,
 )
-from fringedic.report.embedding import chart_html
-from fringedic.report.templates import require_new
+from fringedic.report.templates import chart_html, require_new
 
 _TABLE = ComparedTable(
     lengths={

@@ -1,0 +1,69 @@
+"""Strain of a step of a dataset with another window than that of the experiment."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+
+import xarray as xr
+
+from fringedic.errors import DatasetError
+from fringedic.evaluation.motion import motion_of
+from fringedic.evaluation.step_maps import step_of
+from fringedic.surface.flat import flat_strain
+from fringedic.surface.strain import surface_strain
+from fringedic.wording.arguments import check_arguments, several, text, whole
+from fringedic.wording.arguments import dataset as dataset_of
+
+
+@check_arguments(DatasetError, dataset=dataset_of(), step=whole(), measures=several(text))
+def strain(dataset: xr.Dataset, window: int, *, step: int = -1, measures: Iterable[str] = ()) -> xr.Dataset:
+    """Return the strain of a step with a window of one's own.
+
+    Parameters
+    ----------
+    dataset
+        Of `fringedic.open_experiment`, or of a single step.
+    window
+        Width of the window [px of the reference image].
+    step
+        Number of the step; negative numbers count from the last one.
+    measures
+        Of `fringedic.surface_strain`, such as ``"von_mises"``.
+
+    Returns
+    -------
+    Dataset
+        As of `fringedic.surface_strain`; of images alone as of `fringedic.surface.flat_strain`.
+
+    Raises
+    ------
+    DatasetError
+        There is no such step.
+    SurfaceError
+        The dataset has no displacement, the window contains fewer than 3 x 3 points, or a measure is unknown.
+
+    Examples
+    --------
+    >>> import fringedic
+    >>> experiment = fringedic.open_experiment("recordings/plate-7/bag")  # doctest: +SKIP
+    >>> strain(experiment, window=41, measures=["von_mises"])  # doctest: +SKIP
+    """
+    one = step_of(dataset, step)
+    if motion_of(one).spatial:
+        return surface_strain(one, window=window, measures=measures)
+    if measures:
+        raise DatasetError(
+            f"measures is {list(measures)}: images alone give the von Mises strain only, which needs no measure"
+        )
+    return flat_strain(_displacement(one), window=window, pixel_size=one.attrs.get("pixel_size"))
+
+
+def _displacement(step: xr.Dataset) -> xr.Dataset:
+    """Return a step of a series of images as `fringedic.measure_displacement` returns it."""
+    if "displacement_sigma_x" not in step:
+        return step
+    parameters = json.loads(step.attrs.get("parameters", "[]"))
+    attributes = {"window_px": parameters[-1]["parameters"]["dic"]["window"]} if parameters else {}
+    names = {"displacement_sigma_x": "sigma_x", "displacement_sigma_y": "sigma_y"}
+    return step[["displacement_x", "displacement_y", *names]].rename(names).assign_attrs(attributes)
