@@ -62,10 +62,9 @@ def process(
     """Process recordings again without nodes and write the results as datasets."""
     from fringedic.datasets import open_experiment, process_bag
     from fringedic.datasets.processing import PROCESSED_TOPICS
+    from fringedic.datasets.sentences import confirmation_sentence, references_sentence
     from fringedic.recording.reader import BagReader
     from fringedic.recording.remote import local_copy
-    from fringedic.report.confirmation import confirmation_sentence
-    from fringedic.report.references import references_sentence
     from fringedic.rig.model import RigModel
     from fringedic.steps.recorded_rig import require_calibration
 
@@ -138,12 +137,11 @@ def _targets(places: list[str], output: Path | None) -> dict[str, Path | None]:
 @app.command(rich_help_panel=RESULTS, epilog="Example: fringedic info recordings/plate-7/bag")
 def info(bag: Place) -> None:
     """List the content of a recording and whether it is complete."""
+    from fringedic.recording.clocks import recorded_clocks
     from fringedic.recording.programme_end import programme_end
-    from fringedic.recording.recorded_clocks import recorded_clocks
     from fringedic.recording.remote import is_remote
     from fringedic.recording.repair import info as bag_info
-    from fringedic.report.clocks import clock_sentences
-    from fringedic.report.recordings import content_sentences, next_command, programme_sentences
+    from fringedic.recording.sentences import clock_sentences, content_sentences, next_command, programme_sentences
 
     summary = bag_info(bag)
     start = datetime.fromtimestamp(summary.start_time * 1e-9, UTC)
@@ -165,8 +163,8 @@ def info(bag: Place) -> None:
 @app.command(rich_help_panel=RESULTS, epilog="Example: fringedic verify recordings/plate-7/bag")
 def verify(bag: Bag) -> None:
     """Check that a recording is complete and unchanged: checksums, the publishers' counts, the frames of every step."""
+    from fringedic.recording.sentences import verification_sentences
     from fringedic.recording.verification import verify as verify_bag
-    from fringedic.report.recordings import verification_sentences
 
     verification = verify_bag(bag)
     say(*verification_sentences(verification))
@@ -178,7 +176,7 @@ def verify(bag: Bag) -> None:
 def recover(bag: Bag, output: Output = None) -> None:
     """Write a complete recording from the readable part of a damaged one, and list what could not be read."""
     from fringedic.recording.repair import recover as recover_bag
-    from fringedic.report.recordings import content_sentences, next_command
+    from fringedic.recording.sentences import content_sentences, next_command
 
     recovered = recover_bag(bag, output)
     whole = replace(recovered, missing={}, damage="")

@@ -21,6 +21,7 @@ from rclpy.duration import Duration
 from experiment_node.topics import PROGRAMME
 from fringedic.configuration.conditions import MetCondition, Reading
 from fringedic.configuration.programme import Programme, ProgrammeStep
+from fringedic.configuration.sentences import block_end_sentence, condition_sentence
 from fringedic.errors import (
     FringedicError,
     MachineError,
@@ -32,7 +33,6 @@ from fringedic.errors import (
     WaitTimeoutError,
 )
 from fringedic.recording.bag_files import BAG
-from fringedic.report.programme import block_end_sentence, condition_sentence
 from fringedic_bringup.client import HEARTBEATS_S, RigClient
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.continuing import STEPS_DONE, RecordedSteps, save_steps_done

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from fringedic.errors import CrossheadRangeError, MachineError
-from fringedic.recording.clocks import wall_minus_monotonic_ns
+from fringedic.frames.clocks import wall_minus_monotonic_ns
 from load_frame_node.machines.description import Bounds, MachineSection
 from load_frame_node.machines.machine import Link, LoadMode, Motion, Sample
 

@@ -28,7 +28,7 @@ from pydantic import (
 )
 
 from fringedic.errors import ConfigurationError
-from fringedic.inputs.yaml_text import load_yaml
+from fringedic.wording.yaml_text import load_yaml
 from load_frame_node.machines.machine import FARTHEST_M, LARGEST_FORCE_N, LoadMode
 
 ForceUnit = Literal["mN", "N", "kN"]
