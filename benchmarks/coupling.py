@@ -44,7 +44,11 @@ STRAIN_WINDOW = 85
 LIGHT_TRAVEL = 0.3  # of the steps whose light changes
 FIGURES, TIMES = "<!-- figures -->\n", "Best times [ms]"
 FRINGE, PIXEL = 0.002, 0.0026  # noise of phase and displacement of such frames
+PLATE = "Rendered frames of a plate"
+MORE = "The same plate and number of frames, finest pitch 8 px, 3, 3, 3 and 11 shifts"
 SURFACES = "Other surfaces: z-scores"
+EXACT = "Exact surfaces with white noise of 0.002 fringe and 0.0026 px"
+BY_COLUMN = (PLATE, MORE, SURFACES, EXACT)
 Row = tuple[str, float, float | None]
 
 
@@ -142,18 +146,18 @@ def twin_rows(rendered: Rendered, maps: dict[str, np.ndarray]) -> list[Row]:
         words = f"z filtered {z_filter:g} px" if z_filter else "raw z"
         for name, target in zip("uvw", limits, strict=True):
             error = np.where(inner, cloud[name].values - truth[name].values, np.nan)
-            rows.append((f"{name}, {words}: RMS error [µm]", 1e6 * rms(error), target))
+            rows.append((f"{name}, {words} [µm]: RMS error", 1e6 * rms(error), target))
             sigma = cloud[f"sigma_{name}"].where(inner)
-            rows.append((f"{name}, {words}: median sigma [µm]", 1e6 * float(sigma.median()), target))
-            rows.append((f"{name}, {words}: z-score (0.9 to 1.1)", float(np.nanstd(error / sigma.values)), None))
+            rows.append((f"{name}, {words} [µm]: median sigma", 1e6 * float(sigma.median()), target))
+            rows.append((f"{name}, {words} [µm]: z-score", float(np.nanstd(error / sigma.values)), None))
             if z_filter:
                 maps[f"error of {name} [µm]"] = 1e6 * error
     found, true = strains(rendered, cloud)
     for name, target in (("e_11", 40), ("e_12", 20), ("e_22", 28)):
         error = np.where(inner, found[name].values - true[name].values, np.nan)
-        rows.append((f"{name} over {STRAIN_WINDOW} px, filtered: RMS error [µstrain]", 1e6 * rms(error), target))
+        rows.append((f"{name} over {STRAIN_WINDOW} px, filtered [µstrain]: RMS error", 1e6 * rms(error), target))
         score = float(np.nanstd(error / found[f"sigma_{name}"].values))
-        rows.append((f"{name}: z-score (0.9 to 1.1)", score, None))
+        rows.append((f"{name} over {STRAIN_WINDOW} px, filtered [µstrain]: z-score", score, None))
         maps[f"error of {name} [µstrain]"] = 1e6 * error
     in_plane_errors = [
         np.where(inner, in_plane[f"displacement_{axis}"].values - truth[f"displacement_{axis}"].values, np.nan)
@@ -161,8 +165,8 @@ def twin_rows(rendered: Rendered, maps: dict[str, np.ndarray]) -> list[Row]:
     ]
     for axis, error in zip("xy", in_plane_errors, strict=True):
         score = float(np.nanstd(error / in_plane[f"sigma_{axis}"].values))
-        rows.append((f"displacement_{axis}: RMS error [px]", rms(error), None))
-        rows.append((f"displacement_{axis}: z-score", score, None))
+        rows.append((f"displacement_{axis} [px]: RMS error", rms(error), None))
+        rows.append((f"displacement_{axis} [px]: z-score", score, None))
     return rows
 
 
@@ -201,7 +205,7 @@ def score_rows() -> list[Row]:
         for part, where in parts.items():
             for how, cloud in clouds.items():
                 for name, score in scores(rendered, cloud).items():
-                    rows.append((f"{part}{how}, {name}: z-score", float(np.nanstd(score[where])), None))
+                    rows.append((f"{part}{how}: {name}", float(np.nanstd(score[where])), None))
     return rows
 
 
@@ -233,9 +237,9 @@ def exact_rows(rendered: Rendered) -> list[Row]:
         words = f"z filtered {z_filter:g} px" if z_filter else "raw z"
         for name, target in zip("uvw", limits, strict=True):
             error = np.where(inner, cloud[name].values - truth[name].values, np.nan)
-            rows.append((f"{name}, {words}: RMS error [µm]", 1e6 * rms(error), target))
+            rows.append((f"{name}, {words} [µm]: RMS error", 1e6 * rms(error), target))
             score = float(np.nanstd(error / cloud[f"sigma_{name}"].values))
-            rows.append((f"{name}, {words}: z-score (0.9 to 1.1)", score, None))
+            rows.append((f"{name}, {words} [µm]: z-score", score, None))
     return rows
 
 
@@ -425,17 +429,16 @@ def shown(title: str, rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
-def shown_by_surface(title: str, rows: list[Row]) -> str:
-    """One line per surface, one column per quantity: names of the rows are 'SURFACE, QUANTITY: z-score'."""
-    surfaces: dict[str, dict[str, float]] = {}
-    for name, value, _ in rows:
-        surface, _, quantity = name.removesuffix(": z-score").rpartition(", ")
-        surfaces.setdefault(surface, {})[quantity] = value
-    quantities = list(next(iter(surfaces.values())))
-    lines = [f"## {title}", "", f"| surface | {' | '.join(quantities)} |", "|---|" + "---:|" * len(quantities)]
-    for surface, values in surfaces.items():
-        lines.append(f"| {surface} | {' | '.join(f'{values[quantity]:.3g}' for quantity in quantities)} |")
-    return "\n".join(lines)
+def shown_by_column(title: str, rows: list[Row]) -> str:
+    """Return one line for each name before the colon of a row, and one column for each after it."""
+    lines: dict[str, dict[str, str]] = {}
+    for name, value, target in rows:
+        line, _, column = name.rpartition(": ")
+        lines.setdefault(line, {})[column] = f"{value:.3g}" + ("" if target is None else f" (≤ {target:g})")
+    columns = list(dict.fromkeys(column for cells in lines.values() for column in cells))
+    head = [f"## {title}", "", f"| figure | {' | '.join(columns)} |", "|---|" + "---:|" * len(columns)]
+    body = [f"| {line} | {' | '.join(cells.get(each, '') for each in columns)} |" for line, cells in lines.items()]
+    return "\n".join(head + body)
 
 
 def between(text: str, begin: str, end: str, new: str) -> str:
@@ -457,17 +460,17 @@ def main() -> None:
     tables = {}
     if not options.times:
         tables = {
-            "Rendered frames of a plate": twin_rows(rendered, maps),
-            "The same plate and number of frames, finest pitch 8 px, 3, 3, 3 and 11 shifts": finer_rows(),
+            PLATE: twin_rows(rendered, maps),
+            MORE: finer_rows(),
             SURFACES: score_rows(),
-            "Exact surfaces with white noise of 0.002 fringe and 0.0026 px": exact_rows(rendered),
+            EXACT: exact_rows(rendered),
             "Twenty increments to 10 %": increment_rows(),
         }
     load = os.getloadavg()[0]  # of other programs: these figures alone depend on it
     times = f"{TIMES}, 1280x960, {numba.get_num_threads()} threads, load average before {load:.0f}"
     tables[times] = time_rows(rendered) + light_rows()
     text = "\n\n".join(
-        shown_by_surface(title, rows) if title == SURFACES else shown(title, rows) for title, rows in tables.items()
+        shown_by_column(title, rows) if title in BY_COLUMN else shown(title, rows) for title, rows in tables.items()
     )
     print(text)
     if options.page is not None:
