@@ -48,7 +48,9 @@ PLATE = "Rendered frames of a plate"
 MORE = "The same plate and number of frames, finest pitch 8 px, 3, 3, 3 and 11 shifts"
 SURFACES = "Other surfaces: z-scores"
 EXACT = "Exact surfaces with white noise of 0.002 fringe and 0.0026 px"
-BY_COLUMN = (PLATE, MORE, SURFACES, EXACT)
+SPACINGS = "Best times by the distance of the points [ms]"
+LIGHT = "Coupling step with its light, one thread"
+BY_COLUMN = (PLATE, MORE, SURFACES, EXACT, SPACINGS, LIGHT)
 Row = tuple[str, float, float | None]
 
 
@@ -303,12 +305,11 @@ def time_rows(rendered: Rendered) -> list[Row]:
     """Best times of the steps, from the last frame to the cloud with strain and all sigmas, without the nodes."""
     stack = rendered.stacks[1]
     shape = rendered.shapes()[1]
-    rows: list[Row] = [
+    return [
         ("phase of 20 frames", milliseconds(lambda: phase_step(stack, PhaseParameters())), None),
         ("reconstruction", milliseconds(lambda: rendered.rig.reconstruct(rendered.phases[1].phase, PITCH)), 25),
         ("preparation of a shape, filter of 2 px", milliseconds(lambda: PreparedShape(shape, z_filter=2.0)), None),
     ]
-    return rows + [row for spacing in (SPACING, 1) for row in spacing_rows(rendered, spacing)]
 
 
 def spacing_rows(rendered: Rendered, spacing: int) -> list[Row]:
@@ -366,9 +367,9 @@ def light_rows() -> list[Row]:
                 begin = time.thread_time()
                 coupling.step(replace(phases[-1], step=2), fields[-1])
                 best[words] = min(best[words], 1e3 * (time.thread_time() - begin))
-            where = f"{name}, every {spacing} px: coupling step"
-            rows.append((f"{where} with its light, processor time", best["with"], None))
-            rows.append((f"{where}, over that without [1]", best["with"] / best["without"], None))
+            where = f"{name}, every {spacing} px"
+            rows.append((f"{where}: processor time [ms]", best["with"], None))
+            rows.append((f"{where}: over that without the light [1]", best["with"] / best["without"], None))
     numba.set_num_threads(threads)
     return rows
 
@@ -468,7 +469,9 @@ def main() -> None:
         }
     load = os.getloadavg()[0]  # of other programs: these figures alone depend on it
     times = f"{TIMES}, 1280x960, {numba.get_num_threads()} threads, load average before {load:.0f}"
-    tables[times] = time_rows(rendered) + light_rows()
+    tables[times] = time_rows(rendered)
+    tables[SPACINGS] = spacing_rows(rendered, SPACING) + spacing_rows(rendered, 1)
+    tables[LIGHT] = light_rows()
     text = "\n\n".join(
         shown_by_column(title, rows) if title in BY_COLUMN else shown(title, rows) for title, rows in tables.items()
     )
