@@ -110,7 +110,7 @@ def test_machine_that_is_silent(bench: Bench) -> None:
     """The machine is requested to hold; whether it does is known when it answers again."""
     rig = bench.rig
     try:
-        rig.fails("the load frame reports no state", at_frame=4, then=lambda: bench.machine.send("SILENT"))
+        rig.fails("the load frame reports the mode UNKNOWN", at_frame=4, then=lambda: bench.machine.send("SILENT"))
     finally:
         bench.machine.send("SPEAK")
     rig.wait_for_hold("answers of the machine")

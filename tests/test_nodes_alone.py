@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 from pathlib import Path
 
 import pytest
 from ament_index_python.packages import get_package_prefix
-from running_system import wait_until
+from running_system import ROOT, wait_until
 
 NODES = {
     "projector": ("fringe_projector_node", []),
@@ -20,11 +21,22 @@ NODES = {
     "coupling": ("coupling_node", []),
     "experiment": ("experiment_node", []),
     "recorder": ("experiment_node", []),
+    "stage": ("load_frame_node", []),
+    "live_view": ("camera_node", []),
+    "extensometer": ("dic_node", ["-p", "first_column_px:=160", "-p", "second_column_px:=480"]),
 }
 
 
 def executable(package: str, name: str) -> str:
     return str(Path(get_package_prefix(package), "lib", package, name))
+
+
+def test_the_pages_start_nodes_by_paths_that_are_installed() -> None:
+    pages = {page.name: page.read_text() for page in (ROOT / "docs" / "nodes").glob("*.md")}
+    named = {name: re.findall(r"ros2_ws/install/lib/(\w+)/(\w+)", text) for name, text in pages.items()}
+    assert all(named.values()), "every page starts its node without the command ros2"
+    missing = [each for found in named.values() for each in found if not Path(executable(*each)).exists()]
+    assert not missing
 
 
 def test_every_node_starts_and_ends_by_hand(tmp_path: Path) -> None:

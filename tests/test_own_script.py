@@ -1,4 +1,4 @@
-"""The script of the page on the command, with the nodes of the tiny rig, and a campaign that follows its recording."""
+"""The scripts of the page on the command, with the nodes of the tiny rig, and a campaign that follows its recording."""
 
 from __future__ import annotations
 
@@ -14,12 +14,9 @@ from running_system import CONFIG, ROOT, wait_until
 
 from fringedic.campaign import CampaignStore, load_campaign, process_unit, status_of, update_plan
 from fringedic.recording.reader import BagReader
-from fringedic_bringup.launch.graph import rig_graph
-from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.procedures.run import load_rig
 
 pytestmark = pytest.mark.slow
-STEPS = 3
+STEPS = 4
 
 
 @dataclass(frozen=True)
@@ -32,25 +29,37 @@ class ScriptRun:
 
 @pytest.fixture(scope="module")
 def script_run(domain: str, tmp_path_factory: pytest.TempPathFactory) -> ScriptRun:
-    """Run the script while a campaign measures its steps; the recorder ends when all are measured."""
+    """Run the scripts while a campaign measures their steps; the recorder ends when all are measured."""
     assert domain
     folder, printed = tmp_path_factory.mktemp("script"), StringIO()
     (folder / "campaign.yaml").write_text("recordings: [{path: plate}]")
-    page = (ROOT / "docs" / "command.md").read_text()
-    (script,) = re.findall(r"```python\n(from fringedic_bringup\.client import RigClient.*?)```", page, re.DOTALL)
-    rig, _ = load_rig(CONFIG / "tiny.yaml", None, None)
-    graph = rig_graph(rig, CONFIG / "tiny.yaml", folder / "plate", experiment="script")
+    script, plain, start = printed_scripts()
+    start = start.replace("plate.yaml", str(CONFIG / "tiny.yaml")).replace("recordings/plate-7", str(folder / "plate"))
     with ExitStack() as ended:
-        with RunningGraph(graph, folder / "logs"):
+        campaigns: list[subprocess.Popen[bytes]] = []
+
+        def run_scripts(_prompt: str) -> None:
+            """Take the place of the person who runs scripts and then presses Enter."""
             wait_until((folder / "plate" / "bag" / "metadata.yaml").exists, "the recording")
             follow = ["fringedic", "campaign", "run", str(folder), "--follow"]
-            campaign = ended.enter_context(subprocess.Popen(follow, stdout=subprocess.DEVNULL))
+            campaigns.append(ended.enter_context(subprocess.Popen(follow, stdout=subprocess.DEVNULL)))
             with redirect_stdout(printed):
                 exec(script, {})
+                exec(plain, {})
             wait_until(lambda: measured(folder) == STEPS, "the campaign's last step")
             assert not (folder / "plate" / "bag" / "manifest.sha256").exists(), "the recorder goes on"
-        assert campaign.wait(300) == 0
+
+        exec(start, {"input": run_scripts})
+        assert campaigns[0].wait(300) == 0
     return ScriptRun(folder, printed.getvalue())
+
+
+def printed_scripts() -> list[str]:
+    """Return the scripts of the page: with the client of the rig, with rclpy alone, and the start of the nodes."""
+    page = (ROOT / "docs" / "command.md").read_text()
+    titles = ("Your own script", "A client in plain rclpy", "Nodes from Python")
+    sections = [re.split(rf"^#+ {title}$", page, flags=re.MULTILINE)[1] for title in titles]
+    return [re.findall(r"```python\n(.*?)```", section, re.DOTALL)[0] for section in sections]
 
 
 def measured(folder: Path) -> int:
@@ -61,7 +70,8 @@ def measured(folder: Path) -> int:
 
 def test_the_printed_script_moves_and_measures(script_run: ScriptRun) -> None:
     lines = [line.split() for line in script_run.printed.splitlines()]
-    assert [line[0] for line in lines] == ["0", "1", "2"]
+    assert [line[0] for line in lines] == ["0", "1", "2", "3"]
+    assert lines.pop() == ["3", "0"], "the step of the client in plain rclpy, without an error"
     forces = [float(line[1]) for line in lines]
     assert forces == pytest.approx([0, 200, 400], abs=60), "the plate's grips are 2000 N/mm stiff, with some play"
     assert float(lines[2][3]) > float(lines[1][3]) > 0

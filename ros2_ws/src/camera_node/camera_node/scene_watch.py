@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
 from typing import Literal, NamedTuple
@@ -13,6 +14,7 @@ from sensor_msgs.msg import Image
 from camera_node.drivers import PlacedPlane, Scene, ShownPattern
 from fringedic.errors import CameraError
 from fringedic_msgs.msg import LoadState, ReferencePlane
+from fringedic_ros.arrivals import Arrivals
 from fringedic_ros.images import image_array
 from fringedic_ros.polled import PolledTopic
 from fringedic_ros.qos import LATCHED, LATEST
@@ -62,6 +64,9 @@ class SceneWatch:
         self._load: LoadState | None = None
         self._plane: PlacedPlane | None = None
         self._placed_ns = 0
+        self._pattern_arrivals = Arrivals(node, Image, "projector/image")
+        self._load_arrivals = Arrivals(node, LoadState, "load_frame/state")
+        self._plane_arrivals = Arrivals(node, ReferencePlane, "reference_plane/state")
 
     def open(self) -> None:
         """Subscribe to the topics of the scene."""
@@ -115,13 +120,18 @@ class SceneWatch:
         await self._await_pattern(stamps.shown_ns, timeout_s)
         if stamps.placed_ns > self._placed_ns:
             await self._changed.wait(
-                lambda: self._placed_ns >= stamps.placed_ns, timeout_s, "reference_plane/state of the placed object"
+                lambda: self._placed_ns >= stamps.placed_ns,
+                timeout_s,
+                "reference_plane/state of the placed object",
+                self._plane_arrivals,
             )
+        self._load_arrivals.renew()
         with self._samples.listening():
             await self._changed.wait(
                 lambda: self._load_ns() >= stamp or self._has_last_sample(stamps.loaded_ns),
                 timeout_s,
                 "a sample of load_frame/state during the exposure",
+                self._load_arrivals,
             )
         position = 0.0 if self._load is None else self._load.position
         return Scene(stamp, self._shown(), position, self._plane, exposure_time)
@@ -130,7 +140,10 @@ class SceneWatch:
         if not shown_ns:
             return
         await self._changed.wait(
-            lambda: self._shown_ns() >= shown_ns, timeout_s, f"the pattern shown at {shown_ns} ns on projector/image"
+            lambda: self._shown_ns() >= shown_ns,
+            timeout_s,
+            f"the pattern shown at {shown_ns} ns on projector/image",
+            self._pattern_arrivals,
         )
         if self._shown_ns() != shown_ns:
             raise CameraError(
@@ -139,10 +152,12 @@ class SceneWatch:
 
     def _take_pattern(self, message: Image) -> None:
         self._patterns.append(message)
+        self._pattern_arrivals.take_stamped(to_nanoseconds(message.header.stamp), math.inf)
         self._changed.notify()
 
     def _take_load(self, message: LoadState) -> None:
         self._load = message
+        self._load_arrivals.take_stamped(to_nanoseconds(message.header.stamp))
         self._changed.notify()
 
     def _take_plane(self, message: ReferencePlane) -> None:
@@ -150,6 +165,7 @@ class SceneWatch:
         there = message.kind != ReferencePlane.SPECIMEN
         self._plane = PlacedPlane(surface, message.angle, message.height) if there else None
         self._placed_ns = to_nanoseconds(message.header.stamp)
+        self._plane_arrivals.take_stamped(self._placed_ns, math.inf)
         self._changed.notify()
 
     def _has_last_sample(self, loaded_ns: int) -> bool:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from std_msgs.msg import String
 
 from camera_node.testing import Studio
 from fringedic.frames.records import frame_record
@@ -61,6 +62,8 @@ while True:
     end = begin + round(1e9 * (exposure + offset))  # and not when this process went on after it
     message = image_message(pixels, stamp_ns=end, frame_id="elsewhere")
     message.encoding = now["encoding"]
+    if now["stamp_s"] is not None:
+        message.header.stamp.sec, message.header.stamp.nanosec = now["stamp_s"], 0
     images.publish(message)
     sent += images.get_subscription_count() > 0
     time.sleep(period - exposure)
@@ -83,6 +86,7 @@ class CameraDriver:
         encoding: str = "mono8",
         clock_offset_s: float = 0.0,
         jump_s: float = 0.0,
+        stamp_s: int | None = None,
     ) -> None:
         """Publish anew: with this reliability (None: no more), encoding, clock, and jump of it every 30 images.
 
@@ -94,6 +98,7 @@ class CameraDriver:
             "encoding": encoding,
             "clock_offset_s": clock_offset_s,
             "jump_s": jump_s,
+            "stamp_s": stamp_s,
         }
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps(behaviour) + "\n")
@@ -153,14 +158,29 @@ def test_driver_that_goes_and_comes_back_otherwise(driver: CameraDriver, studio:
     """Each state is told by name, and the node goes on as soon as it can."""
     faults: list[tuple[dict, int, str]] = [
         ({"clock_offset_s": 2.0}, Request.CAMERA_FAILED, r"s before the end of its exposure.*synchronise"),
-        ({"clock_offset_s": -60.0}, Request.CAMERA_TIMEOUT, r"the last 60 s after its stamp.*synchronise"),
+        (
+            {"clock_offset_s": -60.0},
+            Request.CAMERA_TIMEOUT,
+            r"clock of this computer \(the latest by 60 s\); synchronise",
+        ),
+        (
+            {"stamp_s": 0},
+            Request.CAMERA_TIMEOUT,
+            r"\d+ with a stamp of 0 s, which the publisher has not set; set header",
+        ),
+        ({"stamp_s": 1_700_000_000}, Request.CAMERA_TIMEOUT, r"\d+ with the stamp of the message before; give each"),
         ({"encoding": "bayer_rggb8"}, Request.CAMERA_FAILED, "encoding bayer_rggb8; set the camera's driver to mono8"),
-        ({"reliability": None}, Request.CAMERA_TIMEOUT, "no node publishes /cam/image_raw; start the driver"),
+        ({"reliability": None}, Request.CAMERA_TIMEOUT, "no node publishes /cam/image_raw; start its node"),
     ]
     with NodeProcess(MODULE, tmp_path, {**PARAMETERS, "timeout_s": 1.5}) as node:
         absent = studio.capture()
         assert absent.error_code == Request.CAMERA_TIMEOUT
-        assert "no node publishes /cam/image_raw; start the driver of the camera" in absent.error_message
+        assert "no node publishes /cam/image_raw; start its node" in absent.error_message
+        text = studio.create_publisher(String, "/cam/image_raw", 1)
+        studio.wait(
+            partial(told, studio, Request.CAMERA_TIMEOUT, "with the type std_msgs/msg/String; sensor_msgs"), "it"
+        )
+        studio.destroy_publisher(text)
         for reliability in ("reliable", "best_effort"):
             driver.behave(reliability)
             studio.wait(lambda: studio.capture().error_code == Request.NONE, f"a frame of the {reliability} driver")

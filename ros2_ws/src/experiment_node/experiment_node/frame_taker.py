@@ -74,6 +74,8 @@ class FrameTaker:
         end = time.monotonic() + PLACED_S
         while self._node.count_publishers(STATE) and not to_nanoseconds(self.place.placed) and time.monotonic() < end:
             await step.goal.pause(0.05)
+        if self._node.count_publishers(STATE) and not to_nanoseconds(self.place.placed):
+            self._node.get_logger().warning(f"what the stage has placed is not waited for: {self.place.arrivals}")
 
     async def show(self, step: RunningStep, pattern: ProjectedPattern, parameters: ExperimentParameters) -> Time:
         """Show a pattern and return the stamp of it.

@@ -6,7 +6,7 @@ import time
 
 from rclpy.node import Node
 
-from experiment_node.active_goal import Failure, StepFailure
+from experiment_node.active_goal import StepFailure
 from experiment_node.running_step import RunningStep
 from experiment_node.topics import PROCESSING_INPUTS
 from fringedic_msgs.action import MeasureStep
@@ -45,23 +45,31 @@ class InputWatch:
         client = self._clients[name]
         if time.monotonic() - max(step.exposed, step.answered) < patience_s or not client.service_is_ready():
             return
-        lost = (MeasureStep.Result.PROCESSING_TIMEOUT, f"{name} has not received the inputs of the step")
-        if not await self._lacks_inputs(step, name, lost):
+        missing = await self._missing(step, name)
+        if missing is None:
             return
+        lost = (MeasureStep.Result.PROCESSING_TIMEOUT, f"{name} has not received the inputs of the step{missing}")
         answered = step.answered
         try:
             await step.goal.wait(lambda: step.answered != answered, min(patience_s, AGAIN_S), lambda: lost)
         except StepFailure:
             step.goal.check()
-            if await self._lacks_inputs(step, name, lost):
+            if await self._missing(step, name) is not None:
                 raise
 
-    async def _lacks_inputs(self, step: RunningStep, name: str, lost: Failure) -> bool:
-        """Return whether a node reports that it lacks inputs; one without processor time has the time that is left."""
+    async def _missing(self, step: RunningStep, name: str) -> str | None:
+        """Return what a node reports about inputs that it lacks, None when it lacks none.
+
+        One without processor time has the time that is left.
+        """
         request = QueryStep.Request(experiment=step.experiment.name, step=step.number)
         try:
-            response = await step.goal.call(self._clients[name], request, ANSWER_S, *lost)
+            response = await step.goal.call(
+                self._clients[name], request, ANSWER_S, MeasureStep.Result.PROCESSING_TIMEOUT, name
+            )
         except StepFailure:
             step.goal.check()
-            return False
-        return not response.received and name not in step.statuses
+            return None
+        if response.received or name in step.statuses:
+            return None
+        return f": {response.missing}" if response.missing else ""

@@ -20,6 +20,7 @@ from fringedic.recording.load_samples import summarise_load
 from fringedic.wording.numbers import number_text
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import LoadState
+from fringedic_ros.arrivals import MOST_AHEAD_S, MOST_BEHIND_S, Arrivals
 from fringedic_ros.polled import PolledTopic
 from fringedic_ros.qos import STATE
 from fringedic_ros.stamps import to_nanoseconds
@@ -31,8 +32,7 @@ IDLE_PERIOD = 0.1  # [s] after which samples are read between steps
 SAMPLE_TIMEOUT = 6.0  # [s] for a sample of the present, or of after the last exposure, to arrive: until the lease of a
 # killed process ends, for whose memory a publisher may have to wait; its samples show the machine at their stamps
 LONGEST_GAP = 1.0  # [s] between two samples that prove a hold: more than twice the period of the lowest rate, 2 Hz
-MOST_AHEAD = 0.1  # [s] by which a stamp may be later than the arrival of its sample: synchronised clocks differ by less
-MOST_BEHIND = LONGEST_GAP  # [s] by which it may be earlier
+MOST_AHEAD, MOST_BEHIND = MOST_AHEAD_S, MOST_BEHIND_S  # [s] of a stamp before and after the arrival of its sample
 MOST_BACK = MOST_AHEAD  # [s] by which it may be earlier than the stamp of the sample before
 RECENT = 30.0  # [s] in which one sample has to come in time: a busy computer delays some, a clock that is behind all
 JUMPED_BACK = "the clock jumped back; measure the step again, and do not set the clock during a test"
@@ -59,6 +59,7 @@ class LoadWatch:
         self._latest: LoadState | None = None
         self._ahead = 0.0  # [s] by which the latest sample was stamped after its arrival
         self._arrival = self._in_time = -math.inf  # [s] of the latest sample, and of the latest one in time
+        self._arrivals = Arrivals(node, LoadState, "load_frame/state")
         self._samples = PolledTopic[LoadState](node, LoadState, "load_frame/state", STATE, callback=self._take)
         node.create_timer(IDLE_PERIOD, self._samples.read)
 
@@ -78,6 +79,7 @@ class LoadWatch:
                 self._step = None
 
     def _take(self, message: LoadState) -> None:
+        self._arrivals.take_stamped(to_nanoseconds(message.header.stamp))
         if self._latest is not None and _seconds_between(message, self._latest) > 0:
             self._in_time = -math.inf  # its clock was set back
         self._latest, self._ahead, self._arrival = message, _ahead(message), time.monotonic()
@@ -121,15 +123,11 @@ class LoadWatch:
         def is_there() -> bool:
             return self._latest is not None and to_nanoseconds(self._latest.header.stamp) >= after
 
-        await step.goal.wait(is_there, timeout, lambda: (Result.LOAD_NOT_HELD, self._silence()))
-
-    def _silence(self) -> str:
-        if self._latest is None:
-            return "the load frame publishes no sample on load_frame/state; check its connection and its log"
-        age = 1e-9 * (time.time_ns() - to_nanoseconds(self._latest.header.stamp))
-        return (
-            f"the latest sample of the load frame is {age:.1f} s old, so whether the machine holds is unknown; check "
-            "that load_frame runs and, when it runs on another computer, that the clocks agree"
+        self._arrivals.renew()
+        await step.goal.wait(
+            is_there,
+            timeout,
+            lambda: (Result.LOAD_NOT_HELD, f"whether the machine holds is unknown: {self._arrivals}"),
         )
 
     def check_latest(self, step: RunningStep, parameters: ExperimentParameters) -> None:
@@ -157,20 +155,15 @@ class LoadWatch:
             raise _clock_failure(code, "load frame", self._ahead, MOST_BEHIND)
 
     async def check_exposures(self, step: RunningStep, parameters: ExperimentParameters) -> None:
-        """Check hold and drift over the exposures of a step whose frames are all taken.
+        """Check hold and drift over the exposures of a step, whose records have arrived.
 
         Raises
         ------
         StepFailure
-            CAMERA_FAILED without exposure records; LOAD_NOT_HELD also without samples that show a hold before, during
-            and after the exposures; LOAD_DRIFT also when a drift that has a limit is unknown. One of the two when the
-            clocks differ: force and position of the step, which are chosen by stamps, would be those of another time.
+            LOAD_NOT_HELD also without samples that show a hold before, during and after the exposures; LOAD_DRIFT also
+            when a drift that has a limit is unknown. One of the two when the clocks differ: force and position of the
+            step, which are chosen by stamps, would be those of another time.
         """
-        await step.goal.wait(
-            lambda: {0, len(step.patterns) - 1} <= step.exposures.keys(),
-            parameters.camera_timeout_s,
-            lambda: (Result.CAMERA_FAILED, "the camera published no exposure record of the first or last frame"),
-        )
         if not self._is_expected(step, parameters):
             return
         start, end = step.exposed_over()
@@ -275,7 +268,10 @@ def _check_held(samples: Iterable[LoadState | None]) -> None:
         if sample is None or sample.mode in HELD:
             continue
         if sample.mode == LoadState.UNKNOWN:
-            message = "the load frame reports no state; check its connection and the log of load_frame"
+            reason = sample.reason or "check its connection and the log of load_frame"
+            message = f"the load frame reports the mode UNKNOWN: {reason}"
+        elif sample.mode not in (LoadState.MOVING, LoadState.FAULT):
+            message = f"the load frame reports the mode {sample.mode}, which fringedic_msgs/LoadState does not have"
         else:
             activity = "was moving" if sample.mode == LoadState.MOVING else "reported a fault"
             message = (

@@ -21,6 +21,7 @@ from fringedic.errors import FringedicError, WaitTimeoutError
 from fringedic.patterns.pattern import ProjectedPattern
 from fringedic_msgs.msg import ReferencePlane
 from fringedic_msgs.srv import PlaceReferencePlane
+from fringedic_ros.arrivals import unconnected
 from fringedic_ros.parameters import Parameters
 from fringedic_ros.placing import placing_problem
 from fringedic_ros.qos import LATCHED_BY_MANY
@@ -182,7 +183,9 @@ class PlaneSteps:
             ARRIVAL_TIMEOUT,
             lambda: (
                 run.result.STEP_FAILED,
-                f"{topic} did not arrive within {ARRIVAL_TIMEOUT:g} s after it was published; calibrate again",
+                f"{topic} did not arrive within {ARRIVAL_TIMEOUT:g} s after it was published: "
+                + (unconnected(self._node, Image, topic) or f"{len(images[topic])} images came, with other stamps")
+                + "; calibrate again",
             ),
         )
 

@@ -15,6 +15,7 @@ from experiment_node.frame_taker import FrameTaker
 from experiment_node.running_step import RunningStep
 from experiment_node.topics import PUBLISHED, READERS, WATCHERS
 from fringedic_msgs.action import MeasureStep
+from fringedic_ros.arrivals import mismatches, unconnected
 from fringedic_ros.matching import Matching
 from fringedic_ros.qos import EVENTS
 from fringedic_ros.waiting import Condition
@@ -43,6 +44,7 @@ class Readiness:
         self._changed = changed
         self._frames = frames
         self._connected: dict[str, bool] = {}
+        self._kinds: dict[str, type[Any]] = {}
         self._connected_at = time.monotonic()
         self._graph_changed = True
         self._known_endpoints: list[int] = []
@@ -50,7 +52,7 @@ class Readiness:
 
     def subscribe(self, kind: type[Any], topic: str, callback: Callable[[Any], None]) -> None:
         """Subscribe to a topic of every step, and keep in mind whether its publisher is connected."""
-        self._connected[topic] = False
+        self._connected[topic], self._kinds[topic] = False, kind
 
         def matched(event: QoSSubscriptionMatchedInfo) -> None:
             self._connected[topic] = event.current_count > 0
@@ -95,7 +97,7 @@ class Readiness:
         await step.goal.wait(
             lambda: not absent(),
             timeout,
-            lambda: (Result.NO_SUBSCRIBER, f"no node publishes {', '.join(absent())}; start the nodes they belong to"),
+            lambda: (Result.NO_SUBSCRIBER, "; ".join(self._reason(topic) for topic in absent())),
         )
         end = time.monotonic() + timeout
         await self._await_quiet_graph(step, self._connected_at, end)
@@ -110,6 +112,10 @@ class Readiness:
         await self._frames.await_responses(step, parameters)
         await self.reach_readers(step.goal, step.nodes, timeout, witness)
         self._known_endpoints = self._endpoints()
+
+    def _reason(self, topic: str) -> str:
+        """Return why a publisher of a topic is not connected."""
+        return unconnected(self._node, self._kinds[topic], topic) or f"the publisher of {topic} is not connected yet"
 
     def _doubled(self) -> list[str]:
         """Return what a node and its killed predecessor, which is listed until its lease ends, have in common."""
@@ -148,9 +154,13 @@ class Readiness:
             timeout_s,
             lambda: (
                 Result.NO_SUBSCRIBER,
-                f"{', '.join(self._matching.unmatched(nodes))}: not all subscribers are connected; restart the nodes",
+                self._unmatched(self._matching.unmatched(nodes)),
             ),
         )
+
+    def _unmatched(self, topics: Collection[str]) -> str:
+        found = [reason for topic in topics if (reason := mismatches(self._node, topic))]
+        return "; ".join(found) or f"{', '.join(topics)}: not all subscribers are connected; restart the nodes"
 
     async def _await_quiet_graph(self, step: RunningStep, since: float, end: float) -> None:
         """Wait until no further node has connected for a time: nodes discover each other one by one.

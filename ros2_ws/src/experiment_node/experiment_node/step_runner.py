@@ -25,6 +25,7 @@ from fringedic.errors import WaitTimeoutError
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import Exposure, NodeStatus, RecorderStatus, Reference, StepStatus
+from fringedic_ros.arrivals import Arrivals, Problem, mismatches
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.qos import EVENTS, LATCHED
 from fringedic_ros.stamps import to_msg, to_nanoseconds
@@ -67,6 +68,8 @@ class StepRunner:
         self.frames = FrameTaker(node, self._load)
         self.readiness = Readiness(node, changed, self.frames)
         self.readiness.subscribe(Exposure, "camera/exposure", self._take_exposure)
+        self._records = Arrivals(node, Exposure, "camera/exposure")
+        self._answers = {name: Arrivals(node, NodeStatus, f"{name}/status") for name in PROCESSING_INPUTS}
         for name in PROCESSING_INPUTS:
             self.readiness.subscribe(NodeStatus, f"{name}/status", self._take_status_of(name))
         self._inputs = InputWatch(node)
@@ -81,6 +84,8 @@ class StepRunner:
     async def measure(self, step: RunningStep, parameters: ExperimentParameters) -> StepFailure | None:
         """Measure one step, from the stage BEGIN to END or ERROR; return its failure, None when it succeeded."""
         self._running = step
+        for arrivals in (self._records, *self._answers.values()):
+            arrivals.renew()
         failure: StepFailure | None = None
         try:
             with self._load.collecting(step):
@@ -119,6 +124,7 @@ class StepRunner:
             self.frames.leave_white(parameters)
             raise
         if step.taken == len(step.patterns):  # fewer when a node has failed meanwhile
+            await self._await_records(step, parameters)
             await self._load.check_exposures(step, parameters)  # before the results, which take longer
             self._publish_stage(step, StepStatus.PROCESS)  # in a recording, this proves the hold of the step
             step.report(Feedback.PROCESS)
@@ -158,7 +164,10 @@ class StepRunner:
         await step.goal.wait_polling(
             lambda: self._steps.get_subscription_count() >= self._node.count_subscribers("experiment/step"),
             parameters.start_timeout_s,
-            lambda: (Result.NO_SUBSCRIBER, "a subscriber of experiment/step is not connected; compare its QoS"),
+            lambda: (
+                Result.NO_SUBSCRIBER,
+                mismatches(self._node, "experiment/step") or "a subscriber of experiment/step is not connected",
+            ),
         )
 
     def _begin_step(self, step: RunningStep) -> None:
@@ -189,6 +198,13 @@ class StepRunner:
             await self.frames.show(step, ProjectedPattern(PatternKind.WHITE), parameters)
         step.experiment.ready = True
 
+    async def _await_records(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+        await step.goal.wait(
+            lambda: {0, len(step.patterns) - 1} <= step.exposures.keys(),
+            parameters.camera_timeout_s,
+            lambda: (Result.CAMERA_FAILED, f"no exposure record of the first or last frame: {self._records}"),
+        )
+
     async def _await_results(self, step: RunningStep, parameters: ExperimentParameters) -> None:
         def open_nodes() -> list[str]:
             return [name for name in step.nodes if name not in step.statuses]
@@ -197,7 +213,8 @@ class StepRunner:
         while names := open_nodes():
             left = end - time.monotonic()
             if left <= 0:
-                raise StepFailure(Result.PROCESSING_TIMEOUT, f"no result from {', '.join(names)}")
+                late = "; ".join(str(self._answers[name]) for name in names)
+                raise StepFailure(Result.PROCESSING_TIMEOUT, f"no result from {', '.join(names)}: {late}")
             with suppress(WaitTimeoutError):
                 await self._changed.wait(lambda: step.goal.cancelled or open_nodes() != names, min(left, LATE_S))
             step.goal.check()
@@ -228,6 +245,7 @@ class StepRunner:
 
     def _take_exposure(self, message: Exposure) -> None:
         step = self._running
+        self._records.take(_problem_of(step, message))
         if step is not None and step.is_named(message.experiment, message.step):
             middle, half = to_nanoseconds(message.header.stamp), round(message.exposure_time * 1e9 / 2)
             step.exposures[message.index] = (middle - half, middle + half)
@@ -242,9 +260,18 @@ class StepRunner:
     def _take_status_of(self, name: str) -> Callable[[NodeStatus], None]:
         def take(message: NodeStatus) -> None:
             step = self._running
+            self._answers[name].take(_problem_of(step, message))
             if step is not None and step.is_named(message.experiment, message.step):
                 step.statuses[name] = message
                 step.answered = time.monotonic()
                 self._changed.notify()
 
         return take
+
+
+def _problem_of(step: RunningStep | None, message: Exposure | NodeStatus) -> Problem | None:
+    """Return why a message does not belong to the running step; None when it does."""
+    if step is None or step.is_named(message.experiment, message.step):
+        return None
+    cure = f"copy experiment '{step.experiment.name}' and step {step.number} from the request or the input"
+    return Problem("of another step", cure, f"of experiment '{message.experiment}', step {message.step}")

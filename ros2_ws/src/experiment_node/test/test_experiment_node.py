@@ -7,7 +7,7 @@ import re
 import struct
 import time
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -20,8 +20,10 @@ from rclpy.action import ActionClient
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.task import Future
 from sensor_msgs.msg import Image
+from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from experiment_node.experiment_parameters import ExperimentParameters
@@ -87,6 +89,7 @@ class Rig(Peer):
         self.load_clock_ahead_ns = self.camera_clock_ahead_ns = 0
         self.moves_at_frame = self.last_sampled_frame = -1
         self.jump_before: int | None = None  # the frame before which the clock jumps back
+        self.misnamed = ""  # the messages that get the name of another step
         self.load_jumps_at_frame = -1  # at which the clock of the load frame is set back
         self.holds = 0
         self.steps = self.listen(StepStatus, "experiment/step", EVENTS)
@@ -163,6 +166,8 @@ class Rig(Peer):
             exposure_time=EXPOSURE_NS * 1e-9,
             image_crc=crc(request.index),
         )
+        if self.misnamed == "records":
+            exposure.step = 7
         middle = start + EXPOSURE_NS // 2 + self.camera_clock_ahead_ns
         exposure.header.stamp = response.stamp = self.last_stamp = to_msg(middle)
         self.exposures.publish(exposure)
@@ -194,6 +199,7 @@ class Rig(Peer):
 
     async def _query_step(self, _: QueryStep.Request, response: QueryStep.Response) -> QueryStep.Response:
         response.received = self.received
+        response.missing = "" if self.received else "no node publishes /phase/map"
         return response
 
     async def _hold(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -208,6 +214,8 @@ class Rig(Peer):
                 status.error_message = "scripted" if status.error_code else ""
                 status.valid_fraction, status.rms = 0.75, {"phase": 1.0, "dic": 2.0, "coupling": 3.0}[name]
                 status.header.stamp = stamp
+                if self.misnamed == "statuses" and name != "phase":
+                    status.step = 7
                 publisher.publish(status)
 
     def publish_load(self, mode: int, more_force: float = 0.0, stamp: int = 0) -> None:
@@ -307,7 +315,7 @@ class Rig(Peer):
         self.capturing = False
         self.force, self.force_per_frame = 100.0, 1.0
         self.load_clock_ahead_ns = self.camera_clock_ahead_ns = 0
-        self.answers, self.silent, self.received = {}, set(), True
+        self.answers, self.silent, self.received, self.misnamed = {}, set(), True, ""
 
 
 def crc(index: int) -> int:
@@ -482,7 +490,7 @@ def test_cancel_while_the_machine_settles(rig: Rig) -> None:
         (
             {"silent": {"dic", "coupling"}, "received": False},
             Result.PROCESSING_TIMEOUT,
-            "dic has not received the inputs of the step",
+            "dic has not received the inputs of the step: no node publishes /phase/map",
         ),
     ],
 )
@@ -681,6 +689,104 @@ def test_a_clock_that_is_set_back_during_a_step_proves_no_hold(rig: Rig) -> None
     assert rig.step().error_code == Result.NONE
 
 
+UNRELIABLE = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+
+@pytest.mark.parametrize(
+    ("stamp_ns", "words"),
+    [
+        (lambda _now: 0, r"\d+ messages came in \S+ s, none usable: \d+ with a stamp of 0 s.*set header\.stamp"),
+        (
+            lambda now: now % 1_000_000_000_000,
+            r"behind the clock of this computer \(the latest by \d+ days\); .*use_sim_time",
+        ),
+        (lambda now: now - 60_000_000_000, r"behind the clock of this computer \(the latest by 60 s\); synchronise"),
+        (lambda _now: 1_000_000_000_000_000_000, r"with the stamp of the message before.*; give each message the time"),
+        (lambda now: 2 * 1_700_000_000_000_000_000 - now, r"with a stamp (before that of|ahead of|behind)"),
+    ],
+    ids=["zero", "simulated time", "late", "constant", "backwards"],
+)
+def test_samples_that_prove_nothing_are_counted_with_the_reason(
+    rig: Rig, stamp_ns: Callable[[int], int], words: str
+) -> None:
+    """They were reported as a load frame that publishes no sample."""
+    publisher = rig.create_publisher(LoadState, "load_frame/state", STATE)
+
+    def publish() -> None:
+        sample = LoadState(mode=LoadState.HOLD)
+        sample.header.stamp = to_msg(stamp_ns(time.time_ns()))
+        publisher.publish(sample)
+
+    timer = rig.create_timer(0.02, publish)
+    try:
+        failed = rig.step()
+    finally:
+        rig.destroy_timer(timer)
+        rig.destroy_publisher(publisher)
+    assert (failed.error_code, rig.captured) == (Result.LOAD_NOT_HELD, [])
+    assert re.search(rf"whether the machine holds is unknown: /load_frame/state: .*{words}", failed.error_message), (
+        failed.error_message
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "qos", "words"),
+    [
+        (LoadState, UNRELIABLE, r"/rig publishes /load_frame/state, but its QoS does not reach .*RELIABLE"),
+        (String, STATE, "with the type std_msgs/msg/String; fringedic_msgs/msg/LoadState is needed"),
+        (LoadState, STATE, r"/rig publishes /load_frame/state, but no message came in \S+ s"),
+        (None, STATE, "no node publishes /load_frame/state; start its node"),
+    ],
+    ids=["best effort", "another type", "silent", "absent"],
+)
+def test_a_load_frame_without_samples_is_described_by_its_publisher(
+    rig: Rig, kind: type[Any] | None, qos: QoSProfile, words: str
+) -> None:
+    rig.change(load_frame=True)
+    publisher = None if kind is None else rig.create_publisher(kind, "load_frame/state", qos)
+    timer = rig.create_timer(0.02, lambda: publisher.publish(kind()) if publisher and qos is UNRELIABLE else None)
+    try:
+        rig.meet("experiment")
+        failed = rig.step()
+    finally:
+        rig.destroy_timer(timer)
+        if publisher is not None:
+            rig.destroy_publisher(publisher)
+        rig.change(load_frame=False)
+    assert failed.error_code == Result.LOAD_NOT_HELD
+    assert re.search(words, failed.error_message), failed.error_message
+
+
+def test_an_unknown_mode_is_reported_with_its_reason(rig: Rig) -> None:
+    publisher = rig.create_publisher(LoadState, "load_frame/state", STATE)
+
+    def publish() -> None:
+        sample = LoadState(mode=LoadState.UNKNOWN, reason="its status is 'Hold'")
+        sample.header.stamp = to_msg(time.time_ns())
+        publisher.publish(sample)
+
+    timer = rig.create_timer(0.02, publish)
+    failed = rig.step()
+    rig.destroy_timer(timer)
+    rig.destroy_publisher(publisher)
+    assert failed.error_code == Result.LOAD_NOT_HELD
+    assert "the load frame reports the mode UNKNOWN: its status is 'Hold'" in failed.error_message
+
+
+@pytest.mark.parametrize(
+    ("misnamed", "code", "words"),
+    [
+        ("records", Result.CAMERA_FAILED, r"/camera/exposure: 7 messages came in .*none usable: 7 of another step"),
+        ("statuses", Result.PROCESSING_TIMEOUT, r"/dic/status: 1 message came in .*1 of another step.*step 7"),
+    ],
+)
+def test_messages_of_another_step_are_counted(rig: Rig, misnamed: str, code: int, words: str) -> None:
+    rig.misnamed = misnamed
+    failed = rig.step()
+    assert failed.error_code == code
+    assert re.search(words, failed.error_message), failed.error_message
+
+
 @pytest.mark.parametrize(("ahead_s", "words"), [(-3, "behind"), (3, "ahead of")])
 def test_a_camera_with_another_clock_proves_no_hold(rig: Rig, ahead_s: int, words: str) -> None:
     """Samples that seem to be from after its exposures are from before their end, or those before from after it."""
@@ -779,7 +885,11 @@ def test_absent_node_is_named(rig: Rig) -> None:
     rig.meet("experiment")
     failed = rig.step()
     assert failed.error_code == Result.NO_SUBSCRIBER
-    assert "coupling/status" in failed.error_message
+    assert "no node publishes /coupling/status; start its node" in failed.error_message
+    unfit = rig.create_publisher(NodeStatus, "coupling/status", UNRELIABLE)
+    rig.meet("experiment")
+    assert "/rig publishes /coupling/status, but its QoS does not reach" in rig.step().error_message
+    rig.destroy_publisher(unfit)
     rig.statuses["coupling"] = rig.create_publisher(NodeStatus, "coupling/status", EVENTS)
     rig.change(start_timeout_s=60.0)
     assert rig.step().error_code == Result.NONE

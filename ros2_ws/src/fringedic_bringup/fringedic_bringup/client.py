@@ -39,9 +39,11 @@ from fringedic_bringup.participant import Participant
 from fringedic_msgs.action import CalibrateDistortion, CalibrateRig, MeasureStep, MoveCrosshead
 from fringedic_msgs.msg import LoadState, RecorderStatus, Reference, StepStatus
 from fringedic_msgs.srv import PlaceReferencePlane, SetReference, StartExperiment
+from fringedic_ros.arrivals import Arrivals, unconnected
 from fringedic_ros.goals import RepeatedGoal
 from fringedic_ros.placing import PlaceWatch, placing_problem
 from fringedic_ros.qos import EVENTS, LATCHED, STATE
+from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.waiting import LOST_S, LongRequest, Patience, RepeatedRequest
 
 MODES = {"fringes": MeasureStep.Goal.FRINGES, "white": MeasureStep.Goal.WHITE}
@@ -121,6 +123,7 @@ class RigClient:
         self._highest: defaultdict[str, int] = defaultdict(lambda: -1)
         self.node.create_subscription(StepStatus, "experiment/step", self._take_step, EVENTS)
         self._load: LoadState | None = None
+        self._load_arrivals = Arrivals(self.node, LoadState, "load_frame/state")
         self._strain = self._strain_of_step = math.nan
         self._strain_came = deque[float](maxlen=10)
         self._strain_silence = Patience(STRAIN_S)
@@ -249,7 +252,7 @@ class RigClient:
         StepFailedError
             The machine did not reach the position.
         WaitTimeoutError
-            `until` is given, and the load frame publishes no state.
+            `until` is given, and no state of the load frame arrives; the message gives the reason.
         """
         goal = MoveCrosshead.Goal(position=position, speed=speed, controller=self._name)
         goal.force_above = [] if force_above is None else [float(force_above)]
@@ -258,7 +261,8 @@ class RigClient:
         self._settle_own_hold()
         if until is None:
             return self._act(self._move, goal, what, lambda _: None)
-        self.wait_for(lambda: self._load is not None, START_TIMEOUT_S, lambda: "load_frame/state: no sample")
+        self._load_arrivals.renew()
+        self.wait_for(lambda: self._load is not None, START_TIMEOUT_S, lambda: str(self._load_arrivals))
         sent = self._send(self._move, goal, what, lambda _: None)
         self._strain_silence.renew()
         stopped, again = False, 0.0
@@ -281,13 +285,13 @@ class RigClient:
         Raises
         ------
         WaitTimeoutError
-            There is none.
+            There is none, or its type or QoS does not match.
         """
-        topic = self.node.resolve_topic_name("extensometer/strain")
+        topic = "extensometer/strain"
         self.wait_for(
-            lambda: self.node.count_publishers(topic) > 0,
+            lambda: not unconnected(self.node, Float64, topic),
             timeout_s,
-            lambda: f"{topic} has no publisher: start an extensometer node",
+            lambda: unconnected(self.node, Float64, topic),
         )
 
     def hold(self, timeout_s: float = START_TIMEOUT_S) -> None:
@@ -718,6 +722,7 @@ class RigClient:
 
     def _take_load(self, message: LoadState) -> None:
         self._load = message
+        self._load_arrivals.take_stamped(to_nanoseconds(message.header.stamp))
 
     def _take_strain(self, message: Float64) -> None:
         self._strain_came.append(time.monotonic())

@@ -11,6 +11,7 @@ from fringedic.calibration.placement import apart
 from fringedic.calibration.sentences import position_in_words
 from fringedic_msgs.msg import ReferencePlane
 from fringedic_msgs.srv import PlaceReferencePlane
+from fringedic_ros.arrivals import Arrivals
 from fringedic_ros.qos import LATCHED
 from fringedic_ros.stamps import to_nanoseconds
 
@@ -45,10 +46,13 @@ class PlaceWatch:
     ----------
     placed
         Stamp of the latest state, of the object in front of the camera.
+    arrivals
+        The states that came.
     """
 
     def __init__(self, node: Node) -> None:
         self.placed = Time()
+        self.arrivals = Arrivals(node, ReferencePlane, STATE)
         self._state = ReferencePlane()
         self._reached = ReferencePlane()
         node.create_subscription(ReferencePlane, STATE, self._take_state, LATCHED)
@@ -75,3 +79,4 @@ class PlaceWatch:
 
     def _take_state(self, message: ReferencePlane) -> None:
         self._state, self.placed = message, message.header.stamp
+        self.arrivals.take_stamped(to_nanoseconds(message.header.stamp), math.inf)

@@ -10,11 +10,14 @@ from math import nan
 from typing import Any, Generic, NamedTuple
 
 from rclpy.logging import get_logger
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.subscription import Subscription
 
 from fringedic.errors import ErrorCode, FringedicError, ImageError
 from fringedic.warm_up import require_kernels
 from fringedic_msgs.msg import NodeStatus, StepStatus
 from fringedic_msgs.srv import QueryStep
+from fringedic_ros.arrivals import Arrivals
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.matching import offer_reader_counts
 from fringedic_ros.parameters import ModelT, declare
@@ -168,13 +171,29 @@ class ProcessingNode(RigNode, Generic[ModelT]):
         self.worker.submit(rehearse)
         self._answered: OrderedDict[tuple[str, int], None] = OrderedDict()
         self._unjoined = 0
+        self._inputs: dict[str, Arrivals] = {}
         self._statuses = self.create_publisher(NodeStatus, f"{name}/status", EVENTS)
         self.create_service(QueryStep, f"{name}/query_step", self._tell_received)
         offer_reader_counts(self, name)
 
     def subscribe_to_steps(self) -> None:
         """Subscribe to the stages of the experiment's steps."""
-        self.create_subscription(StepStatus, "experiment/step", self._take_step, EVENTS)
+        super().create_subscription(StepStatus, "experiment/step", self._take_step, EVENTS)
+
+    def create_subscription(  # type: ignore[override]
+        self, kind: Any, topic: str, callback: Callable[..., None], qos_profile: QoSProfile, **options: Any
+    ) -> Subscription:
+        """Create a subscription as a `RigNode` does; the messages of an input of the steps are counted."""
+        of_rclpy = topic.startswith("/")
+        if of_rclpy or qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL:  # a setting: comes when it changes
+            return super().create_subscription(kind, topic, callback, qos_profile, **options)
+        arrivals = self._inputs[topic] = Arrivals(self, kind, topic)
+
+        def take(message: Any) -> None:
+            arrivals.take()
+            callback(message)
+
+        return super().create_subscription(kind, topic, take, qos_profile, **options)
 
     def answered(self, experiment: str, step: int) -> bool:
         """Return whether this step has its status, or the worker will publish it."""
@@ -182,6 +201,10 @@ class ProcessingNode(RigNode, Generic[ModelT]):
 
     def _tell_received(self, request: QueryStep.Request, response: QueryStep.Response) -> QueryStep.Response:
         response.received = self.answered(request.experiment, request.step)
+        if not response.received:
+            silent = [str(arrivals) for arrivals in self._inputs.values() if not arrivals.received]
+            came = [f"{arrivals.received} of {topic}" for topic, arrivals in self._inputs.items()]
+            response.missing = "; ".join(silent) or f"messages that came since the step before: {', '.join(came)}"
         return response
 
     def measure(self, step: StepId, work: Callable[[], Outcome]) -> None:
@@ -235,6 +258,8 @@ class ProcessingNode(RigNode, Generic[ModelT]):
         if key in self._answered:
             return False
         self._answered[key] = None
+        for arrivals in self._inputs.values():
+            arrivals.renew()
         while len(self._answered) > REMEMBERED_STEPS:
             self._answered.popitem(last=False)
         return True

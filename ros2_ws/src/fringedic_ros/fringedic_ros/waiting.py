@@ -244,10 +244,13 @@ class Condition:
         changed, self._changed = self._changed, Future()
         changed.set_result(None)
 
-    async def wait(self, predicate: Callable[[], bool], timeout_s: float, what: str = "the condition") -> None:
+    async def wait(
+        self, predicate: Callable[[], bool], timeout_s: float, what: str = "the condition", reason: object = ""
+    ) -> None:
         """Return when the predicate is true; it is evaluated now, after each `notify`, and at least every 0.5 s.
 
-        The last for changes without `notify`, such as those of the graph.
+        The last for changes without `notify`, such as those of the graph. The text of `reason`, such as that of
+        `Arrivals`, is part of the error.
 
         Raises
         ------
@@ -261,7 +264,8 @@ class Condition:
                 if predicate():
                     return
                 if patience.is_over():  # also when there is a change in every turn of the executor
-                    raise WaitTimeoutError(f"{what} did not come within {timeout_s:g} s")
+                    why = f": {reason}" if str(reason) else ""
+                    raise WaitTimeoutError(f"{what} did not come within {timeout_s:g} s{why}")
                 changed.add_done_callback(lambda _: _wake(self._node))
                 await changed
 

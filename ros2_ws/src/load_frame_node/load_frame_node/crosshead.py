@@ -173,8 +173,8 @@ class Crosshead:
             self.sample = machine.sample()._replace(begun_s=begun_s)
             reason = reason_not_to_move(self.sample)
         except MachineError as error:
-            self.sample = Sample.without_answer(begun_s)
             reason = str(error)
+            self.sample = Sample.without_answer(begun_s, reason)
         if reason:
             raise MachineNotReadyError(f"no move was sent: {reason}")
 
@@ -189,9 +189,10 @@ def reason_not_to_move(sample: Sample) -> str:
     if sample.mode is LoadMode.FAULT:
         return FAULT
     if sample.mode is LoadMode.UNKNOWN:
+        cause = f": {sample.unknown}" if sample.unknown else ""
         return (
             "the machine reports no state that the machine file names; look at the machine, check its connection and "
-            "the status in the machine file"
+            f"the status in the machine file{cause}"
         )
     if math.isnan(sample.position):
         return f"the position of the crosshead is unknown; {sample.unknown or 'check its sensor'}"

@@ -129,7 +129,7 @@ class LoadFrameNode(HardwareNode[LoadFrameParameters]):
 
     def _publish(self, sample: Sample) -> None:
         """Publish a sample on its three topics, and once a second the drift of the machine's clock."""
-        state = LoadState(mode=int(sample.mode), force=sample.force, position=sample.position)
+        state = LoadState(mode=int(sample.mode), force=sample.force, position=sample.position, reason=sample.unknown)
         state.header.stamp, state.header.frame_id = to_msg(sample.stamp_ns), self._frame
         wrench = WrenchStamped(header=state.header)
         wrench.wrench.force.z = state.force

@@ -130,7 +130,7 @@ class MoveServer:
         try:
             await crosshead.changed.wait(is_over, _STATE_TIMEOUT_S)
         except WaitTimeoutError:
-            unknown = "position" if math.isnan(crosshead.sample.position) and crosshead.sample.unknown else "state"
+            unknown = "position" if crosshead.sample.mode is not LoadMode.UNKNOWN else "state"
             message = f"the machine has reported no {unknown} for {_STATE_TIMEOUT_S:g} s and is not moved"
             try:
                 reason = reason_not_to_move(crosshead.read())

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from fringedic.errors import MachineError
 from fringedic_ros.diagnostics import NodeDiagnostics
 from load_frame_node.crosshead import Crosshead
-from load_frame_node.machines import Sample
+from load_frame_node.machines import LoadMode, Sample
 
 _LONGEST_DELAY_S = 1.0  # of a sample; samples that are later are counted as lost
 
@@ -69,10 +69,13 @@ class Sampler:
         try:
             sample = self._crosshead.read()
         except Exception as error:  # whatever a machine answers, a thread that ended would leave its last state valid
-            self._on_error(error if isinstance(error, MachineError) else _unforeseen(error))
-            sample = Sample.without_answer(begun_s)
+            known = error if isinstance(error, MachineError) else _unforeseen(error)
+            self._on_error(known)
+            sample = Sample.without_answer(begun_s, str(known))
         else:
-            if sample.unknown:
+            if sample.unknown and sample.mode is LoadMode.UNKNOWN:
+                self._on_error(MachineError(sample.unknown))
+            elif sample.unknown:
                 self._diagnostics.failure(sample.unknown)
             else:
                 self._diagnostics.success()

@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -146,6 +147,39 @@ def test_moves_and_holds_with_samples_in_si(kind: str, tmp_path: Path) -> None:
         connected.hold()
         held = until(connected, LoadMode.HOLD)
         assert 0.3 * MM < held.position < 0.4 * MM, "it stopped on its way"
+
+
+UNLISTED = {
+    "scpi": [
+        (
+            {"query": "STAT?", "moving": ["RUN"], "idle": ["Idle"]},
+            "status: 'IDLE' is in no list of status, and idle has 'Idle': write 'IDLE' in idle",
+        ),
+        (
+            {"query": "STAT?", "moving": ["RUN"]},
+            "status: 'IDLE' is in no list of status: add it to idle, moving, hold or fault",
+        ),
+    ],
+    "modbus": [
+        ({"register": 4, "moving": [11]}, "status: 0 is in no list of status: add it to idle, moving, hold or fault")
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("kind", "status", "words"), [(kind, *each) for kind, found in UNLISTED.items() for each in found]
+)
+def test_a_status_in_no_list_is_reported_with_the_key_to_extend(
+    kind: str, status: dict[str, Any], words: str, operator: Operator, tmp_path: Path
+) -> None:
+    """The state is UNKNOWN, and nobody could see why."""
+    path = tmp_path / "machine.yaml"
+    with server(f"{kind}_machine.py") as (_, port):
+        path.write_text(yaml.safe_dump({**description(kind, port), "status": status}))
+        parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 20.0}
+        with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters) as node:
+            assert re.search(words, operator.until(LoadState.UNKNOWN).reason), operator.states[-1]
+            operator.wait(lambda: re.search(words, node.log), "the line in the log")
 
 
 @pytest.mark.parametrize("kind", ["modbus", "scpi"])
@@ -860,6 +894,17 @@ def test_node_listens_to_a_controller(operator: Operator, tmp_path: Path) -> Non
         assert operator.until(LoadState.MOVING).force == 120.0
         operator.destroy_timer(ramp)
         operator.until(LoadState.HOLD)
-        joints.publish(JointState(name=["ram"]))  # a joint without position, which the message allows
         operator.destroy_timer(timer)
+        operator.until(LoadState.UNKNOWN)
+        for stamp_s, names, words in (
+            (0, ["ram"], r"/joint_states: \d+ messages? came in .* with a stamp of 0 s"),
+            (57, ["ram"], r"none usable: .* behind the clock of this computer \(the latest by \d+ days\)"),
+            (57, ["leg"], r"none usable: .* without a position of the joint 'ram' \(the latest names 'leg'\)"),
+        ):
+            unusable = JointState(name=names, position=[0.2 * MM])
+            unusable.header.stamp.sec = stamp_s
+            timer = operator.create_timer(0.01, partial(joints.publish, unusable))
+            operator.wait(lambda w=words: re.search(w, operator.states[-1].reason), words)
+            operator.destroy_timer(timer)
+        joints.publish(JointState(name=["ram"]))  # a joint without position, which the message allows
         operator.until(LoadState.UNKNOWN)

@@ -115,7 +115,8 @@ class RigState:
     def take_load(self, message: Any) -> None:
         """Take a sample of the load frame, rounded so that noise is no change."""
         rounded = {name: _rounded(getattr(message, name), 4) for name in ("force", "position")}
-        self._set("load", {"mode": LOAD_MODES[message.mode], **rounded})
+        mode = LOAD_MODES[message.mode] if message.mode < len(LOAD_MODES) else f"mode {message.mode}"
+        self._set("load", {"mode": f"{mode} ({message.reason})" if message.reason else mode, **rounded})
 
     def take_recorder(self, message: Any) -> None:
         """Take the state of the recorder, and estimate how long the disk lasts."""

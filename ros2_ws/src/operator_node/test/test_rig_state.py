@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from fringedic_msgs.msg import ProcedureStatus, RecorderStatus, SetupItem, SetupState
+from fringedic_msgs.msg import LoadState, ProcedureStatus, RecorderStatus, SetupItem, SetupState
 from operator_node.rig_state import RigState
 
 
@@ -98,3 +98,17 @@ def test_an_item_shows_the_report_in_its_folder(state: RigState, tmp_path: Path)
     items = [SetupItem(item="check", folder=str(tmp_path)), SetupItem(item="region", folder=str(tmp_path / "none"))]
     state.take_setup(SetupState(items=items))
     assert [each["report"] for each in state.snapshot({})["setup"]] == ["/files/check/check.html", ""]
+
+
+@pytest.mark.parametrize(
+    ("sample", "mode"),
+    [
+        (LoadState(mode=LoadState.HOLD), "hold"),
+        (LoadState(mode=LoadState.UNKNOWN, reason="its status is 'Hold'"), "unknown (its status is 'Hold')"),
+        (LoadState(mode=7), "mode 7"),
+    ],
+)
+def test_the_mode_of_the_machine_has_its_reason(sample: LoadState, mode: str, state: RigState) -> None:
+    """A mode that the message does not have ended the node."""
+    state.take_load(sample)
+    assert state.snapshot({})["load"]["mode"] == mode

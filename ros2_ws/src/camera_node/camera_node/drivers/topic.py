@@ -22,6 +22,7 @@ from fringedic.errors import CameraError, CameraTimeoutError, ClockJumpError
 from fringedic.frames.clocks import ClockEstimate, DeviceClock
 from fringedic.frames.grey import luminance
 from fringedic.wording.numbers import number_text
+from fringedic_ros.arrivals import MOST_BEHIND_S, Arrivals, Problem, stamp_problem
 from fringedic_ros.images import image_array
 from fringedic_ros.rig_node import FIXED_QOS
 from fringedic_ros.stamps import to_nanoseconds
@@ -31,6 +32,9 @@ _WAITING = 8  # images that may wait in this process and in the middleware
 _LOOK_S = 0.2  # between two checks of the publishers
 _AHEAD_NS = 5_000_000  # largest difference of the synchronised clocks of two computers
 _SAME_AS = {"8UC1": "mono8", "16UC1": "mono16"}
+_EARLIER = Problem(
+    "with an exposure that began before the request", "increase timeout_s, or the frame rate of the camera's driver"
+)
 _COLOURS = {"bgr8": slice(None), "rgb8": slice(None, None, -1)}  # order of the channels for blue, green, red
 
 
@@ -88,6 +92,7 @@ class TopicDriver:
             )
         self._clock = DeviceClock("driver")
         self._jump: ClockJumpError | None = None
+        self._arrivals = Arrivals(node, Image, settings.topic)
         self._last_stamp_ns = 0
         self._images: deque[tuple[Image, int]] = deque()
         self._arrived = threading.Condition()
@@ -140,18 +145,18 @@ class TopicDriver:
             with self._arrived:
                 self._images.clear()
                 self._jump = None
-        passed_over, age = 0, 0.0
+        self._arrivals.renew()
         while True:
             image = self._next(deadline)
             if image is None:
-                raise CameraTimeoutError(self._silence(passed_over, age))
+                raise CameraTimeoutError(str(self._arrivals))
             message, arrived = image
             stamp = to_nanoseconds(message.header.stamp)
             if settings.stamp_of.start_ns(stamp, settings.exposure_time) >= asked:
                 self._check_stamp(stamp, arrived)
                 middle = settings.stamp_of.middle_ns(stamp, settings.exposure_time)
                 return Frame(self._grey(message), middle, settings.exposure_time)
-            passed_over, age = passed_over + 1, 1e-9 * (arrived - stamp)
+            self._arrivals.take(stamp_problem(stamp, 0, arrived, MOST_BEHIND_S + settings.exposure_time) or _EARLIER)
 
     def close(self) -> None:
         """Unsubscribe."""
@@ -193,8 +198,9 @@ class TopicDriver:
     def _take(self, message: Image) -> None:
         arrived = time.time_ns()
         stamp = to_nanoseconds(message.header.stamp)
-        if stamp == self._last_stamp_ns:
-            return  # the same image again
+        if stamp in (0, self._last_stamp_ns):  # without a time, or the same image again
+            self._arrivals.take(stamp_problem(stamp, self._last_stamp_ns, arrived))
+            return
         self._last_stamp_ns = stamp
         with self._arrived:
             try:
@@ -224,22 +230,6 @@ class TopicDriver:
                 self._images.clear()
                 raise jump
             return self._images.popleft() if self._images else None
-
-    def _silence(self, passed_over: int, age: float) -> str:
-        """Return the reason why there is no image."""
-        settings, publishers = self._settings, self._publishers
-        waited = f"within {settings.timeout + settings.exposure_time:.3g} s"
-        images = [each for each in publishers if each.topic_type == _TYPE]
-        if not publishers:
-            return f"no node publishes {self._topic}; start the driver of the camera"
-        if not images:
-            return f"{self._topic} has the type {publishers[0].topic_type}; {_TYPE} is needed"
-        if not passed_over:
-            return f"{_names(images)} publishes {self._topic} but no image arrived {waited}; check its camera"
-        return (
-            f"{passed_over} images arrived on {self._topic} {waited}, the last {number_text(age, 3)} s after its "
-            "stamp, and no exposure began after the request; synchronise the clock of the driver with this computer"
-        )
 
     def _check_stamp(self, stamp_ns: int, arrived_ns: int) -> None:
         settings = self._settings

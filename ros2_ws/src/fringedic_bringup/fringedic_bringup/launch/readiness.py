@@ -11,6 +11,7 @@ from rclpy.node import Node
 from experiment_node.topics import DERIVED_TOPICS, RAW_TOPICS
 from fringedic.errors import StepFailedError
 from fringedic_msgs.msg import NodeParameters, RecorderStatus
+from fringedic_ros.arrivals import unconnected
 from fringedic_ros.matching import is_read_by
 from fringedic_ros.qos import LATCHED, LATCHED_BY_MANY
 from fringedic_ros.stamps import to_nanoseconds
@@ -64,7 +65,7 @@ class Readiness:
         if "stage" in expected and not self._place.service_is_ready():
             absent.append("service reference_plane/place")
         if "recorder" in expected:
-            absent += [f"recorder on {topic}" for topic in self._unrecorded()]
+            absent += self._unrecorded()
         return absent
 
     def missing_since(self, since_ns: Mapping[str, int]) -> Callable[[], set[str]]:
@@ -98,15 +99,17 @@ class Readiness:
         return int(self._node.count_services(self._node.resolve_service_name(f"{name}/get_parameters")))
 
     def _unrecorded(self) -> list[str]:
-        """Return the topics that have a publisher and that the recorder has not subscribed to yet."""
+        """Return why the recorder does not record, or which published topics it has not subscribed to yet."""
         if self._recorder is not None and self._recorder.state == RecorderStatus.FAILED:
             raise StepFailedError(f"the recorder failed: {self._recorder.error_message}")
-        if self._recorder is None or self._recorder.state != RecorderStatus.RECORDING:
-            return ["everything"]
+        if self._recorder is None:
+            return [f"recorder ({unconnected(self._node, RecorderStatus, 'recorder/status') or 'no status yet'})"]
+        if self._recorder.state != RecorderStatus.RECORDING:
+            return ["recorder (it does not record yet)"]
         names = (*RAW_TOPICS, *(DERIVED_TOPICS if self._recorder.derived else ()))
         recorder, *topics = (self._node.resolve_topic_name(name) for name in ("recorder/status", *names))
         published = (topic for topic in topics if self._node.count_publishers(topic))
-        return [topic for topic in published if not is_read_by(self._node, topic, recorder)]
+        return [f"recorder on {topic}" for topic in published if not is_read_by(self._node, topic, recorder)]
 
     def _take_recorder(self, message: RecorderStatus) -> None:
         self._recorder = message

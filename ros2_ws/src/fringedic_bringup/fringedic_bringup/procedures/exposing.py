@@ -17,6 +17,7 @@ from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic_bringup.client import RigClient
 from fringedic_msgs.msg import Exposure
 from fringedic_msgs.srv import CaptureFrame, ShowPattern
+from fringedic_ros.arrivals import unconnected
 from fringedic_ros.images import image_array
 from fringedic_ros.qos import IMAGES
 from fringedic_ros.stamps import to_nanoseconds
@@ -137,7 +138,13 @@ class ExposingClient(RigClient):
                 each is not None and each.header.stamp == response.stamp for each in (self._image, self._exposure)
             )
 
-        self.wait_for(arrived, timeout_s, lambda: "camera/image_raw: the frame was taken but did not arrive")
+        def missing() -> str:
+            reason = unconnected(self.node, Image, "camera/image_raw") or unconnected(
+                self.node, Exposure, "camera/exposure"
+            )
+            return reason or "camera/image_raw: the frame was taken, but no image and record with its stamp arrived"
+
+        self.wait_for(arrived, timeout_s, missing)
         assert self._image is not None, "it arrived"
         assert self._exposure is not None, "it arrived"
         return image_array(self._image), frame_record(self._exposure)

@@ -16,6 +16,7 @@ from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.exposing import CONNECTING_S, FRAME_TIMEOUT_S, SETUP, WHITE, ExposingClient
 from fringedic_bringup.procedures.setup_patterns import LivePattern
 from fringedic_msgs.msg import LiveView
+from fringedic_ros.arrivals import unconnected
 from fringedic_ros.qos import DERIVED
 from fringedic_ros.stamps import to_nanoseconds
 
@@ -112,7 +113,11 @@ class _LiveClient(ExposingClient):
         def arrived() -> bool:
             return self._figures is not None and to_nanoseconds(self._figures.header.stamp) >= stamp
 
-        self.wait_for(arrived, CONNECTING_S, lambda: "live_view/figures: no figures of this frame; see /diagnostics")
+        def missing() -> str:
+            reason = unconnected(self.node, LiveView, "live_view/figures")
+            return reason or "live_view/figures: no figures of this frame; see /diagnostics"
+
+        self.wait_for(arrived, CONNECTING_S, missing)
         assert self._figures is not None, "they arrived"
         return self._figures
 

@@ -14,6 +14,7 @@ from sensor_msgs.msg import JointState
 
 from fringedic.errors import MachineError
 from fringedic.frames.clocks import wall_minus_monotonic_ns
+from fringedic_ros.arrivals import Arrivals, Problem, stamp_problem
 from fringedic_ros.stamps import to_nanoseconds
 from load_frame_node.machines.machine import FARTHEST_M, LARGEST_FORCE_N, LoadMode, Motion, Sample
 
@@ -61,6 +62,8 @@ class ControllerMachine:
         self._force: _Value | None = None
         self._motion = Motion(topics.slowest, topics.span)
         self._mode = LoadMode.UNKNOWN
+        self._joint_arrivals = Arrivals(node, JointState, topics.joint_states)
+        self._wrench_arrivals = Arrivals(node, WrenchStamped, topics.wrench)
         self._subscriptions = [
             node.create_subscription(JointState, topics.joint_states, self._take_joints, qos_profile_sensor_data),
             node.create_subscription(WrenchStamped, topics.wrench, self._take_wrench, qos_profile_sensor_data),
@@ -72,12 +75,12 @@ class ControllerMachine:
         Raises
         ------
         MachineError
-            One of the two topics has had no message for a second.
+            One of the two topics has had no usable message for a second.
         """
         now = time.monotonic_ns()
-        for topic, latest in ((self._source.joint_states, self._position), (self._source.wrench, self._force)):
+        for latest, arrivals in ((self._position, self._joint_arrivals), (self._force, self._wrench_arrivals)):
             if latest is None or now - latest.acquired_ns > 1e9 * _OLDEST_S:
-                raise MachineError(f"no message on {topic} for {_OLDEST_S:g} s; check that the controller runs")
+                raise MachineError(str(arrivals))
         assert self._position is not None, "checked above"
         assert self._force is not None, "checked above"
         force, position = self._force.value, self._position.value
@@ -119,16 +122,37 @@ class ControllerMachine:
 
     def _take_joints(self, message: JointState) -> None:
         position = dict(zip(message.name, message.position, strict=False)).get(self._source.joint, math.nan)
-        if math.isfinite(position):  # a message may name joints without their positions
+        if not math.isfinite(position):  # a message may name joints without their positions
+            names = ", ".join(f"'{name}'" for name in message.name)
+            self._joint_arrivals.take(
+                Problem(f"without a position of the joint '{self._source.joint}'", "set joint", f"names {names}")
+            )
+        elif _is_present(message, self._position, self._joint_arrivals):
             position = position if abs(position) <= FARTHEST_M else math.nan
             self._position = _Value.of(message, position)
             self._mode = self._motion.mode(self._position.acquired_ns, position)
 
     def _take_wrench(self, message: WrenchStamped) -> None:
         force = self._source.force_sign * getattr(message.wrench.force, self._source.force_axis)
-        if math.isfinite(force):
+        if not math.isfinite(force):
+            self._wrench_arrivals.take(
+                Problem(f"without a force along {self._source.force_axis}", "check the load cell, or set force_axis")
+            )
+        elif _is_present(message, self._force, self._wrench_arrivals):
             force = force if abs(force) <= LARGEST_FORCE_N else math.nan
             self._force = _Value.of(message, force)
+
+
+def _is_present(message: JointState | WrenchStamped, latest: _Value | None, arrivals: Arrivals) -> bool:
+    """Count a message, and return whether its stamp is of the present: new, and close to the clock of this computer."""
+    stamp_ns = to_nanoseconds(message.header.stamp)
+    repeated = latest is not None and latest.stamp_ns == stamp_ns
+    # an earlier stamp is that of a clock that was set back
+    problem = stamp_problem(stamp_ns, stamp_ns if repeated else 0, time.time_ns(), _OLDEST_S)
+    arrivals.take(problem)
+    if problem is None:
+        arrivals.renew()
+    return problem is None
 
 
 class _Value(NamedTuple):

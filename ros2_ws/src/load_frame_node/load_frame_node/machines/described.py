@@ -103,6 +103,8 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
             mode = self._motion.mode(read.acquired_ns, position)
         else:
             mode = self.description.status.mode(read.status)
+            if mode is LoadMode.UNKNOWN:
+                unknown.append(f"{self.description.name}: {self.description.status.unlisted(read.status)}")
         stamp_ns = read.acquired_ns + wall_minus_monotonic_ns()
         return Sample(stamp_ns, mode, force, position, device_ns, unknown="; ".join(unknown))
 
@@ -226,7 +228,7 @@ class DescribedMachine(ABC, Generic[DescriptionT]):
         status, value = self.description.status, answer.value
         if answer.entry == "status" and status is not None and value is not None:
             if status.mode(value) is LoadMode.UNKNOWN:
-                return MachineError(f"status: {value!r} is in no list of status: add it to idle, moving, hold or fault")
+                return MachineError(status.unlisted(value))
         elif isinstance(value, float) and not math.isfinite(value):
             return MachineError(f"{answer.entry}: {value} is not a number")
         return None

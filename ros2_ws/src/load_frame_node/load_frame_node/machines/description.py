@@ -43,6 +43,9 @@ _SI |= {"um/s": 1e-6, "mm/s": 1e-3, "mm/min": 1e-3 / 60, "m/s": 1.0}
 _BEYOND_LIMITS_MM = 2000.0  # a crosshead is parked outside the range of a test, but not further than its frame is high
 
 
+_SHOWN = 40  # characters of a status that a message repeats
+
+
 class Section(BaseModel):
     """Base of all sections: unknown keys, NaN and infinity are refused."""
 
@@ -121,6 +124,15 @@ class Modes(Section):
                 if each.match(status) if isinstance(each, Bits) else status == each:
                     return mode
         return LoadMode.UNKNOWN
+
+    def unlisted(self, status: int | str) -> str:
+        """Return what to do about a status that is in no list."""
+        shown = repr(status[:_SHOWN] if isinstance(status, str) else status)
+        for name in ("idle", "moving", "hold", "fault"):
+            for each in getattr(self, name):
+                if isinstance(each, str) and isinstance(status, str) and each.casefold() == status.casefold():
+                    return f"status: {shown} is in no list of status, and {name} has {each!r}: write {shown} in {name}"
+        return f"status: {shown} is in no list of status: add it to idle, moving, hold or fault"
 
 
 class MotionSection(Section):

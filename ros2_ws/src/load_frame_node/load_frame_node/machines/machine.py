@@ -45,7 +45,7 @@ class Sample(NamedTuple):
     begun_s
         Start of the acquisition on the monotonic clock, which is never set [s]; the crosshead adds it.
     unknown
-        Why force or position is NaN although the machine has answered, with its reply; empty when both are known.
+        Why mode, force or position is unknown, with the reply of the machine; empty when they are known.
     """
 
     stamp_ns: int
@@ -57,9 +57,9 @@ class Sample(NamedTuple):
     unknown: str = ""
 
     @classmethod
-    def without_answer(cls, begun_s: float) -> Sample:
+    def without_answer(cls, begun_s: float, reason: str = "") -> Sample:
         """Return the sample of a machine that does not answer: everybody who relies on a hold must see that."""
-        return cls(time.time_ns(), LoadMode.UNKNOWN, math.nan, math.nan, begun_s=begun_s)
+        return cls(time.time_ns(), LoadMode.UNKNOWN, math.nan, math.nan, begun_s=begun_s, unknown=reason)
 
 
 class Machine(Protocol):
