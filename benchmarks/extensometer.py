@@ -65,7 +65,7 @@ def measure(seconds: float, folder: Path, size: tuple[int, int], others: tuple[N
         "pad_px": PAD,
     }
     nodes = (
-        NodeEntry("recorder", "experiment_node", "recorder", {"bag_path": str(folder / "bag")}),
+        NodeEntry("recorder", "recorder_node", "recorder", {"bag_path": str(folder / "bag")}),
         NodeEntry("extensometer", "dic_node", "extensometer", pads),
         *others,
         NodeEntry("camera", "camera_node", "camera", camera),

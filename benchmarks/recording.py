@@ -49,7 +49,7 @@ def counts(bag: Path) -> dict[str, tuple[int, int]]:
 def stream(seconds: float, folder: Path, camera: dict[str, Any], title: str) -> Table:
     """Images and load samples to the recorder."""
     nodes = (
-        NodeEntry("recorder", "experiment_node", "recorder", {"bag_path": str(folder / "bag")}),
+        NodeEntry("recorder", "recorder_node", "recorder", {"bag_path": str(folder / "bag")}),
         NodeEntry("load_frame", "load_frame_node", "load_frame", {"rate_hz": LOAD_HZ}),
         NodeEntry("camera", "camera_node", "camera", camera | {"frame_rate_hz": RATE_HZ, "autostart": False}),
     )

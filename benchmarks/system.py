@@ -210,7 +210,7 @@ def stream(seconds: float, folder: Path) -> Table:
     camera = {"source": "files", "files": str(images), "repeat": True, "frame_rate_hz": RATE_HZ, "autostart": False}
     bag = folder / "bag"
     nodes = (
-        NodeEntry("recorder", "experiment_node", "recorder", {"bag_path": str(bag)}),
+        NodeEntry("recorder", "recorder_node", "recorder", {"bag_path": str(bag)}),
         NodeEntry("phase", "phase_node", "phase"),
         NodeEntry("camera", "camera_node", "camera", camera),
     )

@@ -40,7 +40,7 @@ NODES: dict[str, tuple[str, dict[str, Any]]] = {
     "extensometer": ("dic_node.extensometer_node", {}),
     "coupling": ("coupling_node.coupling_node", {}),
     "experiment": ("experiment_node.experiment_node", {}),
-    "recorder": ("experiment_node.recorder_node", {}),
+    "recorder": ("recorder_node.recorder_node", {}),
 }
 # the recorder reads what is published; of these it looks into the messages
 RECORDED = [

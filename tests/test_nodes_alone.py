@@ -20,7 +20,7 @@ NODES = {
     "dic": ("dic_node", []),
     "coupling": ("coupling_node", []),
     "experiment": ("experiment_node", []),
-    "recorder": ("experiment_node", []),
+    "recorder": ("recorder_node", []),
     "stage": ("load_frame_node", []),
     "live_view": ("camera_node", []),
     "extensometer": ("dic_node", ["-p", "first_column_px:=160", "-p", "second_column_px:=480"]),

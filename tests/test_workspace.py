@@ -32,12 +32,14 @@ EXECUTABLES = {
     "camera_node": ["camera", "live_view"],
     "coupling_node": ["coupling"],
     "dic_node": ["dic", "extensometer"],
-    "experiment_node": ["experiment", "player", "recorder"],
+    "experiment_node": ["experiment"],
     "fringe_projector_node": ["projector"],
     "fringedic_bringup": ["fringedic"],
     "load_frame_node": ["load_frame", "stage"],
     "operator_node": ["operator"],
     "phase_node": ["phase"],
+    "player_node": ["player"],
+    "recorder_node": ["recorder"],
 }
 
 
@@ -73,7 +75,7 @@ def test_every_package_has_its_ros_type() -> None:
     types = {line.split("\t")[0]: line.split("\t")[2] for line in listed.splitlines()}
     expected = dict.fromkeys(PACKAGES, "(ros.ament_python)") | {"fringedic_msgs": "(ros.ament_cmake)"}
     assert types == expected
-    assert len(types) == 12
+    assert len(types) == 14
 
 
 @pytest.mark.parametrize("package", [package for package in PACKAGES if package != "fringedic_msgs"])

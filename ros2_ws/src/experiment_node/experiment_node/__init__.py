@@ -1,1 +1,1 @@
-"""The nodes that run load steps, record them and replay recordings."""
+"""The node that runs load steps and calibrations."""

@@ -23,7 +23,6 @@ from experiment_node.plane_steps import PlaneSteps
 from experiment_node.rig_transforms import RigTransforms
 from experiment_node.running_step import RunningStep
 from experiment_node.step_runner import StepRunner
-from experiment_node.topics import NODE_PARAMETERS
 from fringedic.errors import WaitTimeoutError
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.recording.load_samples import summarise_load
@@ -38,6 +37,7 @@ from fringedic_ros.qos import LATCHED, LATCHED_BY_MANY
 from fringedic_ros.records import calibration_message
 from fringedic_ros.rig_node import RIG_FRAME, RigNode, frame_id
 from fringedic_ros.stamps import to_msg, to_nanoseconds
+from fringedic_ros.topics import NODE_PARAMETERS
 from fringedic_ros.waiting import wait_for
 
 Result = MeasureStep.Result

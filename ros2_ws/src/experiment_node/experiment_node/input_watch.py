@@ -8,9 +8,9 @@ from rclpy.node import Node
 
 from experiment_node.active_goal import StepFailure
 from experiment_node.running_step import RunningStep
-from experiment_node.topics import PROCESSING_INPUTS
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.srv import QueryStep
+from fringedic_ros.topics import PROCESSING_INPUTS
 
 ANSWER_S = 5.0  # longest wait for the answer of a node
 AGAIN_S = 5.0  # at most, after which a node without inputs is asked once more

@@ -13,11 +13,11 @@ from experiment_node.active_goal import ActiveGoal
 from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.frame_taker import FrameTaker
 from experiment_node.running_step import RunningStep
-from experiment_node.topics import PUBLISHED, READERS, WATCHERS
 from fringedic_msgs.action import MeasureStep
 from fringedic_ros.arrivals import mismatches, unconnected
 from fringedic_ros.matching import Matching
 from fringedic_ros.qos import EVENTS
+from fringedic_ros.topics import PUBLISHED, READERS, WATCHERS
 from fringedic_ros.waiting import Condition
 
 Result = MeasureStep.Result

@@ -9,10 +9,10 @@ from rclpy.node import Node
 from experiment_node.active_goal import StepFailure
 from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.running_step import RunningStep
-from experiment_node.step_tally import crc_of
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import RecorderStatus
 from fringedic_ros.qos import LATCHED
+from fringedic_ros.serialized import step_crc
 
 Result = MeasureStep.Result
 RECORDER = "recorder/status"
@@ -83,13 +83,13 @@ class RecorderWatch:
                 lambda: (Result.RECORDER_FAILED, self._unconfirmed(step)),
             )
             self.check(parameters)
-            step.recorded_frames, step.recorded_crc = len(step.patterns), crc_of(step.image_crcs())
+            step.recorded_frames, step.recorded_crc = len(step.patterns), step_crc(step.image_crcs())
 
     def _has_confirmed(self, step: RunningStep) -> bool:
         latest = self._latest
         if latest is None or not step.is_named(latest.experiment, latest.step) or len(step.crcs) < len(step.patterns):
             return False
-        return latest.step_frames == len(step.patterns) and latest.step_crc == crc_of(step.image_crcs())
+        return latest.step_frames == len(step.patterns) and latest.step_crc == step_crc(step.image_crcs())
 
     def _unconfirmed(self, step: RunningStep) -> str:
         latest, frames = self._latest, len(step.patterns)

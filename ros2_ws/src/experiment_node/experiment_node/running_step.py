@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 
 from experiment_node.active_goal import ActiveGoal
 from experiment_node.experiments import Experiment
-from experiment_node.result_codes import failed_node
 from fringedic.patterns.pattern import ProjectedPattern
 from fringedic.recording.load_samples import samples_over
 from fringedic_msgs.msg import LoadState, NodeStatus
+from fringedic_ros.result_codes import failed_node
 from fringedic_ros.stamps import to_nanoseconds
 
 LOAD_SAMPLES = 200_000  # kept, over three minutes at 1 kHz

@@ -18,9 +18,7 @@ from experiment_node.input_watch import InputWatch
 from experiment_node.load_watch import LoadWatch
 from experiment_node.readiness import Readiness
 from experiment_node.recorder_watch import RECORDER, RecorderWatch
-from experiment_node.result_codes import failure_of
 from experiment_node.running_step import RunningStep
-from experiment_node.topics import PROCESSING_INPUTS
 from fringedic.errors import WaitTimeoutError
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic_msgs.action import MeasureStep
@@ -28,7 +26,9 @@ from fringedic_msgs.msg import Exposure, NodeStatus, RecorderStatus, Reference, 
 from fringedic_ros.arrivals import Arrivals, Problem, mismatches
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.qos import EVENTS, LATCHED
+from fringedic_ros.result_codes import failure_of
 from fringedic_ros.stamps import to_msg, to_nanoseconds
+from fringedic_ros.topics import PROCESSING_INPUTS
 from fringedic_ros.waiting import Condition
 
 Result = MeasureStep.Result

@@ -19,9 +19,9 @@ DECLARATIONS = {
     "load_frame": "load_frame_node.load_frame_node:LoadFrameParameters",
     "operator": "operator_node.operator_node:OperatorParameters",
     "phase": "fringedic.steps.parameters:PhaseParameters",
-    "player": "experiment_node.player_node:PlayerParameters",
+    "player": "player_node.player_node:PlayerParameters",
     "projector": "fringe_projector_node.projector_node:ProjectorParameters",
-    "recorder": "experiment_node.recorder_node:RecorderParameters",
+    "recorder": "recorder_node.recorder_node:RecorderParameters",
     "stage": "load_frame_node.stage_node:StageParameters",
 }
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import struct
 import zlib
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -112,6 +113,18 @@ def image_crc(data: bytes) -> int:
         The bytes are not those of an image.
     """
     return zlib.crc32(image_view(data).data)
+
+
+def step_crc(crcs: Iterable[int]) -> int:
+    """Return the CRC-32 of a step: that of the CRC-32s of its images in their order, each little-endian.
+
+    Examples
+    --------
+    >>> step_crc([1, 2]) == step_crc([2, 1])
+    False
+    """
+    numbers = list(crcs)
+    return zlib.crc32(struct.pack(f"<{len(numbers)}I", *numbers))
 
 
 def _unreadable(data: bytes, kind: str) -> RecordingError:

@@ -109,7 +109,7 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         "dic": rig.nodes.dic.model_dump() | region,
         "coupling": rig.nodes.coupling.model_dump(),
     }
-    nodes = [NodeEntry("recorder", "experiment_node", "recorder", _recorder(rig, folder))]
+    nodes = [NodeEntry("recorder", "recorder_node", "recorder", _recorder(rig, folder))]
     if rig.recording.process:
         nodes += _processing_nodes(processing)
     if rig.has_load_frame_node:
@@ -156,7 +156,7 @@ def calibration_graph(rig: RigFile, rig_path: Path, folder: Path) -> Graph:
     if rig.sequence.fringe_order == "one_image":
         settings["fringe_order"] = "pitches"
     nodes = [
-        NodeEntry("recorder", "experiment_node", "recorder", _recorder(rig, folder)),
+        NodeEntry("recorder", "recorder_node", "recorder", _recorder(rig, folder)),
         NodeEntry("phase", PROCESSING_NODES["phase"], "phase", phase),
         *_hardware(rig, rig_path, _camera(rig, rig_path)),
         NodeEntry("experiment", "experiment_node", "experiment", settings),
@@ -248,9 +248,9 @@ def replay_graph(
     return Graph(
         step_topic.removesuffix(STEP_TOPIC).strip("/"),
         (
-            NodeEntry("recorder", "experiment_node", "recorder", {"bag_path": str(output.absolute()), "derived": True}),
+            NodeEntry("recorder", "recorder_node", "recorder", {"bag_path": str(output.absolute()), "derived": True}),
             *_processing_nodes(overrides),
-            NodeEntry("player", "experiment_node", "player", player),
+            NodeEntry("player", "player_node", "player", player),
         ),
     )
 

@@ -8,13 +8,13 @@ from rclpy.action import ActionClient
 from rclpy.client import Client
 from rclpy.node import Node
 
-from experiment_node.topics import DERIVED_TOPICS, RAW_TOPICS
 from fringedic.errors import StepFailedError
 from fringedic_msgs.msg import NodeParameters, RecorderStatus
 from fringedic_ros.arrivals import unconnected
 from fringedic_ros.matching import is_read_by
 from fringedic_ros.qos import LATCHED, LATCHED_BY_MANY
 from fringedic_ros.stamps import to_nanoseconds
+from fringedic_ros.topics import DERIVED_TOPICS, RAW_TOPICS
 
 SERVICES = {"camera": "camera/capture", "projector": "projector/show", "load_frame": "load_frame/hold"}
 

@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 from rclpy.duration import Duration
 
-from experiment_node.topics import PROGRAMME
 from fringedic.configuration.conditions import MetCondition, Reading
 from fringedic.configuration.programme import Programme, ProgrammeStep
 from fringedic.configuration.sentences import block_end_sentence, condition_sentence
@@ -42,6 +41,7 @@ from fringedic_msgs.action import MeasureStep, MoveCrosshead
 from fringedic_msgs.msg import LoadState, StepStatus
 from fringedic_ros.qos import LATCHED
 from fringedic_ros.stamps import to_msg
+from fringedic_ros.topics import PROGRAMME
 
 MOST_DEATHS = 3  # of one node without a measured step in between; after more, a restart does not remove the cause
 MOST_SILENCES = 3  # missing answers without a measured step in between, although every node runs

@@ -21,8 +21,6 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from sensor_msgs.msg import Image
 
-from experiment_node.exposure_tally import ExposureTally
-from experiment_node.step_tally import StepTally
 from fringedic.frames.records import FrameRecord
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.recording.reader import BagReader
@@ -31,6 +29,8 @@ from fringedic_ros.images import image_message
 from fringedic_ros.qos import DIAGNOSTICS, EVENTS, IMAGES, LATCHED, STATE
 from fringedic_ros.records import exposure_message
 from fringedic_ros.testing import NodeProcess, Peer
+from recorder_node.exposure_tally import ExposureTally
+from recorder_node.step_tally import StepTally
 
 
 class Rig(Peer):
@@ -84,7 +84,7 @@ def rig() -> Iterator[Rig]:
 
 
 def recorder(folder: Path, **parameters: Any) -> NodeProcess:
-    return NodeProcess("experiment_node.recorder_node", folder, {"bag_path": str(folder / "bag")} | parameters)
+    return NodeProcess("recorder_node.recorder_node", folder, {"bag_path": str(folder / "bag")} | parameters)
 
 
 def test_what_was_published_is_in_the_bag_bit_by_bit(rig: Rig, tmp_path: Path) -> None:
@@ -239,7 +239,7 @@ def test_a_removed_folder_fails_the_recording_with_words_and_not_the_node(rig: R
 
 def test_a_full_disk_fails_the_recording_and_keeps_what_was_written(rig: Rig, tmp_path: Path) -> None:
     limited = "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000)); "
-    command = limited + "from experiment_node.recorder_node import main; sys.exit(main())"
+    command = limited + "from recorder_node.recorder_node import main; sys.exit(main())"
     arguments = ["--ros-args", "-p", f"bag_path:={tmp_path / 'bag'}", "-p", "flush_interval_s:=0.1"]
     with subprocess.Popen([sys.executable, "-c", command, *arguments]) as process:
         try:

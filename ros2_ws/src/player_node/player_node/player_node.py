@@ -16,10 +16,20 @@ from rclpy.publisher import Publisher
 from rclpy.utilities import try_shutdown
 from rosgraph_msgs.msg import Clock
 
-from experiment_node.playback_nodes import PlaybackNodes, step_name
-from experiment_node.recorded_steps import OF_ONE_STEP, RecordedStep, ends_step, recorded_messages, split_steps
-from experiment_node.result_codes import failed_node, failure_of
-from experiment_node.topics import (
+from fringedic.errors import ConfigurationError, FringedicError
+from fringedic.recording.reader import BagReader
+from fringedic.recording.topics import RawMessage
+from fringedic.rig.model import RigModel
+from fringedic_msgs.action import MeasureStep
+from fringedic_msgs.msg import NodeParameters, NodeStatus, Reference, RigCalibration, StepStatus
+from fringedic_ros.parameters import declare, report_unknown_parameters
+from fringedic_ros.qos import CLOCK, EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
+from fringedic_ros.records import calibration_message
+from fringedic_ros.result_codes import failed_node, failure_of
+from fringedic_ros.rig_node import RIG_FRAME, RigNode, frame_id
+from fringedic_ros.serialized import message_type, read
+from fringedic_ros.stamps import to_msg
+from fringedic_ros.topics import (
     CALIBRATION,
     EXPOSURE,
     IMAGE,
@@ -30,18 +40,8 @@ from experiment_node.topics import (
     SAMPLE_TOPICS,
     STEP,
 )
-from fringedic.errors import ConfigurationError, FringedicError
-from fringedic.recording.reader import BagReader
-from fringedic.recording.topics import RawMessage
-from fringedic.rig.model import RigModel
-from fringedic_msgs.action import MeasureStep
-from fringedic_msgs.msg import NodeParameters, NodeStatus, Reference, RigCalibration, StepStatus
-from fringedic_ros.parameters import declare, report_unknown_parameters
-from fringedic_ros.qos import CLOCK, EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY, STATE
-from fringedic_ros.records import calibration_message
-from fringedic_ros.rig_node import RIG_FRAME, RigNode, frame_id
-from fringedic_ros.serialized import message_type, read
-from fringedic_ros.stamps import to_msg
+from player_node.playback_nodes import PlaybackNodes, step_name
+from player_node.recorded_steps import OF_ONE_STEP, RecordedStep, ends_step, recorded_messages, split_steps
 
 PROFILES = {
     IMAGE: IMAGES,

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from experiment_node.writing_thread import ReceivedMessage, WritingThread
 from fringedic.recording.reader import BagReader
 from fringedic.recording.topics import Topic
 from fringedic.recording.writer import BagWriter
+from recorder_node.writing_thread import ReceivedMessage, WritingThread
 
 
 class FailingWriter(BagWriter):

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 from rclpy.serialization import serialize_message
 
-from experiment_node.topics import CALIBRATION, EXPOSURE, IMAGE, STEP
 from fringedic.frames.records import frame_record, stamp_of
 from fringedic.recording.definitions import type_hash
 from fringedic.recording.reader import BagReader
@@ -17,6 +16,7 @@ from fringedic_msgs.msg import Exposure, RigCalibration, StepStatus
 from fringedic_ros.records import calibration_message, exposure_message
 from fringedic_ros.serialized import header_stamp, read
 from fringedic_ros.stamps import to_nanoseconds
+from fringedic_ros.topics import CALIBRATION, EXPOSURE, IMAGE, STEP
 
 # Topics whose messages concern one step only.
 OF_ONE_STEP = (IMAGE, "camera/camera_info", EXPOSURE, STEP)

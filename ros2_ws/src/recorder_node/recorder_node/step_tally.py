@@ -2,27 +2,11 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
-from collections.abc import Iterable
-
 from fringedic_msgs.msg import Exposure
 from fringedic_ros.stamps import to_nanoseconds
 
 _MOST_IMAGES = 1000  # whose record may still come: images and records arrive in any order
 _MOST_STEPS = 8  # whose records are kept: the latest step, its successor, and strays
-
-
-def crc_of(crcs: Iterable[int]) -> int:
-    """Return the CRC-32 of CRC-32s in their order, each little-endian.
-
-    Examples
-    --------
-    >>> crc_of([1, 2]) == crc_of([2, 1])
-    False
-    """
-    numbers = list(crcs)
-    return zlib.crc32(struct.pack(f"<{len(numbers)}I", *numbers))
 
 
 class StepTally:

@@ -17,10 +17,6 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.subscription import Subscription
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from experiment_node.exposure_tally import ExposureTally
-from experiment_node.step_tally import StepTally, crc_of
-from experiment_node.topics import DERIVED_TOPICS, EXPOSURE, IMAGE, RAW_TOPICS, SAMPLE_TOPICS, STEP
-from experiment_node.writing_thread import ReceivedMessage, WritingThread
 from fringedic.errors import ErrorCode, FringedicError, RecordingError
 from fringedic.recording.topics import Qos
 from fringedic.recording.writer import BagWriter, Split
@@ -31,8 +27,12 @@ from fringedic_ros.parameters import declare
 from fringedic_ros.polled import OnDemand
 from fringedic_ros.qos import LATCHED, SAMPLES
 from fringedic_ros.rig_node import FIXED_QOS, RigNode
-from fringedic_ros.serialized import header_stamp, image_crc, message_type, read
+from fringedic_ros.serialized import header_stamp, image_crc, message_type, read, step_crc
 from fringedic_ros.stamps import to_nanoseconds
+from fringedic_ros.topics import DERIVED_TOPICS, EXPOSURE, IMAGE, RAW_TOPICS, SAMPLE_TOPICS, STEP
+from recorder_node.exposure_tally import ExposureTally
+from recorder_node.step_tally import StepTally
+from recorder_node.writing_thread import ReceivedMessage, WritingThread
 
 DISCOVERY_PERIOD_S = 0.1
 # Both depths outlast a recorder without processor time: images for four seconds, samples at 1 kHz for ten.
@@ -294,7 +294,7 @@ class RecorderNode(RigNode):
 
     def _publish_confirmed(self, experiment: str, step: int, crcs: list[int]) -> None:
         """Publish, in the thread that has written them."""
-        self._confirmed = experiment, step, len(crcs), crc_of(crcs)
+        self._confirmed = experiment, step, len(crcs), step_crc(crcs)
         self._publish_status()
 
     # status

@@ -9,8 +9,8 @@ import rclpy
 
 from coupling_node.coupling_node import CouplingNode
 from dic_node.dic_node import DicNode
-from experiment_node.topics import DERIVED_TOPICS, PROCESSING_INPUTS, PUBLISHED, RAW_TOPICS
 from fringedic_ros.processing import ProcessingNode
+from fringedic_ros.topics import DERIVED_TOPICS, PROCESSING_INPUTS, PUBLISHED, RAW_TOPICS
 from phase_node.phase_node import PhaseNode
 
 OF_EVERY_NODE = {"/parameter_events", "/clock", "/node_parameters"}  # a node may follow the parameters of others

@@ -8,7 +8,6 @@ import numpy as np
 from rclpy.serialization import deserialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from experiment_node.recorded_steps import recorded_messages
 from fringedic.recording.definitions import interface_definition
 from fringedic.recording.reader import BagReader
 from fringedic.recording.topics import Topic
@@ -16,6 +15,7 @@ from fringedic.recording.writer import BagWriter
 from fringedic.rig.model import RigModel
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.msg import RigCalibration
+from player_node.recorded_steps import recorded_messages
 
 KIND = "fringedic_msgs/msg/RigCalibration"
 

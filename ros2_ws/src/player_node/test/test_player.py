@@ -17,9 +17,6 @@ from rclpy.node import Node
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import Image
 
-from experiment_node.playback_nodes import PlaybackNodes
-from experiment_node.recorded_steps import RecordedStep, split_steps
-from experiment_node.topics import EXPOSURE, IMAGE, PROCESSING_INPUTS, PUBLISHED, STEP
 from fringedic.frames.records import FrameRecord
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.recording.topics import RawMessage
@@ -31,6 +28,9 @@ from fringedic_ros.matching import offer_reader_counts
 from fringedic_ros.qos import EVENTS, IMAGES, LATCHED, LATCHED_BY_MANY
 from fringedic_ros.records import exposure_message
 from fringedic_ros.spinning import Spinning
+from fringedic_ros.topics import EXPOSURE, IMAGE, PROCESSING_INPUTS, PUBLISHED, STEP
+from player_node.playback_nodes import PlaybackNodes
+from player_node.recorded_steps import RecordedStep, split_steps
 
 FRAMES = 40  # more than the player has on their way at once
 FRINGES = ProjectedPattern(PatternKind.FRINGES, Orientation.VERTICAL, 10.0, 1, 4)
@@ -152,7 +152,7 @@ def play(bag: Path, **parameters: Any) -> subprocess.CompletedProcess[str]:
     arguments = [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
     return subprocess.run(
         [
-            *(sys.executable, "-c", "import sys; from experiment_node.player_node import main; sys.exit(main())"),
+            *(sys.executable, "-c", "import sys; from player_node.player_node import main; sys.exit(main())"),
             *("--ros-args", "-r", "__ns:=/rig", *arguments),
         ],
         capture_output=True,

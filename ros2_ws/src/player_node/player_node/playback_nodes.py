@@ -11,12 +11,12 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.task import Future
 
-from experiment_node.topics import DERIVED_TOPICS, PROCESSING_INPUTS, PUBLISHED, READERS
 from fringedic.errors import WaitTimeoutError
 from fringedic.steps.recorded_parameters import present_name
 from fringedic_msgs.msg import NodeParameters, NodeStatus, StepStatus
 from fringedic_ros.matching import Matching
 from fringedic_ros.qos import EVENTS
+from fringedic_ros.topics import DERIVED_TOPICS, PROCESSING_INPUTS, PUBLISHED, READERS
 from fringedic_ros.waiting import Patience
 
 

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from coupling_node.topics import INPUTS as COUPLING_INPUTS
-from dic_node.topics import INPUTS as DIC_INPUTS
-from phase_node.topics import INPUTS as PHASE_INPUTS
-
 STEP = "experiment/step"
 PROGRAMME = "programme/status"
 REFERENCE = "experiment/reference"
@@ -54,12 +50,28 @@ DERIVED_TOPICS = (
     "coupling/status",
 )
 
-# Topics of each processing node: those that it publishes, and those that it subscribes to as it declares them itself.
+# Topics of each processing node: those that it publishes, and those that it subscribes to.
 PUBLISHED = {
     name: tuple(topic for topic in DERIVED_TOPICS if topic.startswith(f"{name}/"))
     for name in ("phase", "dic", "coupling")
 }
-PROCESSING_INPUTS = {"phase": PHASE_INPUTS, "dic": DIC_INPUTS, "coupling": COUPLING_INPUTS}
+PROCESSING_INPUTS = {
+    "phase": (STEP, IMAGE, EXPOSURE),
+    "dic": (REFERENCE, STEP, "phase/status", "phase/texture", IMAGE, EXPOSURE),
+    "coupling": (
+        CALIBRATION,
+        STEP,
+        EXPOSURE,
+        "phase/status",
+        "phase/map",
+        "phase/sigma",
+        "phase/texture",
+        "dic/status",
+        "dic/displacement",
+        "dic/sigma",
+        "dic/camera_info",
+    ),
+}
 
 # Nodes that must not miss a message of the processing nodes.
 READERS = (*PUBLISHED, "recorder", "experiment", "player")

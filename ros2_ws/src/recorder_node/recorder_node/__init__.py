@@ -1,0 +1,1 @@
+"""The node that records the topics of a rig and confirms what it has written."""
