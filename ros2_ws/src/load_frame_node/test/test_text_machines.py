@@ -230,6 +230,7 @@ def test_settings_reach_the_serial_port(tmp_path: Path) -> None:
     [
         ({"serial": {"baud_rate": 9600}}, r"serial belongs to a serial line \(ASRL...\), and the resource is TCPIP"),
         ({"resource": "ASRL1::INSTR", "serial": {"parity": "often"}}, "serial.parity: "),
+        ({"resource": "ASRL1::INSTR", "serial": {"stop_bits": 3}}, "serial: stop_bits is 3; give 1, 1.5 or 2"),
         ({"resource": "ASRL1::INSTR", "serial": {"bauds": 9600}}, "serial.bauds: "),
         ({"force": {"query": "F?", "index": 2}}, "force: index 2 needs separator"),
         ({"force": comma(query="F?", separator=",")}, "force: separator and decimal are both ','"),

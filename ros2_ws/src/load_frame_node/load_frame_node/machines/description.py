@@ -400,8 +400,14 @@ class SerialSection(Section):
     baud_rate: int = Field(9600, ge=50, le=4_000_000)
     data_bits: Literal[5, 6, 7, 8] = 8
     parity: Literal["none", "even", "odd"] = "none"
-    stop_bits: Literal[1, 1.5, 2] = 1
+    stop_bits: float = 1
     flow_control: Literal["none", "xon_xoff", "rts_cts", "dtr_dsr"] = Field("none", description="Handshake.")
+
+    @model_validator(mode="after")
+    def _stop_bits_exist(self) -> SerialSection:
+        if self.stop_bits not in (1, 1.5, 2):
+            raise ValueError(f"stop_bits is {self.stop_bits:g}; give 1, 1.5 or 2")
+        return self
 
 
 def _as_text(value: Any) -> Any:

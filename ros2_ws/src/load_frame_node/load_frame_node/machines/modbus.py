@@ -14,13 +14,14 @@ from pymodbus.exceptions import ModbusException
 from fringedic.errors import MachineError, MachineGoneError
 from load_frame_node.machines.described import Answer, DescribedMachine
 from load_frame_node.machines.description import (
+    ForceRegister,
     LengthRegister,
     ModbusDescription,
     Register,
-    Scaled,
     SpeedRegister,
     StatusRegister,
     Switch,
+    TimeRegister,
 )
 from load_frame_node.machines.machine import LoadMode
 
@@ -29,6 +30,7 @@ _LARGEST_BLOCK = 125  # registers that one Modbus request may read
 _SENSIBLE = (1e-9, 1e9)  # amounts of a floating-point number other than 0; wrong orders give most often others
 
 Order = Literal["big", "little"]
+ReadRegister = ForceRegister | LengthRegister | TimeRegister | StatusRegister
 
 
 class ModbusMachine(DescribedMachine[ModbusDescription]):
@@ -112,12 +114,12 @@ class ModbusMachine(DescribedMachine[ModbusDescription]):
         assert self.description.hold is not None, "sent only when described"
         self._switch(self.description.hold)
 
-    def _answer(self, name: str, place: Register, registers: list[int]) -> Answer:
+    def _answer(self, name: str, place: ReadRegister, registers: list[int]) -> Answer:
         """Return the meaning of the registers of an entry."""
         number = self._number(registers, place)
         request, raw = _request(place), _raw(registers)
         self.replies[name] = f"register {place.register_} contains {number:g}"
-        if isinstance(place, Scaled):
+        if not isinstance(place, StatusRegister):
             return Answer(name, request, raw, place.si(number))
         if not math.isfinite(number) or number != math.floor(number):
             error = MachineError(f"the status is {number}, which is not a whole number")
@@ -146,7 +148,7 @@ class ModbusMachine(DescribedMachine[ModbusDescription]):
         order = self.description
         return _decoded(registers, place, order.word_order, order.byte_order)
 
-    def _write(self, place: Register, si: float) -> None:
+    def _write(self, place: LengthRegister | SpeedRegister, si: float) -> None:
         value = _sent(place, si)
         try:
             registers = ModbusTcpClient.convert_to_registers(
