@@ -10,10 +10,11 @@ import pytest
 import rclpy
 from rclpy.action import ActionClient
 from rclpy.action.server import ActionServer, CancelResponse, ServerGoalHandle
-from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.duration import Duration
 from rclpy.node import Node
 from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
 
 from fringedic.configuration.conditions import Reading
 from fringedic.errors import MoveStoppedError, NodeDiedError, StepFailedError, WaitTimeoutError
@@ -23,9 +24,14 @@ from fringedic_msgs.action import MeasureStep, MoveCrosshead
 from fringedic_msgs.msg import LoadState, StepStatus
 from fringedic_ros.qos import EVENTS, STATE
 from fringedic_ros.spinning import Spinning
-from fringedic_ros.waiting import sleep
+from fringedic_ros.waiting import AGAIN_S, sleep
 
-SLOW, SILENT, FAILING, HELD = 1e-3, 2e-3, 3e-3, 4e-3  # positions, for moves of these kinds
+SLOW, SILENT, FAILING = 1e-3, 2e-3, 3e-3  # positions, for moves of these kinds
+STOPS = {  # and for those that end with these codes
+    4e-3: MoveCrosshead.Result.CANCELLED,
+    5e-3: MoveCrosshead.Result.MACHINE_FAULT,
+    6e-3: MoveCrosshead.Result.STOPPED_ELSEWHERE,
+}
 SILENCE_S = 1.5
 
 
@@ -41,6 +47,13 @@ class Rig(Node):
         options = {"callback_group": group, "cancel_callback": lambda _: CancelResponse.ACCEPT}
         ActionServer(self, MeasureStep, "measure_step", self._measure, **options)
         ActionServer(self, MoveCrosshead, "move_crosshead", self._move, **options)
+        self.holds, self.holds_before_move = 0, -1
+        self.create_service(Trigger, "load_frame/hold", self._hold, callback_group=MutuallyExclusiveCallbackGroup())
+
+    async def _hold(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        await sleep(self, 1.5 * AGAIN_S)
+        self.holds, response.success = self.holds + 1, True
+        return response
 
     async def _measure(self, goal: ServerGoalHandle) -> MeasureStep.Result:
         while not goal.is_cancel_requested:
@@ -52,9 +65,10 @@ class Rig(Node):
     async def _move(self, goal: ServerGoalHandle) -> MoveCrosshead.Result:
         if goal.request.position == FAILING:
             raise RuntimeError("the register does not hold this number")
-        if goal.request.position == HELD:
+        self.holds_before_move = self.holds
+        if goal.request.position in STOPS:
             goal.abort()
-            return MoveCrosshead.Result(error_code=MoveCrosshead.Result.CANCELLED, error_message="load_frame/hold")
+            return MoveCrosshead.Result(error_code=STOPS[goal.request.position], error_message="stopped")
         end = time.monotonic() + 2.5 * SILENCE_S
         while time.monotonic() < end:
             if goal.request.position == SLOW:
@@ -80,14 +94,28 @@ def test_a_server_that_fails_during_a_move_has_not_moved() -> None:
         controller.move(FAILING)
 
 
-def test_a_hold_of_somebody_else_in_a_move_is_told_from_a_failure(rig: Rig) -> None:
+@pytest.mark.parametrize("position", STOPS)
+def test_a_stop_by_something_else_in_a_move_is_told_from_a_failure(position: float, rig: Rig) -> None:
     rig.loads.publish(LoadState())
     with RigClient() as controller:
         for until in (None, lambda _: False):
             controller.wait_for(rig.loads.get_subscription_count, 30, lambda: "the subscription of the client")
             rig.loads.publish(LoadState())
-            with pytest.raises(MoveStoppedError, match="load_frame/hold"):
-                controller.move(HELD, until=until)
+            with pytest.raises(MoveStoppedError, match="stopped") as stopped:
+                controller.move(position, until=until)
+            assert stopped.value.error_code == STOPS[position]
+
+
+def test_no_hold_of_the_client_itself_comes_after_its_next_move(rig: Rig) -> None:
+    """It was requested again before the late answer, stopped the next move, and looked like a hold of somebody else."""
+    with RigClient() as controller:
+        controller.wait_for(lambda: controller.node.count_services("/rig/load_frame/hold"), 30, lambda: "the service")
+        controller.sleep(0.5)
+        controller.hold()
+        assert rig.holds == 1
+        with pytest.raises(MoveStoppedError):
+            controller.move(next(iter(STOPS)))
+    assert rig.holds_before_move == rig.holds == 2
 
 
 @pytest.mark.usefixtures("rig")

@@ -16,6 +16,8 @@ from fringedic_bringup.operating.procedures import Place, Request, execute, requ
 from fringedic_bringup.operating.status import Job, Outcome, State, StoppedError
 from fringedic_bringup.procedures.outcome import RunReport, StepReport
 
+PROGRAMME = "{experiment: plate, steps: [{}]}"
+
 
 def job(name: str = "run", *, controlled: bool = True) -> Job:
     made = Job(name, "", lambda: None)
@@ -107,13 +109,21 @@ def test_reports_and_notes_are_kept() -> None:
 @pytest.mark.parametrize(
     ("request_", "words"),
     [
-        (Request("run", text="ramp: ["), "line 1"),
-        (Request("run", text="{steps: [{position_mm: far}]}"), "programme: steps.0"),
+        (requested("run", text="ramp: ["), "line 1"),
+        (requested("run", text="{steps: [{position_mm: far}]}"), "programme: steps.0"),
         (Request("region", text="no region"), "region"),
         (Request("settings", text="camera: 5"), "camera"),
         (requested("timing"), "no such"),
         (requested("calibrate", options="{angles_deg: far}"), "angles far"),
         (requested("live", options="{region: all}"), "region all"),
+        (
+            requested("run", text=PROGRAMME, options="{continue_run: ../other}"),
+            "continue_run: ../other is no name of a folder",
+        ),
+        (
+            requested("run", text=PROGRAMME, options="{continue_run: plate-7}"),
+            "plate-7 contains no recording to continue",
+        ),
     ],
 )
 def test_whatever_is_wrong_is_a_failure_with_a_reason(tmp_path: Path, request_: Request, words: str) -> None:
@@ -150,6 +160,27 @@ def test_wrong_options_are_refused_before_anything_starts(procedure: str, option
         requested(procedure, options=options)
     assert str(refused.value).startswith(words)
     assert len(str(refused.value)) <= 500
+
+
+def test_a_run_that_ended_early_is_continued_in_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A stop of the machine ends it; the page could only begin a new run."""
+    (tmp_path / "rig.yaml").write_text("{camera: {source: virtual}, virtual_rig: {preset: plate, size: tiny}}")
+    report = RunReport("plate", tmp_path, [], [], ended_early="the machine reports a fault")
+    run = MagicMock(return_value=report)
+    monkeypatch.setattr(procedures, "run_experiment", run)
+    running = job()
+    execute(Place(tmp_path / "rig.yaml"), running, requested("run", text=PROGRAMME))
+    assert running.status.state == State.FAILED
+    assert running.status.outcome.words[1] == "ended early: the machine reports a fault"
+    assert run.call_args.kwargs["resume"] is False
+    folder, continued = Path(running.status.folder), job()
+    execute(
+        Place(tmp_path / "rig.yaml"),
+        continued,
+        requested("run", text=PROGRAMME, options=f"{{continue_run: {folder.name}}}"),
+    )
+    assert run.call_args.kwargs["resume"] is True
+    assert run.call_args.args[3] == folder == Path(continued.status.folder)
 
 
 @pytest.mark.parametrize(("died", "told"), [("load_frame", True), ("dic", False)])

@@ -7,6 +7,12 @@ from pydantic import Field
 from fringedic.configuration.yaml_section import Section
 
 
+class RunOptions(Section):
+    """Option of ``fringedic run``: the folder of a run that ended early, by its name; empty: a new run."""
+
+    continue_run: str = ""
+
+
 class LiveOptions(Section):
     """Options of ``fringedic live``."""
 

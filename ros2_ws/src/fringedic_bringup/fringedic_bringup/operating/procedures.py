@@ -32,6 +32,7 @@ from fringedic_bringup.operating.options import (
     CheckOptions,
     LiveOptions,
     NoiseOptions,
+    RunOptions,
     TimingOptions,
 )
 from fringedic_bringup.operating.status import STOPPED, Job, Outcome, StoppedError
@@ -207,11 +208,21 @@ def _settings(place: Place, _: Job, request: Request, __: Section) -> Outcome:
     return Outcome([f"the rig file is changed; the file before is {before.name}"])
 
 
-def _run(place: Place, job: Job, request: Request, _: Section) -> Outcome:
+def _run(place: Place, job: Job, request: Request, options: RunOptions) -> Outcome:
+    """Run a programme, or go on with one that ended early, as with ``--continue``."""
     rig, programme = _programme(place, request.text)
-    folder = _recording_folder(place, job, rig, programme.experiment)
+    name = options.continue_run
+    if name != Path(name).name:
+        raise ConfigurationError(f"continue_run: {name} is no name of a folder in {rig.recording.folder}")
+    if name:
+        folder = place.folder / rig.recording.folder / name
+        job.writes_into(str(folder))
+    else:
+        folder = _recording_folder(place, job, rig, programme.experiment)
     job.controlled, job.holds_without_driver = True, programme.on_operator_lost == "hold"
-    report = run_experiment(rig, place.rig_path, programme, folder, job, domain=place.domain, control=job)
+    report = run_experiment(
+        rig, place.rig_path, programme, folder, job, domain=place.domain, resume=bool(name), control=job
+    )
     words = [f"{len(report.steps)} steps in {folder.name}"]
     words += [f"ended early: {report.ended_early}"] if report.ended_early else []
     words += [f"no dataset: {report.unmeasured}"] if report.unmeasured else []
@@ -296,7 +307,7 @@ PROCEDURES = {
     "noise": Procedure(_noise, NoiseOptions),
     "advise": Procedure(_advise, AdviseOptions),
     "settings": Procedure(_settings),
-    "run": Procedure(_run),
+    "run": Procedure(_run, RunOptions),
     "by_hand": Procedure(_by_hand),
 }
 

@@ -2,7 +2,7 @@
 
 import { make, number, repaint } from "./elements.js";
 import { LiveImage } from "./live_image.js";
-import { isBusy, procedurePanel } from "./procedure.js";
+import { FAILED, isBusy, procedurePanel } from "./procedure.js";
 import { command } from "./server.js";
 import { latest, listen } from "./stream.js";
 
@@ -25,19 +25,23 @@ let shown = "";
 
 function startPanel() {
   const rig = latest("rig") ?? {}, procedure = latest("procedure"), busy = isBusy(procedure);
-  const state = JSON.stringify([rig.operated, rig.measures, rig.file_error, busy, procedure?.procedure, rig.programme, latest("hand"), procedure?.state, rig.load_frame, (latest("nodes") ?? []).length > 0]);
+  const state = JSON.stringify([rig.operated, rig.measures, rig.file_error, busy, procedure?.procedure, rig.programme, latest("hand"), procedure?.state, procedure?.folder, procedure?.words, rig.load_frame, (latest("nodes") ?? []).length > 0]);
   if (state === shown && text.isConnected) return [...text.closest("#start").childNodes];
   shown = state;
   another.hidden = busy; // the table of the steps is what one looks at then
   const by_hand = busy && procedure.procedure === "by_hand";
+  // a stop, or a fault of the machine, ends a programme: only a person may go on with it
+  const ended = procedure?.procedure === "run" && procedure.state === FAILED && procedure.words.length && procedure.folder;
   return [
     make("h2", {}, "Test"),
     rig.file_error ? make("p", { class: "bad" }, rig.file_error) : null,
     rig.load_frame ? make("p", { class: "care" }, "Before the start: the limits of the machine are set, its emergency stop was tested, and nobody is in the frame.") : null,
     make("div", { class: "row" },
       make("button", { class: "main", id: "run", disabled: busy || !rig.operated, onclick: () => command("start", { procedure: "run", text: text.value }) }, "Start the programme"),
+      ended ? make("button", { id: "go-on", disabled: !rig.operated, onclick: () => command("start", { procedure: "run", text: text.value, options: { continue_run: procedure.folder } }) }, "Go on with the last run") : null,
       make("button", { id: "by-hand", disabled: busy || !rig.operated, onclick: () => command("start", { procedure: "by_hand" }) }, "Measure by hand"),
       by_hand || !rig.operated ? make("button", { id: "measure", class: "main", disabled: !rig.measures, onclick: () => command("measure", {}) }, "Measure one step") : null),
+    ended && rig.load_frame ? make("p", { class: "care" }, "Before you go on with a run that was stopped: find out why, look at machine and specimen, and reset the machine at its own controls.") : null,
     latest("hand") ? make("p", { id: "hand", role: "status" }, latest("hand")) : null,
     rig.operated ? null : make("p", { class: "soft", id: "elsewhere" }, elsewhere(rig)),
     another,
