@@ -104,10 +104,10 @@ class ExperimentAccessor:
         return region_statistics(self._dataset, _list(names), region)
 
     def strain(self, window: int, *, step: int = -1, measures: Iterable[str] = ()) -> xr.Dataset:
-        """Return the strain of a step with a window of one's own; see `fringedic.evaluation.strain`."""
-        from fringedic.evaluation.strain import strain
+        """Return the strain of a step with a window of one's own; see `fringedic.evaluation.strain_of_step`."""
+        from fringedic.evaluation.strain import strain_of_step
 
-        return strain(self._dataset, window, step=step, measures=measures)
+        return strain_of_step(self._dataset, window, step=step, measures=measures)
 
     def remove_rigid_motion(self, region: Region | None = None) -> xr.Dataset:
         """Return the displacement without its rigid motion; see `fringedic.evaluation.remove_rigid_motion`."""

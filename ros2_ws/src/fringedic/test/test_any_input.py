@@ -178,7 +178,7 @@ CALLS = {
         "points": 5,
     },
     fringedic.evaluation.region_statistics: {"dataset": EXPERIMENT, "names": ["u"], "region": REGION},
-    fringedic.evaluation.strain: {"dataset": EXPERIMENT, "window": 9, "step": 1, "measures": ["von_mises"]},
+    fringedic.evaluation.strain_of_step: {"dataset": EXPERIMENT, "window": 9, "step": 1, "measures": ["von_mises"]},
     fringedic.evaluation.strain_curve: {"dataset": STRAINED, "region": REGION},
     fringedic.evaluation.elastic_constants: {
         "dataset": STRAINED,

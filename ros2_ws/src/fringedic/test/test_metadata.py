@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 from pathlib import Path
 
@@ -13,9 +12,8 @@ import xarray as xr
 from fringedic.configuration.rig_file import load_programme, load_rig_file
 from fringedic.datasets.attributes import recorded_metadata
 from fringedic.datasets.opening import open_experiment
-from fringedic.errors import ConfigurationError, FringedicError
+from fringedic.errors import ConfigurationError
 from fringedic.metadata import Metadata
-from fringedic.wording.optional_packages import optional_import
 
 RIG = "camera: {source: virtual}\nprojector: {source: virtual}\nvirtual_rig: {preset: plate, size: tiny}\n"
 OLD = "{extensometers_px: [[480, 200, 470, 1000]]}"
@@ -65,11 +63,3 @@ def test_datasets_of_earlier_versions_are_translated(tmp_path: Path) -> None:
         (gauge,) = recorded_metadata(again).specimen.gauges_px
     assert gauge.first == [200, 480]
     assert gauge.second == [1000, 470]
-
-
-def test_a_package_that_is_missing_is_named_with_its_extra() -> None:
-    with (
-        pytest.raises(FringedicError, match=r"a Zarr dataset needs nobody_has_it: pip install 'fringedic\[zarr\]'"),
-        optional_import("zarr"),
-    ):
-        importlib.import_module("nobody_has_it.at_all")

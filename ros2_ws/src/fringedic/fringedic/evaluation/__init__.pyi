@@ -8,7 +8,7 @@ from .probes import region_statistics as region_statistics
 from .rigid_motion import remove_rigid_motion as remove_rigid_motion
 from .specimens import compare_specimens as compare_specimens
 from .specimens import specimen_maps as specimen_maps
-from .strain import strain as strain
+from .strain import strain_of_step as strain_of_step
 from .truth import compare_with_truth as compare_with_truth
 from .truth import open_truth as open_truth
 from .truth import truth_errors as truth_errors

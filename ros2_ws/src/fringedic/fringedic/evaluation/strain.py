@@ -17,7 +17,7 @@ from fringedic.wording.arguments import dataset as dataset_of
 
 
 @check_arguments(DatasetError, dataset=dataset_of(), step=whole(), measures=several(text))
-def strain(dataset: xr.Dataset, window: int, *, step: int = -1, measures: Iterable[str] = ()) -> xr.Dataset:
+def strain_of_step(dataset: xr.Dataset, window: int, *, step: int = -1, measures: Iterable[str] = ()) -> xr.Dataset:
     """Return the strain of a step with a window of one's own.
 
     Parameters
@@ -47,7 +47,7 @@ def strain(dataset: xr.Dataset, window: int, *, step: int = -1, measures: Iterab
     --------
     >>> import fringedic
     >>> experiment = fringedic.open_experiment("recordings/plate-7/bag")  # doctest: +SKIP
-    >>> strain(experiment, window=41, measures=["von_mises"])  # doctest: +SKIP
+    >>> strain_of_step(experiment, window=41, measures=["von_mises"])  # doctest: +SKIP
     """
     one = step_of(dataset, step)
     if motion_of(one).spatial:

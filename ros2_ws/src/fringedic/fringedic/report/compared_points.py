@@ -1,4 +1,4 @@
-"""What the pages of comparisons point by point share: the last compared step, the table, the maps."""
+"""What the pages of comparisons point by point share: the table and the maps."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets.quantities import people_unit
-from fringedic.errors import DatasetError
 from fringedic.figures.maps import maps_figure
 from fringedic.figures.panels import Panel
 from fringedic.report.templates import base64_png, chart_script, render_page, write_page
@@ -51,38 +50,6 @@ class ComparedTable(NamedTuple):
             *(number_text(length) + (f" {unit.text}" if np.isfinite(length) else "") for length in lengths),
             *(number_text(factor * float(found[name])) for name, (_, factor) in self.ratios.items()),
         ]
-
-
-def last_compared(found: xr.Dataset, nowhere: str) -> int:
-    """Return the last step at which points are compared.
-
-    Raises
-    ------
-    DatasetError
-        With the sentence `nowhere`: there is none.
-    """
-    compared = found["step"].values[(found["points"].values > 0).any(axis=1)]
-    if not compared.size:
-        raise DatasetError(nowhere)
-    return int(compared[-1])
-
-
-def reference_sentences(found: xr.Dataset) -> list[str]:
-    """Return a sentence if the compared experiments have different reference steps, else none.
-
-    Parameters
-    ----------
-    found
-        From `compare_experiments` or `compare_specimens`.
-    """
-    differ = found["references_differ"].values
-    if not differ.any():
-        return []
-    return [
-        f"at {np.count_nonzero(differ)} of {differ.size} steps the experiments have different reference steps: "
-        "their displacement and strain are relative to different states of the specimen and are not comparable; "
-        "process them with the same --reference"
-    ]
 
 
 def write_compared(

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.evaluation.elasticity import elastic_constants, strain_curve
+from fringedic.evaluation.sentences import NOT_OF_ALL, last_compared, specimen_sentences
 from fringedic.evaluation.specimens import compare_specimens, specimen_maps
 from fringedic.evaluation.two_experiments import differing_attributes
 from fringedic.figures.charts import SpecimenCurve, interrupt, reference_changes, specimen_charts
@@ -17,8 +18,6 @@ from fringedic.report.compared_points import (
     ComparedTable,
     entry_text,
     experiment_title,
-    last_compared,
-    reference_sentences,
     write_compared,
 )
 from fringedic.report.templates import chart_html, require_new
@@ -32,7 +31,6 @@ _TABLE = ComparedTable(
     },
     ratios={"spread_over_uncertainty": ("spread over uncertainty", 1.0)},
 )
-_NOWHERE = "no point is measured of all specimens: they are at other places in the image"
 _OF_EACH = ("experiment", "source")  # attributes that differ between specimens anyway
 
 
@@ -62,7 +60,7 @@ def write_specimens(experiments: Mapping[str, xr.Dataset], output: Path, *, over
         "specimens.html.j2",
         output,
         found,
-        specimen_maps(group, last_compared(found, _NOWHERE)),
+        specimen_maps(group, last_compared(found, NOT_OF_ALL)),
         _TABLE,
         _panels,
         titles={name: experiment_title(each) for name, each in experiments.items()},
@@ -70,23 +68,6 @@ def write_specimens(experiments: Mapping[str, xr.Dataset], output: Path, *, over
         differences=_differences(group),
         charts=[chart_html(chart) for chart in specimen_charts("Load over strain", _curves(experiments))],
     )
-
-
-def specimen_sentences(found: xr.Dataset) -> list[str]:
-    """Return one sentence for each quantity of the last compared step, before them one on different reference steps.
-
-    Parameters
-    ----------
-    found
-        From `fringedic.evaluation.compare_specimens`.
-    """
-    last = found.sel(step=last_compared(found, _NOWHERE))
-    return reference_sentences(found) + [
-        f"{name}: the spread of the specimens at a point is {float(each['spread_over_uncertainty']):.2f} times the "
-        f"uncertainty of one measurement ({int(each['points'])} points)"
-        for name in last["quantity"].values.tolist()
-        if int((each := last.sel(quantity=name))["points"])
-    ]
 
 
 def specimen_curve(curve: Mapping[str, np.ndarray], axial: str) -> SpecimenCurve:

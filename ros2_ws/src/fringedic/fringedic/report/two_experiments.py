@@ -6,6 +6,7 @@ from pathlib import Path
 
 import xarray as xr
 
+from fringedic.evaluation.sentences import NOT_IN_BOTH, comparison_sentences, last_compared
 from fringedic.evaluation.two_experiments import compare_experiments, difference_maps, differing_attributes
 from fringedic.figures.charts import comparison_charts
 from fringedic.figures.panels import Panel
@@ -13,8 +14,6 @@ from fringedic.report.compared_points import (
     ComparedTable,
     entry_text,
     experiment_title,
-    last_compared,
-    reference_sentences,
     write_compared,
 )
 from fringedic.report.templates import chart_html, require_new
@@ -28,7 +27,6 @@ _TABLE = ComparedTable(
     },
     ratios={"normalized_rms": ("RMS over sigma", 1.0), "within_2_sigma": ("within 2 sigma [%]", 100.0)},
 )
-_NOWHERE = "no point is measured in both experiments: their specimens are at other places in the image"
 
 
 def write_comparison(one: xr.Dataset, other: xr.Dataset, output: Path, *, overwrite: bool = False) -> Path:
@@ -56,7 +54,7 @@ def write_comparison(one: xr.Dataset, other: xr.Dataset, output: Path, *, overwr
         "two_experiments.html.j2",
         output,
         found,
-        difference_maps(one, other, last_compared(found, _NOWHERE)),
+        difference_maps(one, other, last_compared(found, NOT_IN_BOTH)),
         _TABLE,
         _panels,
         titles=[experiment_title(each) for each in (one, other)],
@@ -64,23 +62,6 @@ def write_comparison(one: xr.Dataset, other: xr.Dataset, output: Path, *, overwr
         differences=[(name, *map(entry_text, values)) for name, *values in differing_attributes(one, other)],
         charts=[chart_html(chart) for chart in comparison_charts(found, ("A", "B"))],
     )
-
-
-def comparison_sentences(found: xr.Dataset) -> list[str]:
-    """Return one sentence for each quantity of the last compared step, before them one on different reference steps.
-
-    Parameters
-    ----------
-    found
-        From `compare_experiments`.
-    """
-    last = found.sel(step=last_compared(found, _NOWHERE))
-    return reference_sentences(found) + [
-        f"{name}: {100 * float(each['within_2_sigma']):.1f} % of {int(each['points'])} points differ by less than "
-        f"2 sigma (95 % expected of independent noise), RMS over sigma {float(each['normalized_rms']):.2f}"
-        for name in last["quantity"].values.tolist()
-        if int((each := last.sel(quantity=name))["points"])
-    ]
 
 
 def _panels(name: str) -> tuple[Panel, ...]:

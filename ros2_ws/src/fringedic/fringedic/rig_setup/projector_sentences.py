@@ -6,7 +6,7 @@ import math
 
 from fringedic.patterns.response import ResponseCurve
 from fringedic.phase.checks.harmonic_error import HarmonicError
-from fringedic.rig_setup.response_correction import Correction, assess_correction, is_uneven
+from fringedic.rig_setup.response import Correction, assess_correction, is_uneven
 from fringedic.rig_setup.timing import ProjectorTiming
 
 _SLOW = 1e-4  # [s], time constant from which on the rise and fall of the light are worth a sentence

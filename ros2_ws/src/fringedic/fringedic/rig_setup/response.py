@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from fringedic.errors import ImageError, PatternError
 from fringedic.frames.noise import saturation_level
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.patterns.response import FULL_SCALE, ResponseCurve
+from fringedic.phase.checks.harmonic_error import HarmonicError
 from fringedic.wording.arguments import array, check_arguments, number, of_type, optional, several
 
 _RAMP = 18  # greys of the procedure; 255 is 17 equal steps of 15
@@ -159,3 +161,39 @@ def _scatter(frames: np.ndarray, contrast: _Contrast, expected: Array) -> float:
     filled = rise > 0
     values = [np.bincount(part, contrast.rise_of(frame), _PARTS**2)[filled] / rise[filled] for frame in frames]
     return float(np.sqrt(np.mean((np.array(values) - expected[:, None]) ** 2)))
+
+
+NEGLIGIBLE = 5e-4  # [fringe] RMS of three shifts; a smaller error is left uncorrected
+UNEVEN = 0.02  # standard deviation of the curve over the image, of a range of 1
+
+
+class Correction(Enum):
+    """Effect of the correction on the phase."""
+
+    UNNECESSARY = "unnecessary"
+    HARMFUL = "harmful"
+    USEFUL = "useful"
+
+
+def assess_correction(before: HarmonicError, after: HarmonicError) -> Correction:
+    """Compare the harmonic error of three shifts without and with the correction.
+
+    Parameters
+    ----------
+    before, after
+        Harmonic error of the phase of patterns without and with the correction.
+
+    Examples
+    --------
+    >>> from types import SimpleNamespace as Error
+    >>> assess_correction(Error(rms=lambda shifts: 0.024), Error(rms=lambda shifts: 0.0004))
+    <Correction.USEFUL: 'useful'>
+    """
+    if before.rms(3) < NEGLIGIBLE:
+        return Correction.UNNECESSARY
+    return Correction.HARMFUL if after.rms(3) > before.rms(3) else Correction.USEFUL
+
+
+def is_uneven(curve: ResponseCurve) -> bool:
+    """Return whether the curve differs so much over the image that the light or the surface must have changed."""
+    return curve.sigma > UNEVEN

@@ -10,7 +10,8 @@ import xarray as xr
 
 from fringedic.errors import DatasetError
 from fringedic.evaluation import compare_specimens, specimen_maps, strain_curve
-from fringedic.report.specimens import specimen_curve, specimen_sentences, write_specimens
+from fringedic.evaluation.sentences import specimen_sentences
+from fringedic.report.specimens import specimen_curve, write_specimens
 
 DIMENSIONS = ("step", "row", "column")
 

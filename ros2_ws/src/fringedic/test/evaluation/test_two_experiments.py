@@ -11,7 +11,8 @@ import xarray as xr
 import fringedic
 from fringedic.errors import DatasetError
 from fringedic.evaluation import compare_experiments, difference_maps, differing_attributes
-from fringedic.report.two_experiments import comparison_sentences, write_comparison
+from fringedic.evaluation.sentences import comparison_sentences
+from fringedic.report.two_experiments import write_comparison
 
 RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 

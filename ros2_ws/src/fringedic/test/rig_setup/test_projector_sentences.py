@@ -8,7 +8,7 @@ import pytest
 from fringedic.patterns.response import ResponseCurve
 from fringedic.phase.checks.harmonic_error import HarmonicError
 from fringedic.rig_setup.projector_sentences import response_sentences
-from fringedic.rig_setup.response_correction import Correction, assess_correction
+from fringedic.rig_setup.response import Correction, assess_correction
 
 BRIGHTNESS = tuple((level / 255) ** 2.2 for level in range(256))
 CURVE = ResponseCurve(BRIGHTNESS, sigma=0.004)

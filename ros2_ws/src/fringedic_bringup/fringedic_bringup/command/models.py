@@ -162,8 +162,9 @@ def compare(
     from fringedic.campaign.settings import FILE as CAMPAIGN
     from fringedic.datasets import open_experiment
     from fringedic.evaluation import compare_experiments, compare_specimens
-    from fringedic.report.specimens import specimen_sentences, write_specimens
-    from fringedic.report.two_experiments import comparison_sentences, write_comparison
+    from fringedic.evaluation.sentences import comparison_sentences, specimen_sentences
+    from fringedic.report.specimens import write_specimens
+    from fringedic.report.two_experiments import write_comparison
 
     if len(sources) < 2:
         raise ConfigurationError("compare takes two or more recordings or datasets; name another one")

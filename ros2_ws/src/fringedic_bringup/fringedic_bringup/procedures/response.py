@@ -16,8 +16,7 @@ from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPatter
 from fringedic.patterns.response import ResponseCurve
 from fringedic.phase.checks.harmonic_error import SERIES_SHIFTS, HarmonicError, measure_harmonic_error
 from fringedic.rig_setup.projector_sentences import response_sentences
-from fringedic.rig_setup.response import measure_response, response_patterns
-from fringedic.rig_setup.response_correction import Correction, assess_correction
+from fringedic.rig_setup.response import Correction, assess_correction, measure_response, response_patterns
 from fringedic_bringup.launch.graph import Graph, NodeEntry, exposing_graph, full_scale
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.exposing import SETUP, ExposingClient
