@@ -16,6 +16,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from fringedic.errors import ConfigurationError
+from fringedic.wording.causes import cause_of
 from fringedic.wording.yaml_text import load_yaml
 
 FIRST_STEP = "first_step"
@@ -181,7 +182,7 @@ class NoiseFloorMetadata(_Entries):
         try:
             return cls.model_validate(load_yaml(Path(path).read_text("utf-8")))
         except OSError as error:
-            raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from error
+            raise ConfigurationError(f"{path}: cannot be read: {cause_of(error)}") from error
         except (yaml.YAMLError, UnicodeDecodeError, ValidationError) as error:
             raise ConfigurationError(f"{path}: is no noise floor from 'fringedic noise': {error}") from error
 

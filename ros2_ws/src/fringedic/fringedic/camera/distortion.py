@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 from fringedic.errors import GridError, ImageError
 from fringedic.wording.arguments import array, check_value, whole
+from fringedic.wording.causes import cause_of
 from fringedic.wording.yaml_text import load_yaml
 
 _INVERSE_STEPS = 60  # a field with a gradient below 0.6 px per pixel is inverted to 1e-12 px
@@ -320,6 +321,6 @@ class DistortionMap:
         except GridError as error:
             raise GridError(f"{path}: {error}") from None
         except OSError as error:
-            raise GridError(f"{path}: cannot be read: {error.strerror}") from error
+            raise GridError(f"{path}: cannot be read: {cause_of(error)}") from error
         except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
             raise GridError(f"{path} contains no distortion of a camera: {error}") from None

@@ -21,6 +21,7 @@ from fringedic.figures.charts import SpecimenCurve, specimen_charts
 from fringedic.figures.thumbnails import thumbnail_png
 from fringedic.report.specimens import specimen_curve
 from fringedic.report.templates import base64_text, chart_html, chart_script, render_page
+from fringedic.wording.causes import cause_of
 from fringedic.wording.numbers import number_text
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def write_campaign_page(store: CampaignStore, status: Status, output: Path) -> P
     try:
         output.write_text(page, encoding="utf-8")
     except OSError as error:
-        raise CampaignError(f"{output}: cannot be written: {error.strerror}; choose another --output") from error
+        raise CampaignError(f"{output}: cannot be written: {cause_of(error)}; choose another --output") from error
     return output
 
 

@@ -16,6 +16,7 @@ from fringedic.datasets.processing import ProcessingSettings
 from fringedic.errors import FringedicError
 from fringedic.rig.model import RigModel
 from fringedic.steps.parameters import DicParameters
+from fringedic.wording.causes import cause_of
 
 _SHARED = ("processing", "software", "store")  # by all units
 _LIBRARIES = 0.45e9  # [byte] of a worker before it processes anything
@@ -245,7 +246,7 @@ def _summary_or_reason(found: Found, campaign: Campaign, follow: bool) -> Summar
     except FringedicError as error:
         return str(error)
     except OSError as error:
-        return f"{found.path}: cannot be read: {error.strerror}"
+        return f"{found.path}: cannot be read: {cause_of(error)}"
     if not summary.calibrated and not campaign.calibration and summary.frames_per_step > 1:
         return (
             f"{found.path}: contains no calibration of the rig, which fringes need; give one as 'calibration' in the "

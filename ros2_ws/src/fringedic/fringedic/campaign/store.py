@@ -28,6 +28,7 @@ import numpy as np
 from fringedic.datasets.quantities import MAP_DIMENSIONS
 from fringedic.datasets.stores import TEXT, Variable, free_bytes
 from fringedic.errors import CampaignError, FringedicError
+from fringedic.wording.causes import cause_of
 from fringedic.wording.optional_packages import optional_import
 
 with optional_import("campaign"):
@@ -145,7 +146,7 @@ class CampaignStore:
         except (FringedicError, FileNotFoundError):
             raise
         except Exception as error:  # every kind of store has its own errors
-            reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:200] or type(error).__name__
+            reason = cause_of(error)
             raise CampaignError(
                 f"the store {self.address} cannot be {what}: {reason}; check the address, the rights and the "
                 "credentials, and repeat the command: what is committed stays"

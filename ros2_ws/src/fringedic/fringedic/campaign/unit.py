@@ -30,6 +30,7 @@ from fringedic.errors import CampaignError, FringedicError
 from fringedic.evaluation.elasticity import constants_of, strain_curve
 from fringedic.recording.growing import PATIENCE_S, FollowError, GrowingRecording
 from fringedic.recording.remote import local_copy
+from fringedic.wording.causes import cause_of
 
 
 @dataclass(frozen=True)
@@ -228,7 +229,7 @@ def attempt(unit: Unit) -> Receipt | Failure:
     except FringedicError as error:
         reason = str(error)
     except OSError as error:
-        reason = f"{error.filename or unit.path}: {error.strerror or error}; make room or check the rights"
+        reason = f"{error.filename or unit.path}: {cause_of(error)}; make room or check the rights"
     except Exception as error:  # a fault of one recording must not end a campaign of a thousand
         reason = f"{unit.path}: {type(error).__name__}: {error}; report this as a fault of fringedic"
     return record_failure(unit, reason)

@@ -13,6 +13,7 @@ import yaml
 from fringedic.configuration.rig_file import REPLACED_KEYS, RigFile, load_rig_file
 from fringedic.configuration.yaml_section import validate
 from fringedic.errors import ConfigurationError
+from fringedic.wording.causes import cause_of
 from fringedic.wording.yaml_text import load_yaml
 
 
@@ -62,7 +63,7 @@ def change_rig_file(path: str | os.PathLike[str], settings: str) -> Path:
         before.write_text(text, "utf-8")
         candidate.replace(file)
     except OSError as error:
-        raise ConfigurationError(f"{file}: cannot be changed: {error.strerror}") from error
+        raise ConfigurationError(f"{file}: cannot be changed: {cause_of(error)}") from error
     finally:
         candidate.unlink(missing_ok=True)
     return before

@@ -11,6 +11,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from fringedic.errors import ConfigurationError
+from fringedic.wording.causes import cause_of
 from fringedic.wording.yaml_text import load_yaml
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -46,7 +47,7 @@ def load_sections(path: Path, model: type[Model], replaced: Mapping[str, str] | 
     try:
         content = load_yaml(path.read_text("utf-8"))
     except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from error
+        raise ConfigurationError(f"{path}: cannot be read: {cause_of(error)}") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path}: is not YAML: {error}") from error
     if not isinstance(content, dict):

@@ -13,11 +13,11 @@ import xarray as xr
 from fringedic.errors import DatasetError
 from fringedic.wording.arguments import check_arguments, path
 from fringedic.wording.arguments import dataset as dataset_of
+from fringedic.wording.causes import cause_of
 
 TRUTH = "truth.nc"  # file of the ground truth beside the recording of a virtual rig
 MICRO = 1e-6
 _AT_REST = 1e-9  # [m] largest displacement of the step from which a truth counts
-_LONGEST_CAUSE = 200  # characters; HDF5 appends the state of its reader
 
 
 @contextmanager
@@ -28,7 +28,7 @@ def _damage_named(file: object) -> Iterator[None]:
     except DatasetError:
         raise
     except (OSError, ValueError, KeyError, RuntimeError) as error:
-        cause = " ".join(str(error).split())[:_LONGEST_CAUSE]
+        cause = cause_of(error)
         raise DatasetError(f"{file}: is no ground truth or is damaged ({cause}); repeat the run to write it") from error
 
 

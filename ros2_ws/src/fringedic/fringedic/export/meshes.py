@@ -13,6 +13,7 @@ from fringedic.datasets.quantities import people_unit
 from fringedic.errors import ExportError
 from fringedic.export.surfaces import MILLI, collection_entry, write_collection
 from fringedic.wording.arguments import check_arguments, dataset, path
+from fringedic.wording.causes import cause_of
 from fringedic.wording.optional_packages import optional_import
 
 _LOCATION = ("x", "y", "z", "triangles", "displacement_of_model")
@@ -68,5 +69,5 @@ def write_mesh(mesh: xr.Dataset, folder: str | os.PathLike[str], *, overwrite: b
             entries.append(collection_entry(float(step["load_of_model"]), f"mesh_{number:03d}.vtp"))
         write_collection(series, entries)
     except OSError as error:
-        raise ExportError(f"{folder}: cannot be written: {error.strerror or error}") from error
+        raise ExportError(f"{folder}: cannot be written: {cause_of(error)}") from error
     return series

@@ -20,6 +20,7 @@ from fringedic.figures.maps import save_pictures
 from fringedic.figures.panels import ANIMATED
 from fringedic.wording.arguments import check_arguments, optional, path, several, text, whole
 from fringedic.wording.arguments import dataset as dataset_of
+from fringedic.wording.causes import cause_of
 
 
 class _Format(NamedTuple):
@@ -143,7 +144,7 @@ def export_dataset(
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ExportError(f"{folder}: cannot be made: {error.strerror}") from error
+        raise ExportError(f"{folder}: cannot be made: {cause_of(error)}") from error
     return [_export(dataset, folder, name, overwrite) for name in formats]
 
 
@@ -156,7 +157,7 @@ def _export(dataset: xr.Dataset, folder: Path, name: str, overwrite: bool) -> Ex
     except FringedicError as error:
         return Exported(name, None, [str(error)])
     except OSError as error:
-        return Exported(name, None, [f"{target}: cannot be written: {error.strerror or error}"])
+        return Exported(name, None, [f"{target}: cannot be written: {cause_of(error)}"])
     return Exported(name, target, skipped)
 
 

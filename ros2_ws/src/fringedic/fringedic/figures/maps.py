@@ -20,6 +20,7 @@ from fringedic.figures.previews import NOT_MEASURED
 from fringedic.frames.region import Point
 from fringedic.wording.arguments import check_arguments, path
 from fringedic.wording.arguments import dataset as dataset_of
+from fringedic.wording.causes import cause_of
 from fringedic.wording.numbers import number_text
 from fringedic.wording.optional_packages import optional_import
 
@@ -83,7 +84,7 @@ def save_pictures(
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise DatasetError(f"{folder}: cannot be made: {error.strerror}") from error
+        raise DatasetError(f"{folder}: cannot be made: {cause_of(error)}") from error
     files, origin = [], origin_text(dataset)
     drawn: dict[tuple[Panel, ...], Figure] = {}  # each shows one step after the other
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from fringedic.errors import ImageError
 from fringedic.frames.grey import luminance
+from fringedic.wording.causes import cause_of
 
 _PNG, _PNG_END = b"\x89PNG", b"IEND"
 logging.getLogger("tifffile").addHandler(logging.NullHandler())  # it prints what is wrong with a file
@@ -52,7 +53,7 @@ def read_grey(path: Path) -> np.ndarray:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise ImageError(f"{path} cannot be read: {error.strerror}") from error
+        raise ImageError(f"{path} cannot be read: {cause_of(error)}") from error
     if content.startswith(_PNG) and _PNG_END not in content[-16:]:  # libpng prints a line of its own about it
         raise ImageError(f"{path} is cut off; copy it again")
     if content[:2] in (b"II", b"MM"):

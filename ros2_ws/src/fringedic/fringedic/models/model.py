@@ -14,6 +14,7 @@ import numpy as np
 from fringedic.errors import ModelError
 from fringedic.models.results_table import NodalResults, node_labels, read_results
 from fringedic.wording.arguments import check_arguments, number, one_of, optional, path, several, text
+from fringedic.wording.causes import cause_of
 from fringedic.wording.optional_packages import optional_import
 
 if TYPE_CHECKING:
@@ -25,7 +26,6 @@ _VTK_SUFFIXES = {".vtk", ".vtu", ".vtp", ".stl", ".ply", ".obj"}
 _EXODUS_SUFFIXES = {".e", ".ex2", ".exo", ".exii"}
 _SERIES_SUFFIXES = {".pvd"} | _EXODUS_SUFFIXES
 _MESHIO_SUFFIXES = {".inp", ".msh", ".bdf", ".nas", ".med", ".xdmf"}
-_LONGEST_CAUSE = 150  # characters
 _PREFIX, _STRAIN_PREFIX = "displacement at load ", "strain at load "
 
 
@@ -195,7 +195,7 @@ def _damage_named(source: Path) -> Iterator[None]:
     except ModelError:
         raise
     except (Exception, SystemExit) as error:
-        cause = " ".join(str(error).split())[:_LONGEST_CAUSE]
+        cause = cause_of(error)
         raise ModelError(
             f"{source.name}: cannot be read as a mesh ({cause}); write it again, for example as .vtu"
         ) from error

@@ -20,6 +20,7 @@ from mcap.records import Channel, Chunk, ChunkIndex, McapRecord, Message, Schema
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from fringedic.errors import RecordingError
+from fringedic.wording.causes import cause_of
 
 MAGIC = b"\x89MCAP0\r\n"
 FOREIGN = "is not an MCAP file"
@@ -129,7 +130,7 @@ def opened(path: Path) -> Iterator[Bytes]:
                 position += len(part)
         except OSError as error:
             raise RecordingError(
-                f"{path}: cannot be read behind byte {position} ({error.strerror}); copy it with a program that skips "
+                f"{path}: cannot be read behind byte {position} ({cause_of(error)}); copy it with a program that skips "
                 "what the disk cannot read, such as ddrescue, and recover the copy"
             ) from error
         if not position:
@@ -147,7 +148,7 @@ def _stream(path: Path) -> Iterator[BinaryIO]:
     except RecordingError:
         raise
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from error
+        raise RecordingError(f"{path}: cannot be read: {cause_of(error)}") from error
 
 
 def first_bytes(path: Path) -> bytes:

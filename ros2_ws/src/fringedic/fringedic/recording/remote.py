@@ -13,6 +13,7 @@ from typing import Any
 from fringedic.errors import FringedicError, RecordingError
 from fringedic.recording.bag_files import BAG, METADATA, open_file
 from fringedic.recording.mcap_file import MAGIC, ChunkPlace, McapFile, index_start
+from fringedic.wording.causes import cause_of
 from fringedic.wording.optional_packages import optional_import
 
 _TAIL = 1_000_000  # [byte] of a file that usually contain its index
@@ -271,7 +272,7 @@ def named_errors(address: str) -> Iterator[None]:
     except FringedicError:
         raise
     except Exception as error:  # every kind of object store has its own errors
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        reason = cause_of(error)
         raise RecordingError(
             f"{address}: cannot be read: {reason}; check the address, the end point and the credentials"
         ) from error

@@ -23,6 +23,7 @@ from fringedic.recording.definitions import interface_definition, type_hash
 from fringedic.recording.manifest import write_manifest, write_whole
 from fringedic.recording.mcap_output import McapOutput, WrittenFile
 from fringedic.recording.topics import Qos, RawMessage, Topic
+from fringedic.wording.causes import cause_of
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
@@ -264,12 +265,12 @@ class BagWriter:
         except OSError as error:
             if error.errno in _FULL:
                 self._failure = RecordingError(
-                    f"{self.path}: the disk is full ({error.strerror}); what was recorded before stays readable, "
+                    f"{self.path}: the disk is full ({cause_of(error)}); what was recorded before stays readable, "
                     "free some space and start a new recording",
                     code=ErrorCode.DISK_FULL,
                 )
             else:
-                self._failure = RecordingError(f"{self.path}: cannot be written: {error.strerror}")
+                self._failure = RecordingError(f"{self.path}: cannot be written: {cause_of(error)}")
             raise self._failure from error
 
     def _write_metadata(self) -> str:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from fringedic.errors import DatasetError
 from fringedic.provenance import git_commit, software
+from fringedic.wording.causes import cause_of
 from fringedic.wording.optional_packages import optional_import
 
 with optional_import("report"):
@@ -82,7 +83,7 @@ def write_errors_named(target: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise DatasetError(f"{target}: cannot be written: {error.strerror}") from error
+        raise DatasetError(f"{target}: cannot be written: {cause_of(error)}") from error
 
 
 @cache

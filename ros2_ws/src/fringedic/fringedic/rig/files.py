@@ -11,6 +11,7 @@ import yaml
 from fringedic.camera.distortion import DistortionMap
 from fringedic.errors import CalibrationError
 from fringedic.rig.geometry import ADDED, RigGeometry
+from fringedic.wording.causes import cause_of
 from fringedic.wording.yaml_text import load_yaml
 
 _MM, _DEGREE, _ONE = 1e-3, math.pi / 180, 1
@@ -73,7 +74,7 @@ def read_rig(path: str | Path) -> dict[str, Any]:
     try:
         text = Path(path).read_text(encoding="utf-8")
     except OSError as error:
-        raise CalibrationError(f"cannot be read: {error.strerror}") from None
+        raise CalibrationError(f"cannot be read: {cause_of(error)}") from None
     except UnicodeDecodeError as error:
         raise CalibrationError(f"this is not the calibration of a rig: {error}") from None
     return parse_rig(text)

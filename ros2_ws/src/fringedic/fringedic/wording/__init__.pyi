@@ -1,4 +1,5 @@
 from .arguments import check_arguments as check_arguments
+from .causes import cause_of as cause_of
 from .numbers import counted as counted
 from .numbers import grouped as grouped
 from .numbers import number_text as number_text

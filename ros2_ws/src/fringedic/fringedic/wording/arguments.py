@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, ParamSpec, TypeVar
 
 from fringedic.errors import FringedicError
+from fringedic.wording.causes import cause_of
 from fringedic.wording.numbers import number_text
 
 # Returns the value that the function uses; raises ValueError with the end of a sentence: "it has to be ..."
@@ -229,7 +230,7 @@ def path(value: Any) -> Any:
     except (FileNotFoundError, NotADirectoryError, PermissionError):
         pass
     except (OSError, ValueError) as error:  # a name that is too long, or contains NUL
-        raise ValueError(f"a path of this file system ({getattr(error, 'strerror', error)})") from None
+        raise ValueError(f"a path of this file system ({cause_of(error)})") from None
     return value
 
 

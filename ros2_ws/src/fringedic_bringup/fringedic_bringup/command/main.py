@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 import typer
 
 from fringedic.errors import FringedicError
+from fringedic.wording.causes import cause_of
 from fringedic_bringup.command import (
     calibration,
     campaign,
@@ -51,7 +52,7 @@ def main() -> None:
         _end(str(error), 1)
     except OSError as error:  # of a path that cannot be used, or a full disk
         place = f"{error.filename}: " if error.filename else ""
-        _end(f"{place}{error.strerror or error}; choose another path or make room", 1)
+        _end(f"{place}{cause_of(error)}; choose another path or make room", 1)
     except Exception as error:
         # usage errors are of click, or of the copy of it that newer versions of typer contain
         if not hasattr(error, "format_message"):

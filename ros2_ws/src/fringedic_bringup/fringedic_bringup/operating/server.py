@@ -15,6 +15,7 @@ from std_msgs.msg import Bool
 from fringedic.errors import FringedicError, OperatorError
 from fringedic.rig_setup.check_list import CheckList, ListedItem, SetupItem, SetupRecord
 from fringedic.rig_setup.live_sentences import next_sentence
+from fringedic.wording.causes import cause_of
 from fringedic_bringup.operating.procedures import Place, Request, execute, requested
 from fringedic_bringup.operating.status import STOPPED, Job, State, Status
 from fringedic_bringup.participant import Participant
@@ -192,7 +193,7 @@ class ProcedureServer:
             self._list.save(self._list_file)
         except OSError as error:
             self._participant.node.get_logger().error(
-                f"{self._list_file}: cannot be written: {error.strerror}; make room"
+                f"{self._list_file}: cannot be written: {cause_of(error)}; make room"
             )
         self._publish_setup()
 

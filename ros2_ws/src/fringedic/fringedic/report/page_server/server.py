@@ -19,6 +19,7 @@ from fringedic.report.page_server.access import Sessions, Wheel
 from fringedic.report.page_server.app import Rig, make_app
 from fringedic.report.page_server.guard import Guard
 from fringedic.report.page_server.streams import Hub, Payload
+from fringedic.wording.causes import cause_of
 
 LONGEST_MESSAGE = 4096  # [byte] of a browser on the stream: it has nothing to say there
 ENDING_S = 2.0
@@ -74,7 +75,7 @@ def listen(host: str, port: int) -> socket.socket:
         return socket.create_server(place[:2], family=family, backlog=64)
     except OSError as error:
         raise OperatorError(
-            f"{host} port {port}: the page cannot be served ({error.strerror or error}); end the other program there, "
+            f"{host} port {port}: the page cannot be served ({cause_of(error)}); end the other program there, "
             "or choose another --port or --address"
         ) from error
 
