@@ -94,7 +94,7 @@ class Browser:
 @contextmanager
 def operating(rig: str, folder: Path) -> Iterator[tuple[str, int]]:
     """Run the command in a folder; yield address and process of the page."""
-    code = "from fringedic_bringup.command.main import main; main()"
+    code = "from fringedic.command.main import main; main()"
     words = [sys.executable, "-c", code, "operate", rig, "--port", str(PORT)]
     with private_domain() as domain:
         environment = {**node_environment(domain), "COLUMNS": "300", "PYTHONUNBUFFERED": "1"}

@@ -8,10 +8,9 @@ RUN apt-get update \
     && apt-get install --yes --no-install-recommends chromium \
     && rm -rf /var/lib/apt/lists/*
 COPY ros2_ws/src/fringedic /fringedic/fringedic
-COPY ros2_ws/src/fringedic_bringup /fringedic/fringedic_bringup
 # no lock file: the versions have to fit this Python alone, and the packages state what they need
 # hadolint ignore=DL3013
-RUN pip install --no-cache-dir "/fringedic/fringedic[all]" /fringedic/fringedic_bringup pygame-ce rich typer \
+RUN pip install --no-cache-dir "/fringedic/fringedic[all]" \
     && python -m fringedic.warm_up
 RUN useradd --uid 1000 --create-home measurer && install --directory --owner measurer /data
 USER 1000

@@ -50,7 +50,7 @@ def operating(folder: Path, *words: str, rig_name: str = "tiny") -> Iterator[Ope
     rig = folder / f"{rig_name}.yaml"
     if not rig.exists():
         shutil.copyfile(CONFIG / rig.name, rig)
-    code = "from fringedic_bringup.command.main import main; main()"
+    code = "from fringedic.command.main import main; main()"
     command = [sys.executable, "-c", code, "operate", str(rig), "--port", str(free_port()), *words]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "COLUMNS": "300"}) as process:
         assert process.stdout is not None

@@ -20,7 +20,7 @@ from pymodbus.client import ModbusTcpClient
 from served import free_port as free_port
 from typer.testing import CliRunner
 
-from fringedic_bringup.command.main import app
+from fringedic.command.main import app
 from fringedic_bringup.launch.environment import node_environment, private_domain
 from fringedic_bringup.procedures import run
 from fringedic_bringup.procedures.outcome import RunReport

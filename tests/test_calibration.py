@@ -14,13 +14,14 @@ from running_system import Progress, without_ros
 
 from fringedic.calibration.recorded import calibrate_recording
 from fringedic.calibration.sentences import check_in_words
+from fringedic.command.outcome import CalibrationReport
+from fringedic.configuration.changes import with_angles
 from fringedic.configuration.rig_file import load_rig_file
 from fringedic.configuration.virtual_calibration import calibration_of
 from fringedic.errors import RecordingError
 from fringedic.rig.model import RigModel
-from fringedic_bringup.procedures.calibrate import calibrate, with_angles
+from fringedic_bringup.procedures.calibrate import calibrate
 from fringedic_bringup.procedures.check import check
-from fringedic_bringup.procedures.outcome import CalibrationReport
 
 ANGLES = "0,-18,-9,6,12,18"
 PITCH = 5.0  # the finest of the tiny rig [projector px]

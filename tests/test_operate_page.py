@@ -259,7 +259,7 @@ def test_steps_are_measured_by_hand_on_a_page_that_joins_and_foxglove_shows_them
 @contextmanager
 def foxglove() -> Iterator[Viewer]:
     """Run `fringedic view --foxglove` for the running nodes, and connect a viewer."""
-    code = "from fringedic_bringup.command.main import main; main()"
+    code = "from fringedic.command.main import main; main()"
     command = [sys.executable, "-c", code, "view", "--foxglove", "--port", str(free_port())]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
@@ -356,7 +356,7 @@ def test_second_browser_looks_and_asks_for_the_wheel(page: Page, browser: Browse
 
 def test_a_second_page_at_the_same_port_and_a_second_rig_are_refused(operated: Operated) -> None:
     port = operated.url.rpartition(":")[2].partition("/")[0]
-    code = "from fringedic_bringup.command.main import main; main()"
+    code = "from fringedic.command.main import main; main()"
     command = [sys.executable, "-c", code, "operate", str(operated.folder / "tiny.yaml"), "--port", port]
     refused = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert refused.returncode == 1

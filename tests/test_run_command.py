@@ -19,11 +19,11 @@ from running_system import RecordedExperiment, wait_until
 from typer.testing import CliRunner, Result
 
 import fringedic
+from fringedic.command.main import app
 from fringedic.errors import ConfigurationError, ProcessError
 from fringedic.frames.messages import image_array
 from fringedic.recording.reader import BagReader
 from fringedic.rig.model import RigModel
-from fringedic_bringup.command.main import app
 from fringedic_ros.testing import node_pids
 
 FRAMES = 12
@@ -173,7 +173,7 @@ class Running:
         content = yaml.safe_load(tiny.read_text()) | {"recording": {"process": False}}
         content["programme"]["ramp"]["hold_s"] = 3.0
         (folder / "rig.yaml").write_text(yaml.safe_dump(content))
-        program = "from fringedic_bringup.command.main import main; main()"
+        program = "from fringedic.command.main import main; main()"
         command = [sys.executable, "-u", "-c", program, "run", str(folder / "rig.yaml"), "--output", str(self._run)]
         command += words
         if terminal:

@@ -16,8 +16,8 @@ import yaml
 from running_system import CONFIG, ScpiServer
 from typer.testing import CliRunner, Result
 
+from fringedic.command.main import app
 from fringedic.recording.programme_end import programme_end
-from fringedic_bringup.command.main import app
 from fringedic_bringup.launch.environment import node_environment, private_domain
 from fringedic_msgs.action import MoveCrosshead
 

@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 from typer.main import get_command
 
+from fringedic.command.main import app
+from fringedic.command.plugins import load_commands
 from fringedic.configuration import load_rig_file
-from fringedic_bringup.command.main import app
 
 PAGE = Path(__file__).parents[1] / "docs" / "tutorial.md"
 TEXT = PAGE.read_text(encoding="utf-8")
@@ -28,6 +29,7 @@ LINES = [
 @pytest.mark.parametrize("line", LINES)
 def test_command_and_options_exist(line: str) -> None:
     _, name, *arguments = shlex.split(line, comments=True)
+    load_commands()
     commands = get_command(app).commands
     assert name in commands
     known = {option for parameter in commands[name].params for option in parameter.opts}

@@ -41,7 +41,7 @@ def url(recorded: RecordedExperiment) -> Iterator[str]:
 def shown(recorded: RecordedExperiment, port: int) -> Iterator[str]:
     """Start the command where ROS cannot be imported, and yield the address that it prints."""
     words = ["view", str(recorded.report.folder / "bag"), "--port", str(port)]
-    command = [sys.executable, "-c", "from fringedic_bringup.command.main import main; main()", *words]
+    command = [sys.executable, "-c", "from fringedic.command.main import main; main()", *words]
     environment = {**os.environ, "PYTHONPATH": without_ros(), "PYTHONUNBUFFERED": "1"}
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
         assert process.stdout is not None

@@ -114,6 +114,7 @@ def test_library_declares_what_it_imports() -> None:
         "cv2": "opencv-python-headless",
         "foxglove": "foxglove-sdk",
         "PIL": "pillow",
+        "pygame": "pygame-ce",
         "skimage": "scikit-image",
         "yaml": "pyyaml",
     }

@@ -15,9 +15,9 @@ import pytest
 import xarray as xr
 from scipy.ndimage import gaussian_filter
 
+from fringedic.command.main import main
 from fringedic.errors import ImageError
 from fringedic.frames.files import read_grey
-from fringedic_bringup.command.main import main
 
 SOURCES = Path(__file__).parents[2]
 RIGS = SOURCES / "fringedic_bringup" / "config"

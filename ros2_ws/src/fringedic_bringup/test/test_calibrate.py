@@ -10,11 +10,12 @@ import pytest
 import rclpy
 from rcl_interfaces.srv import GetParameters
 
+from fringedic.configuration.changes import with_angles
 from fringedic.configuration.rig_file import load_rig_file
 from fringedic.errors import ConfigurationError
 from fringedic_bringup.client import RigClient
 from fringedic_bringup.launch.rig_files import configuration
-from fringedic_bringup.procedures.calibrate import calibrate, placing_by, with_angles
+from fringedic_bringup.procedures.calibrate import calibrate, placing_by
 from fringedic_msgs.srv import PlaceReferencePlane
 from fringedic_ros.testing import Peer
 from fringedic_ros.waiting import RepeatedRequest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from fringedic_bringup.display.terminal import Terminal
+from fringedic.command.terminal import Terminal
 
 
 def test_what_is_written_to_a_closed_terminal_is_lost() -> None:

@@ -15,11 +15,11 @@ from rich.console import Console
 from scipy.ndimage import gaussian_filter
 from typer.testing import CliRunner
 
+from fringedic.command import app, main
+from fringedic.command.app import parameter_values, title_of
+from fringedic.command.folders import unused_folder
+from fringedic.command.progress import LiveProgress
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command import app, main
-from fringedic_bringup.command.app import parameter_values, title_of
-from fringedic_bringup.display.progress import LiveProgress
-from fringedic_bringup.procedures.folders import unused_folder
 
 
 def test_measuring_images_finds_their_shift(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from typer.testing import CliRunner
 
+from fringedic.command.main import app
 from fringedic.errors import ImageError, RigSetupError
-from fringedic_bringup.command.main import app
 
 
 @pytest.fixture

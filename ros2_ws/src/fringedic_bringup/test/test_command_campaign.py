@@ -10,8 +10,8 @@ import fsspec
 import pytest
 from typer.testing import CliRunner
 
+from fringedic.command import main
 from fringedic.errors import CampaignError, ConfigurationError
-from fringedic_bringup.command import main
 
 RECORDED = Path(__file__).parents[2] / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
 

@@ -14,9 +14,9 @@ import yaml
 from text_instrument import TextInstrument
 from typer.testing import CliRunner
 
-from fringedic_bringup.command.main import app
+from fringedic.command.main import app
 
-COMMAND = "from fringedic_bringup.command.main import main; main()"
+COMMAND = "from fringedic.command.main import main; main()"
 FILE: dict[str, Any] = {
     "protocol": "scpi",
     "name": "Frame 2",

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
+from fringedic.command.main import app
 from fringedic.recording.reader import BagReader
 from fringedic.recording.writer import BagWriter
-from fringedic_bringup.command.main import app
 
 RECORDED = Path(__file__).parents[2] / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
 

@@ -19,7 +19,8 @@ from running_system import free_port
 from scipy.ndimage import gaussian_filter
 from typer.main import get_command
 
-from fringedic_bringup.command.main import app
+from fringedic.command.main import app
+from fringedic.command.plugins import load_commands
 
 ROOT = Path(__file__).parents[4]
 WITHOUT_ROS = ROOT / "tests" / "without_ros"
@@ -35,7 +36,7 @@ RUNNER = """
 import faulthandler, json, os, signal, socket, sys, threading, time, traceback
 faulthandler.dump_traceback_later(270, exit=True)
 from typer.testing import CliRunner
-from fringedic_bringup.command.main import app
+from fringedic.command.main import app
 
 def draw():
     "Draws a triangle in the window of `fringedic region`, as a person does."
@@ -166,6 +167,7 @@ def outcomes(folder: Path) -> dict[str, Outcome]:
         "{direction: vertical, projector_px: 200, fringes: [{pitch_px: 20, images: [0.png, 1.png, 2.png, 3.png], "
         "shifts: [4, 1, 2, 3]}]}"
     )
+    load_commands()
     wanted = commands(folder) | {f"{name} --help": [name, "--help"] for name in get_command(app).commands}
     done = subprocess.run(
         [sys.executable, "-c", RUNNER, str(folder / "results.json")],
@@ -190,6 +192,7 @@ def test_ros_is_blocked(module: str) -> None:
 
 
 def test_table_lists_every_command() -> None:
+    load_commands()
     assert sorted(name for name, *_ in TABLE) == sorted(get_command(app).commands)
 
 
@@ -210,6 +213,14 @@ def test_help_shows_an_example_without_ros(name: str, outcomes: dict[str, Outcom
     outcome = outcomes[f"{name} --help"]
     assert outcome.code == 0, outcome.error
     assert f"Example: fringedic {name}" in outcome.output
+
+
+def test_a_command_that_starts_nodes_says_in_one_sentence_what_is_missing(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "fringedic", "run", str(PLANNED.with_name("tiny.yaml")), "--output", str(tmp_path)]
+    done = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 1
+    [sentence] = done.stderr.splitlines()
+    assert sentence.startswith("ROS 2 is needed, and its module")
 
 
 def test_results_are_written(folder: Path, outcomes: dict[str, Outcome]) -> None:

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from fringedic.command.main import app
 from fringedic.recording import BagReader, join
 from fringedic.recording.writer import Split
 from fringedic.wording.numbers import grouped
-from fringedic_bringup.command.main import app
 
 RECORDED = Path(__file__).parents[2] / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
 

@@ -10,8 +10,8 @@ import pytest
 import xarray as xr
 from rich.console import Console
 
+from fringedic.command.progress import report_table
 from fringedic.datasets import process_bag
-from fringedic_bringup.display.progress import report_table
 from fringedic_bringup.procedures.outcome import RunReport, StepReport
 from fringedic_bringup.procedures.run import write_results
 

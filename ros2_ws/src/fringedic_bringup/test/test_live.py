@@ -56,7 +56,7 @@ def test_nodes_of_the_live_view() -> None:
 
 
 def test_command_prints_the_figures_of_a_rig() -> None:
-    program = "from fringedic_bringup.command.main import main; main()"
+    program = "from fringedic.command.main import main; main()"
     done = subprocess.run(
         [sys.executable, "-c", program, "live", str(TINY), "--pattern", "fringes", "--region", "8,8,128,96"],
         env=dict(os.environ),

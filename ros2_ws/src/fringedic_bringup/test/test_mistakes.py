@@ -18,8 +18,8 @@ import pytest
 import xarray as xr
 from scipy.ndimage import gaussian_filter
 
+from fringedic.command.main import main
 from fringedic.images import measure_images
-from fringedic_bringup.command.main import main
 
 SOURCES = Path(__file__).parents[2]
 RECORDED = SOURCES / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"

@@ -15,12 +15,12 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from typer.testing import CliRunner
 
+from fringedic.command.main import app
 from fringedic.errors import ConfigurationError, RigSetupError
 from fringedic.metadata import NoiseFloorMetadata
 from fringedic.recording.reader import BagReader
-from fringedic_bringup.command.main import app
 
-NOISE = (sys.executable, "-c", "from fringedic_bringup.command.main import main; main()", "noise")
+NOISE = (sys.executable, "-c", "from fringedic.command.main import main; main()", "noise")
 TINY = Path(__file__).parent.parent / "config" / "tiny.yaml"
 
 

@@ -11,11 +11,11 @@ import pytest
 import yaml
 from typer.testing import CliRunner
 
+from fringedic.command.main import app
 from fringedic.errors import CalibrationError, ConfigurationError, ErrorCode, FringedicError
 from fringedic.recording.reader import BagReader
 from fringedic.recording.writer import BagWriter
 from fringedic.rig.model import RigModel
-from fringedic_bringup.command.main import app
 
 SOURCES = Path(__file__).parents[2]
 TINY = SOURCES / "fringedic_bringup" / "config" / "tiny.yaml"

@@ -11,7 +11,7 @@ import pytest
 ASKING = """
 import threading, time
 from rich.console import Console
-from fringedic_bringup.display.progress import LiveProgress
+from fringedic.command.progress import LiveProgress
 def ask():
     with LiveProgress(Console()) as progress:
         answers.append(progress.ask("Lay the grid on the plane"))

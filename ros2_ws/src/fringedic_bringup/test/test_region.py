@@ -16,13 +16,12 @@ import pytest
 import xarray as xr
 from typer.testing import CliRunner
 
+from fringedic.command.main import app
+from fringedic.command.region_window import BAR, GREEN, RED, Drawing, draw_region
 from fringedic.configuration.rig_file import load_rig_file
 from fringedic.errors import ConfigurationError, ImageError
-from fringedic.frames.region import Polygon, Region
-from fringedic_bringup.command.main import app
-from fringedic_bringup.display.region_window import BAR, GREEN, RED, Drawing, draw_region
+from fringedic.frames.region import Polygon, Region, mask_of
 from fringedic_bringup.launch.graph import rig_graph
-from fringedic_bringup.procedures.region import mask_of
 
 CONFIG = Path(__file__).parent.parent / "config"
 WIDTH, HEIGHT = 768, 576  # of the picture: 0.9 of the display's 800 rows, less both bars
@@ -159,7 +158,7 @@ def command(*words: object) -> BaseException | None:
 
 
 def test_mask_and_polygons_replace_no_other_file_unasked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("fringedic_bringup.display.region_window.draw_region", lambda _: REGION)
+    monkeypatch.setattr("fringedic.command.region_window.draw_region", lambda _: REGION)
     image, polygons = tmp_path / "image.png", tmp_path / "plate.yaml"
     cv2.imwrite(str(image), np.full((160, 200), 90, np.uint8))
     polygons.write_text("a rig file")

@@ -9,11 +9,13 @@ import pytest
 from typer.core import TyperGroup as Group
 from typer.main import get_command
 
+from fringedic.command.main import app
+from fringedic.command.plugins import load_commands
 from fringedic.configuration.rig_file import load_rig_file
-from fringedic_bringup.command.main import app
 
 ROOT = Path(__file__).parents[4]
 PAGE = ROOT / "docs" / "setting_up.md"
+load_commands()
 COMMANDS = get_command(app).commands
 WITH_COMMANDS = sorted(
     page for page in (ROOT / "README.md", *(ROOT / "docs").rglob("*.md")) if "fringedic " in page.read_text("utf-8")

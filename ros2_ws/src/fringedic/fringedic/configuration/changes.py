@@ -11,6 +11,7 @@ from typing import Any
 import yaml
 
 from fringedic.configuration.rig_file import REPLACED_KEYS, RigFile, load_rig_file
+from fringedic.configuration.sections import ReferencePlaneSection
 from fringedic.configuration.yaml_section import validate
 from fringedic.errors import ConfigurationError
 from fringedic.wording.causes import cause_of
@@ -116,3 +117,23 @@ def _unused(file: Path, stamp: str) -> Path:
         number += 1
         candidate = file.with_name(f"{file.stem}.before-{stamp}-{number}{file.suffix}")
     return candidate
+
+
+def with_angles(rig: RigFile, angles_degree: str) -> RigFile:
+    """Return a rig with other calibration angles, given as "0,-10,10", all at height 0; the last but one is held out.
+
+    Raises
+    ------
+    ConfigurationError
+        An angle is not a number, or not possible for a plane.
+    """
+    try:
+        angles = [float(angle) for angle in angles_degree.split(",")]
+        held_out = [len(angles) - 1] if len(angles) > 3 else []
+    except ValueError as error:
+        raise ConfigurationError(
+            f"angles {angles_degree}: give numbers separated by commas, such as 0,-15,-10,-5,5,10,15"
+        ) from error
+    changes = {"angles_degree": angles, "heights_mm": None, "held_out": held_out}
+    section = validate(ReferencePlaneSection, rig.reference_plane.model_dump() | changes, f"angles {angles_degree}")
+    return rig.model_copy(update={"reference_plane": section})

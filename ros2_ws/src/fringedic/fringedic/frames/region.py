@@ -14,9 +14,11 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fringedic.errors import ImageError
+from fringedic.frames.files import read_grey
 from fringedic.wording.arguments import check_value, number, several
 from fringedic.wording.yaml_text import load_yaml
 
+POLYGON_SUFFIXES = (".yaml", ".yml")
 SUBPIXEL_BITS = 4  # of the corners, when they are drawn
 _LARGEST_IMAGE = 32_768  # width or height [px]
 _position = number(-1e6, 1e6)  # [px]; OpenCV draws with 32 bits
@@ -278,3 +280,36 @@ class Region:
             for polygon in self.polygons
         ]
         return {"width": self.width, "height": self.height, "polygons": polygons}
+
+
+def mask_of(path: Path, shape: tuple[int, ...]) -> np.ndarray:
+    """Return the mask in a file: polygons (YAML), or an image that is white where the surface is measured.
+
+    Parameters
+    ----------
+    path
+        The file.
+    shape
+        Rows and columns of the images.
+
+    Returns
+    -------
+    ndarray
+        bool, shape (row, column); True where the surface is measured.
+
+    Raises
+    ------
+    ImageError
+        The file cannot be read, the mask belongs to images of another size, or it is empty.
+    """
+    if path.suffix in POLYGON_SUFFIXES:
+        return Region.load(path).mask_for(shape)
+    image = read_grey(path)
+    if image.shape != tuple(shape):
+        raise ImageError(
+            f"{path}: the mask has {image.shape[1]}x{image.shape[0]} px, the images have {shape[1]}x{shape[0]} px"
+        )
+    mask = image > np.iinfo(image.dtype).max // 2 if image.dtype.kind == "u" else image > 0
+    if not mask.any():
+        raise ImageError(f"{path}: the mask is black everywhere; make it white where the surface is measured")
+    return mask

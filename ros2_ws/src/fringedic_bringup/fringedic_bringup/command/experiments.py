@@ -10,8 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from fringedic.errors import ConfigurationError, StepFailedError
-from fringedic_bringup.command.app import (
+from fringedic.command.app import (
     MEASURE,
     RESULTS,
     Bags,
@@ -32,9 +31,11 @@ from fringedic_bringup.command.app import (
     say,
     title_of,
 )
-from fringedic_bringup.display.progress import LiveProgress, report_table
-from fringedic_bringup.launch.rig_files import rig_path_of
-from fringedic_bringup.procedures.folders import output_folder, unused_folder
+from fringedic.command.folders import output_folder, unused_folder
+from fringedic.command.progress import LiveProgress
+from fringedic.configuration.installed_rigs import rig_path_of
+from fringedic.errors import ConfigurationError, StepFailedError
+from fringedic_bringup.display.run_table import report_table
 from fringedic_bringup.procedures.outcome import RunReport
 
 

@@ -1,89 +1,19 @@
-"""Subcommands with the operator's page."""
+"""The subcommand with the operator's page."""
 
 from __future__ import annotations
 
-import ipaddress
 import shutil
-import signal
-import threading
-import time
-from contextlib import closing, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import MEASURE, RESULTS, OptionalBag, Rig, app, say
-from fringedic_bringup.launch.rig_files import rig_path_of
-from fringedic_bringup.procedures.folders import output_folder
+from fringedic.command.app import MEASURE, Rig, app, say
+from fringedic.command.folders import output_folder
+from fringedic.command.view import LOCAL, PORT, Certificate, Host, Key, announce, ended_by_signals, page_address
+from fringedic.configuration.installed_rigs import rig_path_of
 
-if TYPE_CHECKING:
-    from fringedic.report.page_server.server import Address
-
-LOCAL, PORT, FOXGLOVE_PORT = "127.0.0.1", 8090, 8765
-LOOK_S = 0.5  # between two looks for Ctrl-C
 Port = Annotated[int, typer.Option(min=1, max=65535, help="Port of the page.")]
-Host = Annotated[str, typer.Option("--address", help="Address of this computer at which the page is served.")]
-Certificate = Annotated[Path | None, typer.Option(help="TLS certificate (PEM).")]
-Key = Annotated[Path | None, typer.Option(help="Private key of the certificate (PEM).")]
-
-
-@app.command(rich_help_panel=RESULTS, epilog="Example: fringedic view recordings/plate-7/bag")
-def view(
-    bag: OptionalBag = None,
-    foxglove: Annotated[
-        bool, typer.Option("--foxglove", help="Serve Foxglove instead; without BAG the topics of running nodes.")
-    ] = False,
-    port: Annotated[
-        int | None, typer.Option(min=1, max=65535, help="Port; 8090, or 8765 for Foxglove, by default.")
-    ] = None,
-    address: Host = LOCAL,
-    certificate: Certificate = None,
-    key: Key = None,
-) -> None:
-    """Show a recording in a browser: maps with their uncertainty, profiles, extensometers, curves, 3D. Without ROS."""
-    if foxglove:
-        if (address, certificate, key) != (LOCAL, None, None):
-            raise ConfigurationError(f"--foxglove serves {LOCAL} only, because its protocol has no token")
-        view_with_foxglove(bag, port or FOXGLOVE_PORT)
-    elif bag is None:
-        raise ConfigurationError("no recording: give its folder, or --foxglove for the topics of running nodes")
-    else:
-        view_page(bag, page_address(address, port or PORT, certificate, key))
-
-
-def view_page(bag: Path, place: Address) -> None:
-    """Serve the page of a recording until Ctrl-C."""
-    from fringedic.report.page_server.recorded import RecordedRig
-    from fringedic.report.page_server.server import PageServer
-
-    with suppress(KeyboardInterrupt):
-        recorded = RecordedRig(bag)
-        ended = ended_by_signals()
-        server = PageServer(recorded, place)
-        try:
-            announce(place, "see the recording")
-            while not ended.is_set():  # a signal that comes just before a wait is noticed at the end of the wait
-                time.sleep(LOOK_S)
-        finally:
-            server.close()
-
-
-def view_with_foxglove(bag: Path | None, port: int) -> None:
-    """Serve Foxglove with a recording, or with the topics of running nodes, until Ctrl-C."""
-    from fringedic.export.foxglove import RecordingPlayer
-
-    if bag is None:
-        from fringedic_bringup.operating.live_topics import LiveTopics
-
-        source: LiveTopics | RecordingPlayer = LiveTopics(port)
-    else:
-        source = RecordingPlayer(bag, port)
-    with suppress(KeyboardInterrupt), closing(source):
-        say(f"foxglove: {source.server.url}", "Ctrl-C ends")
-        while True:
-            source.spin_once()
 
 
 @app.command(rich_help_panel=MEASURE, epilog="Example: fringedic operate plate.yaml")
@@ -107,14 +37,6 @@ def operate(
     serve(Place(path), place, attach=attach, ready=lambda: announce(place, "drive the machine"), stop=stop)
 
 
-def ended_by_signals() -> threading.Event:
-    """Return an event that Ctrl-C and SIGTERM set from now on; an exception amid a finalizer would be lost."""
-    ended = threading.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: ended.set())
-    return ended
-
-
 def own_copy(installed: Path) -> Path:
     """Return a copy of an installed rig file in this folder, where settings can be changed.
 
@@ -128,30 +50,3 @@ def own_copy(installed: Path) -> Path:
         shutil.copyfile(installed, copy)
         say(f"rig file: {copy} (a copy of the installed one, for your settings)")
     return copy
-
-
-def page_address(host: str, port: int, certificate: Path | None, key: Path | None) -> Address:
-    """Return the address of a page with a new token.
-
-    Raises
-    ------
-    ConfigurationError
-        There is a certificate without its key or the reverse, or the address stands for several.
-    """
-    from fringedic.report.page_server.access import new_token
-    from fringedic.report.page_server.server import Address
-
-    if (certificate is None) != (key is None):
-        raise ConfigurationError("TLS needs both --certificate and --key")
-    with suppress(ValueError):
-        if ipaddress.ip_address(host).is_unspecified:
-            raise ConfigurationError(f"--address {host}: give one address of this computer, as browsers write it")
-    return Address(host, port, new_token(), certificate, key)
-
-
-def announce(place: Address, reach: str) -> None:
-    """Print the address, and a warning about an address that others can reach."""
-    say(f"page: {place.url}", "Ctrl-C ends")
-    if not place.is_local:
-        lines = "encrypted" if place.certificate is not None else "not encrypted: others can read the token"
-        say(f"warning: everybody in the network who has this address can {reach}; the connection is {lines}")

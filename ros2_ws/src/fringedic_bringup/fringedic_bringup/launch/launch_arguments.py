@@ -12,12 +12,12 @@ from typing import Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from fringedic.configuration.installed_rigs import rig_path_of
 from fringedic.configuration.rig_file import NAMESPACE, load_rig_file
 from fringedic.errors import ConfigurationError
 from fringedic_bringup.launch.environment import domain_of, node_environment
 from fringedic_bringup.launch.graph import Graph, NodeEntry, rig_graph
 from fringedic_bringup.launch.processes import GRACE_S, RECORDER_GRACE_S, require_no_nodes
-from fringedic_bringup.launch.rig_files import rig_path_of
 
 # A new recorder needs a new folder, and a new experiment node the number of the next step: only a client knows them.
 NOT_RESPAWNED = ("recorder", "experiment")

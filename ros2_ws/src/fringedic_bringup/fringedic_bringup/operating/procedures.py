@@ -15,7 +15,10 @@ from yaml import YAMLError
 
 from fringedic.calibration.acceptance_sentences import acceptance_text
 from fringedic.calibration.sentences import check_sentence, check_warning_sentences
-from fringedic.configuration.changes import change_rig_file
+from fringedic.command.acceptance import accept
+from fringedic.command.advice import advise_on_images
+from fringedic.command.folders import unused_folder
+from fringedic.configuration.changes import change_rig_file, with_angles
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_rig_file
 from fringedic.configuration.yaml_section import Section, validate
@@ -36,12 +39,10 @@ from fringedic_bringup.operating.options import (
     TimingOptions,
 )
 from fringedic_bringup.operating.status import STOPPED, Job, Outcome, StoppedError
-from fringedic_bringup.procedures.accept import accept
-from fringedic_bringup.procedures.calibrate import calibrate, with_angles
+from fringedic_bringup.procedures.accept import shapes_by_nodes
+from fringedic_bringup.procedures.calibrate import calibrate
 from fringedic_bringup.procedures.check import check
 from fringedic_bringup.procedures.exposing import WHITE, ExposingClient
-from fringedic_bringup.procedures.folders import unused_folder
-from fringedic_bringup.procedures.images import advise_on_images
 from fringedic_bringup.procedures.live import part_of_image, watch
 from fringedic_bringup.procedures.noise import measure_noise
 from fringedic_bringup.procedures.region import SETTLING_S
@@ -140,7 +141,15 @@ def _calibrate(place: Place, job: Job, _: Request, options: CalibrateOptions) ->
 def _check(place: Place, job: Job, _: Request, options: CheckOptions) -> Outcome:
     folder = place.new_folder(job, "check")
     if options.vdi:
-        tested = accept(place.rig, place.rig_path, folder, job, ask=job.ask, domain=place.domain)
+        tested = accept(
+            place.rig,
+            place.rig_path,
+            folder,
+            job,
+            measure=lambda: shapes_by_nodes,
+            ask=job.ask,
+            domain=place.domain,
+        )
         return Outcome(acceptance_text(tested).splitlines(), good=tested.passed)
     result = check(
         place.rig,

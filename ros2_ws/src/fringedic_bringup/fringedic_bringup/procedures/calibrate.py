@@ -14,15 +14,13 @@ from fringedic.calibration.placement import PlaneKind
 from fringedic.calibration.result import RigCalibration
 from fringedic.calibration.sentences import place_in_words
 from fringedic.calibration.traceability import Traceability
+from fringedic.command.outcome import CalibrationReport, Progress
 from fringedic.configuration.rig_file import RigFile
-from fringedic.configuration.sections import ReferencePlaneSection
-from fringedic.configuration.yaml_section import validate
 from fringedic.errors import ConfigurationError
 from fringedic.report.calibration import CALIBRATION_REPORT, write_calibration_report
 from fringedic_bringup.client import PERSON_S, START_TIMEOUT_S, RigClient
 from fringedic_bringup.launch.graph import calibration_graph
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.procedures.outcome import CalibrationReport, Progress
 
 SPECIMEN_S = 5.0  # for a stage to put the specimen back after an error
 
@@ -165,26 +163,6 @@ def _wait_for_a_person(client: RigClient) -> None:
     patience = Parameter("placing_timeout_s", value=PERSON_S)
     setting = client.node.create_client(SetParameters, "experiment/set_parameters")
     client.call_again(setting, SetParameters.Request(parameters=[patience.to_parameter_msg()]), START_TIMEOUT_S)
-
-
-def with_angles(rig: RigFile, angles_degree: str) -> RigFile:
-    """Return a rig with other calibration angles, given as "0,-10,10", all at height 0; the last but one is held out.
-
-    Raises
-    ------
-    ConfigurationError
-        An angle is not a number, or not possible for a plane.
-    """
-    try:
-        angles = [float(angle) for angle in angles_degree.split(",")]
-        held_out = [len(angles) - 1] if len(angles) > 3 else []
-    except ValueError as error:
-        raise ConfigurationError(
-            f"angles {angles_degree}: give numbers separated by commas, such as 0,-15,-10,-5,5,10,15"
-        ) from error
-    changes = {"angles_degree": angles, "heights_mm": None, "held_out": held_out}
-    section = validate(ReferencePlaneSection, rig.reference_plane.model_dump() | changes, f"angles {angles_degree}")
-    return rig.model_copy(update={"reference_plane": section})
 
 
 class _Shown:

@@ -13,6 +13,8 @@ from fringedic.calibration import RigCalibration, RigCheck, check_rig
 from fringedic.calibration.history import record_check
 from fringedic.calibration.placement import apart
 from fringedic.calibration.sentences import check_in_words
+from fringedic.command.outcome import Progress
+from fringedic.configuration.calibration_in_use import calibration_to_check
 from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import CalibrationError, RecordingError
 from fringedic.frames.messages import image_array
@@ -20,8 +22,6 @@ from fringedic.frames.records import stamp_of
 from fringedic.recording.reader import BagReader
 from fringedic.report.check import CHECK_PAGE, write_check_page
 from fringedic_bringup.procedures.calibrate import calibration_client, traceability_of
-from fringedic_bringup.procedures.calibration_in_use import calibration_to_check
-from fringedic_bringup.procedures.outcome import Progress
 from fringedic_msgs.srv import PlaceReferencePlane
 from fringedic_ros.stamps import to_nanoseconds
 

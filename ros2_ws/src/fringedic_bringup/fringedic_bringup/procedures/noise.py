@@ -1,18 +1,20 @@
-"""Noise floor with the specimen mounted: from steps at rest that the nodes measure, or from image files."""
+"""Noise floor with the specimen mounted, from steps at rest that the nodes measure."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
+from fringedic.command.outcome import Progress
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile
-from fringedic.errors import FringedicError, RigSetupError
+from fringedic.errors import RigSetupError
 from fringedic.figures.noise_floor import noise_figure
-from fringedic.frames.files import read_grey
 from fringedic.rig_setup.camera_noise import FEWEST_STEPS
-from fringedic.rig_setup.noise_floor import NoiseMeasurement, noise_of_images, noise_of_recording
-from fringedic_bringup.procedures.outcome import Progress
+from fringedic.rig_setup.noise_floor import NoiseMeasurement, noise_of_recording
+from fringedic_bringup.launch.graph import rig_graph
+from fringedic_bringup.launch.processes import RunningGraph
+from fringedic_bringup.procedures.driving import drive
+from fringedic_bringup.procedures.recording_parts import join_parts
 
 
 def measure_noise(
@@ -48,12 +50,6 @@ def measure_noise(
     KeyboardInterrupt
         Ctrl-C or a signal ended the measurement; the recording is closed.
     """
-    # not at the top: images need no ROS
-    from fringedic_bringup.launch.graph import rig_graph
-    from fringedic_bringup.launch.processes import RunningGraph
-    from fringedic_bringup.procedures.driving import drive
-    from fringedic_bringup.procedures.recording_parts import join_parts
-
     if steps < FEWEST_STEPS:
         raise RigSetupError(f"{steps} steps: a noise floor needs at least {FEWEST_STEPS}")
     mode = "white" if rig.projector is None else "fringes"
@@ -71,36 +67,6 @@ def measure_noise(
         raise RigSetupError(f"the steps at rest are not complete: {driven.ended_early}; measure the noise again")
     progress.stage("measuring the noise")
     measured = noise_of_recording(folder / "bag")
-    measured.save(folder)
-    noise_figure(measured).savefig(folder / "noise_floor.png")
-    return measured
-
-
-def measure_noise_of_images(images: Sequence[Path], folder: Path, *, window: int, spacing: int) -> NoiseMeasurement:
-    """Compute the noise floor of camera, displacement and strain from image files.
-
-    Parameters
-    ----------
-    images
-        At least three images of the specimen at rest.
-    folder
-        Where ``noise_floor.yaml`` and ``noise_floor.png`` are written.
-    window, spacing
-        See `fringedic.rig_setup.noise_of_images` [px].
-
-    Raises
-    ------
-    ImageError
-        An image cannot be read.
-    RigSetupError
-        There are fewer than three images.
-    """
-    try:
-        measured = noise_of_images([read_grey(path) for path in images], window=window, spacing=spacing)
-    except RigSetupError:
-        raise
-    except FringedicError as error:
-        raise type(error)(f"{images[0]} and the following images: {error}", code=error.code) from error
     measured.save(folder)
     noise_figure(measured).savefig(folder / "noise_floor.png")
     return measured

@@ -5,11 +5,11 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+from fringedic.command.outcome import Progress
 from fringedic.recording.bag_files import numbered_parts
 from fringedic.recording.repair import join
 from fringedic.recording.sentences import content_sentences
 from fringedic.recording.writer import Split
-from fringedic_bringup.procedures.outcome import Progress
 
 
 def next_part(bag: Path) -> Path:

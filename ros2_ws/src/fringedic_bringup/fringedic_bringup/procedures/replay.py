@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
+from fringedic.command.outcome import Progress
 from fringedic.datasets.timeline import refuse_repeated_steps
 from fringedic.errors import ConfigurationError, NodeDiedError, RecordingError
 from fringedic.recording.frames import records
@@ -17,7 +18,6 @@ from fringedic_bringup.launch.environment import private_domain
 from fringedic_bringup.launch.graph import replay_graph
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.participant import Participant
-from fringedic_bringup.procedures.outcome import Progress
 from fringedic_msgs.msg import RecorderStatus, StepStatus
 from fringedic_ros.qos import LATCHED, LATCHED_BY_MANY
 

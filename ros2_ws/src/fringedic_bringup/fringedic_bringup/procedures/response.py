@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fringedic.command.outcome import Progress
 from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import ConfigurationError
 from fringedic.figures.response import response_figure
@@ -20,7 +21,6 @@ from fringedic.rig_setup.response import Correction, assess_correction, measure_
 from fringedic_bringup.launch.graph import Graph, NodeEntry, exposing_graph, full_scale
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.exposing import SETUP, ExposingClient
-from fringedic_bringup.procedures.outcome import Progress
 
 FILE = "response.yaml"
 PICTURE = "response.png"

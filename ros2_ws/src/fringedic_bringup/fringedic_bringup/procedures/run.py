@@ -11,6 +11,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.calibration.sentences import in_force_words
+from fringedic.command.outcome import Progress
 from fringedic.configuration.forecast import Forecast, forecast
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_programme, load_rig_file
@@ -40,7 +41,7 @@ from fringedic_bringup.procedures.continuing import (
     require_same_settings,
 )
 from fringedic_bringup.procedures.driving import drive
-from fringedic_bringup.procedures.outcome import Progress, RunControl, RunReport, StepReport
+from fringedic_bringup.procedures.outcome import RunControl, RunReport, StepReport
 from fringedic_bringup.procedures.recording_parts import join_parts
 
 Reconstruct = Callable[[xr.DataArray], xr.Dataset]

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fringedic.command.outcome import Progress
 from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import ConfigurationError, RigSetupError
 from fringedic.figures.timing import timing_figure
@@ -18,7 +19,6 @@ from fringedic.rig_setup.timing_samples import TimingSamples
 from fringedic_bringup.launch.graph import exposing_graph, full_scale
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.exposing import SETUP, WHITE, ExposingClient
-from fringedic_bringup.procedures.outcome import Progress
 
 COARSE_CHANGES = 4
 BRIGHT_AT_REST, DARK_AT_REST = 3, 1  # frames after each change

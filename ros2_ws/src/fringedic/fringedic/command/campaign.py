@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
+from fringedic.command.app import MANY, Commands, Group, app, begin, console, output_file, say
 from fringedic.errors import CampaignError, ConfigurationError
 from fringedic.wording.numbers import number_text
-from fringedic_bringup.command.app import MANY, Commands, Group, app, begin, console, output_file, say
 
 if TYPE_CHECKING:
     from fringedic.campaign import Engine, Status, Unit

@@ -9,33 +9,15 @@ from typing import Any, NoReturn
 
 import typer
 
+from fringedic.command import calibration, campaign, images, models, recordings, rig_setup, view
+from fringedic.command.app import app
+from fringedic.command.plugins import ros_as_sentence
+from fringedic.command.terminal import Terminal
 from fringedic.errors import FringedicError
 from fringedic.wording.causes import cause_of
-from fringedic_bringup.command import (
-    calibration,
-    campaign,
-    experiments,
-    images,
-    models,
-    operator,
-    recordings,
-    rig_setup,
-)
-from fringedic_bringup.command.app import app
-from fringedic_bringup.display.terminal import Terminal
 
-__all__ = [
-    "app",
-    "calibration",
-    "campaign",
-    "experiments",
-    "images",
-    "main",
-    "models",
-    "operator",
-    "recordings",
-    "rig_setup",
-]  # importing them adds their subcommands
+# importing them adds their subcommands
+__all__ = ["app", "calibration", "campaign", "images", "main", "models", "recordings", "rig_setup", "view"]
 INTERRUPTED = 130
 
 
@@ -47,7 +29,8 @@ def main() -> None:
     """
     _interrupt_at_end_of_session()
     try:
-        code = app(standalone_mode=False) or 0
+        with ros_as_sentence():
+            code = app(standalone_mode=False) or 0
     except FringedicError as error:
         _end(str(error), 1)
     except OSError as error:  # of a path that cannot be used, or a full disk

@@ -11,8 +11,7 @@ import typer
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from fringedic.errors import ConfigurationError, ExportError
-from fringedic_bringup.command.app import (
+from fringedic.command.app import (
     RESULTS,
     Bag,
     Calibration,
@@ -37,7 +36,8 @@ from fringedic_bringup.command.app import (
     say,
     title_of,
 )
-from fringedic_bringup.display.progress import LiveProgress
+from fringedic.command.progress import LiveProgress
+from fringedic.errors import ConfigurationError, ExportError
 
 
 @app.command(

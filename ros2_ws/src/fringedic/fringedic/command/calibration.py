@@ -8,8 +8,7 @@ from typing import Annotated
 
 import typer
 
-from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import (
+from fringedic.command.app import (
     SET_UP,
     Overwrite,
     Rig,
@@ -21,10 +20,12 @@ from fringedic_bringup.command.app import (
     refuse_unused,
     say,
 )
-from fringedic_bringup.display.progress import LiveProgress
-from fringedic_bringup.launch.rig_files import rig_path_of
-from fringedic_bringup.procedures.folders import unused_folder
-from fringedic_bringup.procedures.outcome import CalibrationReport
+from fringedic.command.folders import unused_folder
+from fringedic.command.outcome import CalibrationReport
+from fringedic.command.plugins import rig_procedure
+from fringedic.command.progress import LiveProgress
+from fringedic.configuration.installed_rigs import rig_path_of
+from fringedic.errors import ConfigurationError
 
 
 @app.command(
@@ -55,7 +56,7 @@ def calibrate(
     say(*(losses(recording) if recording is not None else []))
     with LiveProgress(console) as progress:
         if recording is not None:
-            from fringedic_bringup.procedures.calibrate_again import calibrate_again
+            from fringedic.command.calibrate_again import calibrate_again
 
             report = calibrate_again(recording, folder, progress)
         elif rig is not None:
@@ -71,14 +72,15 @@ def calibrate(
 def _calibrate_with_nodes(
     rig_path: Path, angles_deg: str | None, folder: Path, progress: LiveProgress
 ) -> CalibrationReport:
+    from fringedic.configuration.changes import with_angles
     from fringedic.configuration.rig_file import load_rig_file
-    from fringedic_bringup.procedures.calibrate import calibrate as calibrate_rig
-    from fringedic_bringup.procedures.calibrate import with_angles
 
+    calibrate_rig = rig_procedure("calibrate")
     rig_file = load_rig_file(rig_path)
     if angles_deg is not None:
         rig_file = with_angles(rig_file, angles_deg)
-    return calibrate_rig(rig_file, rig_path, folder, progress, ask=progress.ask)
+    report: CalibrationReport = calibrate_rig(rig_file, rig_path, folder, progress, ask=progress.ask)
+    return report
 
 
 @app.command(rich_help_panel=SET_UP, epilog="Example: fringedic check plate.yaml --distance-mm 5")
@@ -107,8 +109,8 @@ def check(
     from fringedic.calibration.sentences import check_sentence, check_warning_sentences
     from fringedic.configuration.rig_file import load_rig_file
     from fringedic.report.check import CHECK_PAGE
-    from fringedic_bringup.procedures.check import check as check_rig
 
+    check_rig = rig_procedure("check")
     path = rig_path_of(rig)
     folder = unused_folder(output)
     with LiveProgress(console) as progress:
@@ -121,13 +123,15 @@ def check(
 def _accept(path: Path, output: Path) -> None:
     """Run the acceptance test; exit code 1 if an error exceeds its limit."""
     from fringedic.calibration.acceptance_sentences import acceptance_text
+    from fringedic.command.acceptance import accept
     from fringedic.configuration.rig_file import load_rig_file
     from fringedic.report.acceptance import ACCEPTANCE_PAGE
-    from fringedic_bringup.procedures.accept import accept
 
     folder = unused_folder(output)
     with LiveProgress(console) as progress:
-        result = accept(load_rig_file(path), path, folder, progress, ask=progress.ask)
+        result = accept(
+            load_rig_file(path), path, folder, progress, measure=lambda: rig_procedure("artefacts"), ask=progress.ask
+        )
     say(acceptance_text(result), f"page: {folder / ACCEPTANCE_PAGE}")
     if not result.passed:
         raise typer.Exit(1)

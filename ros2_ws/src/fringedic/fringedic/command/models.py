@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fringedic.command.app import RESULTS, Overwrite, Source, Sources, app, output_file, refuse_unused, say
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.command.app import RESULTS, Overwrite, Source, Sources, app, output_file, refuse_unused, say
 
 if TYPE_CHECKING:
     from fringedic.models.observed import Edge, Pair

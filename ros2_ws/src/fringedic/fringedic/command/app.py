@@ -1,4 +1,4 @@
-"""The ``fringedic`` command: shared by its subcommands. Only the subcommands that start nodes import ROS."""
+"""The ``fringedic`` command: shared by its subcommands. Those that start nodes come from packages that need ROS."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ import yaml
 from rich.console import Console
 from typer.core import TyperCommand, TyperGroup
 
+from fringedic.command.folders import output_folder
+from fringedic.command.plugins import INSTALL, load_commands
 from fringedic.errors import ConfigurationError, FringedicError, RecordingError
 from fringedic.wording.yaml_text import load_yaml
-from fringedic_bringup.procedures.folders import output_folder
 
 if TYPE_CHECKING:
     from fringedic.frames.region import Region
@@ -45,6 +46,41 @@ class Group(_Plain, TyperGroup):
     """A command with subcommands."""
 
 
+class _WithOtherPackages(Group):
+    """The command, with the subcommands of other packages, which are imported when none of the library has the name."""
+
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002 (of click)
+        """Return the names of all subcommands, by the order of their panels."""
+        self._load()
+        panels: dict[str, Any] = {name: getattr(each, "rich_help_panel", "") for name, each in self.commands.items()}
+        return sorted(panels, key=lambda name: PANELS.index(panels[name]) if panels[name] in PANELS else len(PANELS))
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """Return a subcommand; None when there is none of this name."""
+        if cmd_name not in self.commands:
+            self._load()
+        return super().get_command(ctx, cmd_name)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the subcommand of the arguments; the error about an unknown one names packages that are missing."""
+        try:
+            return super().resolve_command(ctx, args)
+        except Exception as error:  # of click, or of the copy of it in typer
+            if not self._load() and hasattr(error, "message"):
+                error.message = (
+                    f"{error.message.rstrip('.')}; commands that start nodes, such as run, come with the package "
+                    f"fringedic_bringup, which is missing: {INSTALL}"
+                )
+            raise
+
+    def _load(self) -> bool:
+        """Add the subcommands of other packages, and return whether there are any."""
+        found = load_commands()
+        if len(app.registered_commands) + len(app.registered_groups) != len(self.commands):
+            self.commands = typer.main.get_group(app).commands
+        return found
+
+
 class Commands(typer.Typer):
     """Collects subcommands."""
 
@@ -58,9 +94,10 @@ MEASURE = "Measure"
 IMAGES = "Images of other programs, no rig"
 RESULTS = "Recordings and results"
 MANY = "Many tests"
+PANELS = (SET_UP, MEASURE, RESULTS, IMAGES, MANY)  # in the order of the help
 
 app = Commands(
-    cls=Group,
+    cls=_WithOtherPackages,
     help="3D shape and displacement of surfaces, measured with one camera and one projector.",
     no_args_is_help=True,
     add_completion=False,

@@ -12,8 +12,8 @@ from fringedic.calibration.sentences import (
     verdict_sentence,
 )
 from fringedic.calibration.traceability import recorded_traceability
+from fringedic.command.outcome import CalibrationReport, Progress
 from fringedic.report.calibration import CALIBRATION_REPORT, write_calibration_report
-from fringedic_bringup.procedures.outcome import CalibrationReport, Progress
 
 
 def calibrate_again(bag: Path, folder: Path, progress: Progress) -> CalibrationReport:

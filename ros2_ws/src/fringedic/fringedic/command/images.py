@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fringedic.errors import ConfigurationError, StepFailedError
-from fringedic_bringup.command.app import (
+from fringedic.command.app import (
     IMAGES,
     Overwrite,
     app,
@@ -20,7 +19,8 @@ from fringedic_bringup.command.app import (
     output_file,
     say,
 )
-from fringedic_bringup.display.progress import LiveProgress
+from fringedic.command.progress import LiveProgress
+from fringedic.errors import ConfigurationError, StepFailedError
 
 if TYPE_CHECKING:
     from fringedic.images import MeasuredImage
@@ -78,13 +78,13 @@ def measure(  # noqa: PLR0913 (options of a command)
         raise ConfigurationError(f"--scale-length-mm {scale_length_mm:g}: give a known length in mm, such as 20")
     if pixel_size_mm is not None and scale_length_mm is not None:
         raise ConfigurationError("--pixel-size-mm and --scale-length-mm both give the scale: give one of them")
+    from fringedic.command.region_window import draw_scale
     from fringedic.datasets import open_experiment
     from fringedic.frames.files import image_files, read_grey
+    from fringedic.frames.region import mask_of
     from fringedic.images import measure_images
     from fringedic.images.sentences import failure_sentences, series_sentences
     from fringedic.report import write_report
-    from fringedic_bringup.display.region_window import draw_scale
-    from fringedic_bringup.procedures.region import mask_of
 
     files = image_files(images)
     for each in regions.values():
@@ -167,8 +167,8 @@ def advise(
 ) -> None:
     """Recommend window and spacing from three images at rest; print noise floors and possible improvements."""
     begin(reference)
+    from fringedic.command.advice import advise_on_images
     from fringedic.rig_setup.settings_sentences import settings_report
-    from fringedic_bringup.procedures.images import advise_on_images
 
     advice = advise_on_images(
         (reference, static_1, static_2),
