@@ -75,7 +75,7 @@ def one_step(folder: Path, camera: dict[str, Any]) -> Table:
     rig = rig.model_copy(update={"sequence": rig.sequence.model_copy(update={"shifts": STEP_FRAMES // 4})})
     graph = rig_graph(rig, path, folder / "run", experiment="bench")
     replaced = {
-        "camera": camera | {"exposure_time_s": 1 / STEP_HZ},
+        "camera": camera | {"exposure_ms": 1e3 / STEP_HZ},
         "experiment": {**next(n for n in graph.nodes if n.name == "experiment").parameters, "record_only": True},
     }
     wanted = ("recorder", "projector", "camera", "experiment")
@@ -117,7 +117,7 @@ def main() -> None:
         virtual = {"source": "virtual", "virtual_rig": "{preset: plate}"}
         title = f"Images of {size} of the virtual camera and load samples at {LOAD_HZ:g} Hz, recorded"
         console.print(stream(seconds, folder / "virtual", virtual, title))
-        aravis = {"source": "aravis", "region_px": [0, 0, SIZE[1], SIZE[0]]}
+        aravis = {"source": "aravis", "width": SIZE[1], "height": SIZE[0]}
         title = f"Images of {size} of the Aravis fake camera and load samples at {LOAD_HZ:g} Hz, recorded"
         if shutil.which(FAKE_CAMERA) is None:
             console.print(f"not measured: {title}; one step. Install {FAKE_CAMERA} (Debian: aravis-tools)")

@@ -70,11 +70,11 @@ class Rig:
                 self.images.publish(image_message(image, stamp_ns=stamp, frame_id="camera_optical_frame"))
                 self.records.publish(record)
 
-        assert set_parameters(self.client, "camera", {"settle_time_s": LONG_S}).successful
+        assert set_parameters(self.client, "camera", {"settle_ms": 1e3 * LONG_S}).successful
         try:
             return self.client.measure(feedback=interfere)
         finally:
-            assert set_parameters(self.client, "camera", {"settle_time_s": SETTLE_S}).successful
+            assert set_parameters(self.client, "camera", {"settle_ms": 1e3 * SETTLE_S}).successful
             assert done, "the frame was not injected"
 
 
@@ -85,7 +85,7 @@ def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     rig_file, _ = load_rig(path, None, None)
     graph = rig_graph(rig_file, path, folder, experiment="faults")
     graph = _with(graph, "experiment", camera_timeout_s=10.0, start_timeout_s=10.0)
-    graph = _with(graph, "camera", settle_time_s=SETTLE_S)
+    graph = _with(graph, "camera", settle_ms=1e3 * SETTLE_S)
     with (
         RunningGraph(graph, folder / "logs") as running,
         RigClient(graph.namespace) as client,

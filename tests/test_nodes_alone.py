@@ -83,7 +83,7 @@ def test_every_node_starts_and_ends_by_hand(tmp_path: Path) -> None:
     ("package", "name", "parameter", "words"),
     [
         ("dic_node", "dic", "window:=-1", "window"),
-        ("camera_node", "camera", "exposure_time_s:=.nan", "exposure_time_s"),
+        ("camera_node", "camera", "exposure_ms:=.nan", "exposure_ms"),
         ("experiment_node", "experiment", "calibration_file:=/no/such/file.yaml", "/no/such/file.yaml"),
     ],
 )

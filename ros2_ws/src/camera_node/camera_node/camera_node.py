@@ -8,15 +8,16 @@ from pathlib import Path
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 
 from camera_node.driver_thread import DriverThread
-from camera_node.drivers import Scene, VirtualDriver
+from camera_node.drivers import Scene
+from camera_node.drivers.virtual import VirtualDriver
 from camera_node.frame_publisher import FramePublisher
 from camera_node.free_run import FreeRun
-from camera_node.parameters import CameraParameters
 from camera_node.scene_watch import SceneStamps, SceneWatch
 from camera_node.truth_file import TruthFile
 from fringedic.errors import CameraError, CameraTimeoutError, FringedicError, PatternError, WaitTimeoutError
 from fringedic.frames.records import FrameRecord
 from fringedic.patterns.pattern import pattern_of_message
+from fringedic.settings.camera import CameraNodeSettings
 from fringedic_msgs.msg import StepStatus
 from fringedic_msgs.srv import CaptureFrame
 from fringedic_ros.lifecycle import HardwareNode
@@ -36,11 +37,11 @@ class NoSubscriberError(FringedicError, LookupError):
     """A frame would reach fewer subscribers than expected."""
 
 
-class CameraNode(HardwareNode[CameraParameters]):
+class CameraNode(HardwareNode[CameraNodeSettings]):
     """Service `camera/capture`; topics `camera/image_raw`, `camera/camera_info` and `camera/exposure`."""
 
     def __init__(self) -> None:
-        super().__init__("camera", CameraParameters)
+        super().__init__("camera", CameraNodeSettings)
         self._thread = DriverThread(self)
         self._scenes = SceneWatch(self)
         self._publisher = FramePublisher(self, self.diagnostics)
@@ -57,7 +58,7 @@ class CameraNode(HardwareNode[CameraParameters]):
 
     def open(self) -> None:
         """Open the camera that the parameters select."""
-        self._thread.driver = self.parameters.value.open(self)
+        self._thread.driver = self.parameters.value.device.open(self)
         if self._thread.driver.needs_scene:
             self._scenes.open()
 
@@ -87,7 +88,7 @@ class CameraNode(HardwareNode[CameraParameters]):
         The projector has received white just before, and needs the settle time until it shows it.
         """
         if message.stage in (StepStatus.PROCESS, StepStatus.END, StepStatus.ERROR):
-            self._free_run.resume_later(self.parameters.value.settle_time_s)
+            self._free_run.resume_later(self.parameters.value.device.settle_time)
 
     # one frame on request
 
@@ -114,11 +115,11 @@ class CameraNode(HardwareNode[CameraParameters]):
         await self._free_run.pause()
         await self._await_subscribers(request.image_subscribers, request.exposure_subscribers)
         await self._settle(shown_ns)
-        parameters = self.parameters.value
-        exposure_time = request.exposure_time or parameters.exposure_time_s
+        camera = self.parameters.value.device
+        exposure_time = request.exposure_time or camera.exposure_time
         stamps = SceneStamps(shown_ns, to_nanoseconds(request.placed), to_nanoseconds(request.loaded))
-        scene = await self._scenes.scene(stamps, exposure_time, parameters.timeout_s)
-        frame = await self._thread.expose(scene, parameters.timeout_s + exposure_time)
+        scene = await self._scenes.scene(stamps, exposure_time, camera.timeout_s)
+        frame = await self._thread.expose(scene, camera.timeout_s + exposure_time)
         stamp = self._publisher.publish(frame, record, self._thread.open_driver)
         self._save_truth(request, scene)
         return stamp
@@ -149,7 +150,7 @@ class CameraNode(HardwareNode[CameraParameters]):
             return of_images >= images and of_exposures >= exposures
 
         try:
-            await until(self, connected, min(_SUBSCRIBERS_S, self.parameters.value.timeout_s))
+            await until(self, connected, min(_SUBSCRIBERS_S, self.parameters.value.device.timeout_s))
         except WaitTimeoutError:
             of_images, of_exposures = self._publisher.subscribers()
             raise NoSubscriberError(
@@ -166,7 +167,7 @@ class CameraNode(HardwareNode[CameraParameters]):
                     f"the stamp of the pattern is {-passed:.3f} s in the future: the clock jumped back, or the clock "
                     "of the projector is ahead; measure the step again, and do not set a clock during a test"
                 )
-            await sleep(self, self.parameters.value.settle_time_s - passed)
+            await sleep(self, self.parameters.value.device.settle_time - passed)
 
     def _fail(
         self, request: CaptureFrame.Request, response: CaptureFrame.Response, code: int, error: Exception

@@ -10,11 +10,11 @@ from rclpy.timer import Timer
 from camera_node.driver_thread import DriverThread
 from camera_node.drivers import Scene, StreamingDriver
 from camera_node.frame_publisher import FramePublisher
-from camera_node.parameters import CameraParameters
 from camera_node.scene_watch import SceneWatch
 from fringedic.errors import FringedicError
 from fringedic.frames.records import FrameRecord
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.settings.camera import CameraNodeSettings
 from fringedic_ros.lifecycle import HardwareNode
 from fringedic_ros.waiting import wait_for
 
@@ -40,7 +40,7 @@ class FreeRun:
 
     def __init__(
         self,
-        node: HardwareNode[CameraParameters],
+        node: HardwareNode[CameraNodeSettings],
         thread: DriverThread,
         scenes: SceneWatch,
         publisher: FramePublisher,
@@ -77,7 +77,7 @@ class FreeRun:
         self._index += self._thread.dropped - self._dropped_before
         self._paused = True
         # frames that are under way come first: later ones have later stamps
-        timeout = self._node.parameters.value.timeout_s
+        timeout = self._node.parameters.value.device.timeout_s
         await wait_for(self._node, self._thread.run(time.time_ns), timeout, "the end of the free run")
 
     def resume_later(self, after_s: float = _RESUME_S) -> None:
@@ -125,7 +125,7 @@ class FreeRun:
             driver = self._thread.driver
             assert isinstance(driver, StreamingDriver), "only such a camera streams"
             driver.interrupt()
-            self._thread.replace(self._node.parameters.value.timeout_s)
+            self._thread.replace(self._node.parameters.value.device.timeout_s)
             driver.stop()
 
     def _expose(self) -> None:
@@ -140,7 +140,7 @@ class FreeRun:
     # in the thread of the driver
 
     def _take_frame(self, number: int) -> None:
-        scene = self._scenes.latest(self._node.parameters.value.exposure_time_s)
+        scene = self._scenes.latest(self._node.parameters.value.device.exposure_time)
         if not self._publish_frame(scene, number):
             self._publisher.dropped += 1
             self._node.diagnostics.drop()
@@ -149,7 +149,7 @@ class FreeRun:
         """Take the frames of a camera that runs by its own clock."""
         while self._streaming:
             dropped, now = driver.dropped, time.time_ns()
-            scene = Scene(now, (), 0.0, exposure_time=self._node.parameters.value.exposure_time_s)
+            scene = Scene(now, (), 0.0, exposure_time=self._node.parameters.value.device.exposure_time)
             if self._publish_frame(scene, self._index):
                 self._index += 1
             else:

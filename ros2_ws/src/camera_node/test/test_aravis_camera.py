@@ -24,13 +24,14 @@ import numpy as np
 import pytest
 from rclpy.publisher import Publisher
 
-from camera_node.drivers import AravisDriver, AravisSettings, Frame, Scene, Trigger, aravis_connection
-from camera_node.drivers.aravis import IncompleteFrameError
+from camera_node.drivers import Frame, Scene, aravis_connection
+from camera_node.drivers.aravis import AravisDriver, IncompleteFrameError
 from camera_node.drivers.aravis_library import load_aravis
 from camera_node.testing import FakeCamera, Studio
 from fringedic.errors import CameraError, CameraTimeoutError
 from fringedic.frames.clocks import DeviceClock
 from fringedic.frames.records import frame_record
+from fringedic.settings.camera import AravisCamera, Trigger
 from fringedic_msgs.msg import StepStatus
 from fringedic_msgs.srv import CaptureFrame
 from fringedic_ros.images import image_array
@@ -44,9 +45,9 @@ Result = TypeVar("Result")
 
 EXPOSURE_S = 0.01
 SCENE = Scene(0, (), 0.0, exposure_time=EXPOSURE_S)
-REGION = (64, 32, 640, 480)
-SMALL_REGION = (64, 32, 320, 240)  # of a stream that loses nothing on a busy computer either
-TINY_REGION = (64, 32, 64, 64)  # a dozen of these frames fit into the usual receive buffer
+REGION = {"first_column": 64, "first_row": 32, "width": 640, "height": 480}
+SMALL_REGION = REGION | {"width": 320, "height": 240}  # of a stream that loses nothing on a busy computer either
+TINY_REGION = REGION | {"width": 64, "height": 64}  # a dozen of these frames fit into the usual receive buffer
 ON_THEIR_WAY = 5  # frames that may still have the former pixel format when it changes
 NONE = CaptureFrame.Request.NONE
 _WHERE_DESCRIPTION = 0x200  # register of GigE Vision: "Local:file;address;size", in hexadecimal digits
@@ -61,8 +62,8 @@ def camera() -> Iterator[FakeCamera]:
 
 @contextmanager
 def driver(**changes: object) -> Iterator[AravisDriver]:
-    values: dict = {"exposure_time": EXPOSURE_S, "camera": FakeCamera.address, "region": REGION, "timeout": 2.0}
-    opened = AravisDriver(AravisSettings(**{**values, **changes}))
+    values: dict = {"exposure_ms": 1e3 * EXPOSURE_S, "camera": FakeCamera.address, "timeout_s": 2.5, **REGION}
+    opened = AravisDriver(AravisCamera(**{**values, **changes}))
     try:
         yield opened
     finally:
@@ -143,7 +144,7 @@ def own_stamps(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 @pytest.mark.usefixtures("camera")
 def test_late_frames_of_a_new_stream_do_not_count_as_begun_later(own_stamps: list[int]) -> None:
     exposure_s = 0.03  # of a period of 0.04 s: most requests meet an exposure that is under way
-    with driver(trigger=Trigger.INTERNAL, exposure_time=exposure_s) as opened:
+    with driver(trigger=Trigger.INTERNAL, exposure_ms=1e3 * exposure_s) as opened:
         for _ in range(6):
             asked = time.time_ns()
             opened.expose(Scene(0, (), 0.0, exposure_time=exposure_s))
@@ -220,7 +221,7 @@ def plug_in_with(camera: FakeCamera, folder: Path, before: str, addition: str) -
 @pytest.mark.usefixtures("camera")
 def test_stream_of_a_region_is_counted_and_stamped_by_the_camera(own_stamps: list[int]) -> None:
     """Of the 60 frames/s a busy computer loses some."""
-    with driver(region=SMALL_REGION) as opened:
+    with driver(**SMALL_REGION) as opened:
         opened.start(60.0)
         frames = [eventually(lambda: opened.expose(SCENE))]
         before = opened.dropped
@@ -244,7 +245,7 @@ def test_stream_of_a_region_is_counted_and_stamped_by_the_camera(own_stamps: lis
 @pytest.mark.usefixtures("camera")
 def test_frames_wait_while_the_middleware_keeps_the_publisher_waiting() -> None:
     """Of the 36 frames of this time 20 were lost."""
-    with driver(region=SMALL_REGION) as opened:
+    with driver(**SMALL_REGION) as opened:
         opened.start(30.0)
         eventually(lambda: opened.expose(SCENE))
         before = opened.dropped
@@ -258,10 +259,11 @@ def test_frames_wait_while_the_middleware_keeps_the_publisher_waiting() -> None:
 
 _OPENED = f"""
 from contextlib import suppress
-from camera_node.drivers import AravisDriver, AravisSettings, Scene
-from camera_node.drivers.aravis import IncompleteFrameError
+from camera_node.drivers import Scene
+from camera_node.drivers.aravis import AravisDriver, IncompleteFrameError
+from fringedic.settings.camera import AravisCamera
 scene = Scene(0, (), 0.0, exposure_time={EXPOSURE_S})
-settings = AravisSettings(exposure_time={EXPOSURE_S}, camera="{FakeCamera.address}", region=%s)
+settings = AravisCamera(exposure_ms=1e3 * {EXPOSURE_S}, camera="{FakeCamera.address}", timeout_s=6.25, **%s)
 opened = AravisDriver(settings)
 """
 _ENDLESS = f"""{_OPENED % (SMALL_REGION,)}
@@ -292,7 +294,7 @@ def test_camera_that_a_killed_process_left_running_sends_to_the_next_one() -> No
         killed.kill()
     time.sleep(0.8)  # then the camera releases it while the next one connects
     with ExitStack() as closing:
-        opened = eventually(lambda: closing.enter_context(driver(region=SMALL_REGION)))
+        opened = eventually(lambda: closing.enter_context(driver(**SMALL_REGION)))
         assert_complete(opened.expose(SCENE).image)
 
 
@@ -345,7 +347,7 @@ def test_packets_of_other_programs_are_not_those_of_the_camera() -> None:
     with busy_network():
         while streams < 5:
             assert len(errors) < 5
-            with driver(region=SMALL_REGION) as opened:
+            with driver(**SMALL_REGION) as opened:
                 opened.start(60.0)
                 try:
                     images = [opened.expose(SCENE).image for _ in range(3)]
@@ -373,7 +375,7 @@ def test_receiver_gets_its_buffers_when_it_has_read_the_packets_of_other_program
     receiver = threading.Thread(target=compute)
     receiver.start()
     assert named.wait(60)
-    with driver(region=SMALL_REGION):
+    with driver(**SMALL_REGION):
         receiver.join(0.5)  # of some seconds, if it were not waited for
         assert not receiver.is_alive()
 
@@ -401,7 +403,7 @@ def test_frames_behind_those_of_another_camera_are_not_old() -> None:
     packet = struct.pack(">HHI", 0, 65_450, 3 << 24 | 5) + bytes(20)
     with ExitStack() as closing:
         with busy_network(packet):
-            opened = closing.enter_context(driver(region=SMALL_REGION, timeout=0.5))
+            opened = closing.enter_context(driver(**SMALL_REGION, timeout_s=0.625))
         for _ in range(3):
             assert_complete(opened.expose(SCENE).image)
         assert opened.dropped <= 1
@@ -410,7 +412,7 @@ def test_frames_behind_those_of_another_camera_are_not_old() -> None:
 
 @pytest.mark.usefixtures("camera")
 def test_ignored_frames_of_a_stream_are_counted_once() -> None:
-    with driver(region=SMALL_REGION) as opened:
+    with driver(**SMALL_REGION) as opened:
         opened.start(20.0)
         frames = [eventually(lambda: opened.expose(SCENE))]
         before = opened.dropped
@@ -436,9 +438,9 @@ def test_ignored_frames_of_a_stream_are_counted_once() -> None:
     [
         ({"camera": "127.0.0.9"}, "camera: "),
         ({"pixel_format": "Mono12"}, "no pixel format Mono12; it has .*Mono8"),
-        ({"exposure_time": 100.0}, "exposure time: .* is outside"),
-        ({"gain": 90.0}, "gain: 90 dB is outside 0 to 10 dB"),
-        ({"region": (0, 0, 5000, 480)}, "leaves the sensor of 2048x2048 px"),
+        ({"exposure_ms": 60e3}, "exposure time: .* is outside"),
+        ({"gain_db": 90.0}, "gain: 90 dB is outside 0 to 10 dB"),
+        ({"first_column": 0, "first_row": 0, "width": 5000}, "leaves the sensor of 2048x2048 px"),
         ({"trigger": Trigger.EXTERNAL_EDGE, "trigger_line": "Line7"}, "trigger: .*Line7"),
     ],
 )
@@ -451,7 +453,7 @@ def test_setting_that_the_camera_does_not_have(changes: dict, words: str) -> Non
 def test_lost_packets_are_counted_and_their_frames_taken_again(camera: FakeCamera) -> None:
     camera.pull()
     camera.plug_in(lost_per_thousand=2)
-    with driver(packet_size=1500) as opened:
+    with driver(packet_size_byte=1500) as opened:
         failures = 0
         taken = 0
         while opened.dropped < 5 or taken < 5:
@@ -476,7 +478,7 @@ def test_lost_frames_of_a_stream_are_counted_without_their_first_packets_and_acr
     """The camera begins at 65 400, and 1 follows on 65 535. A frame whose first packet is lost has no number."""
     camera.pull()
     camera.plug_in(lost_per_thousand=100)
-    with driver(region=SMALL_REGION, packet_size=8000) as opened:
+    with driver(**SMALL_REGION, packet_size_byte=8000) as opened:
         opened.start(30.0)
         frames = [eventually(lambda: opened.expose(SCENE))]
         before = opened.dropped
@@ -491,7 +493,10 @@ def test_lost_frames_of_a_stream_are_counted_without_their_first_packets_and_acr
 def test_nothing_gets_through(camera: FakeCamera) -> None:
     camera.pull()
     camera.plug_in(lost_per_thousand=1000)
-    with driver(timeout=0.5) as opened, pytest.raises(CameraTimeoutError, match="sends nothing: check the network's"):
+    with (
+        driver(timeout_s=0.625) as opened,
+        pytest.raises(CameraTimeoutError, match="sends nothing: check the network's"),
+    ):
         opened.expose(SCENE)
 
 
@@ -534,7 +539,7 @@ LEVEL_HIGH = '<EnumEntry Name="LevelHigh" NameSpace="Standard"><Value>1</Value><
 def test_exposures_of_the_trigger_level_end_with_this_trigger(camera: FakeCamera, tmp_path: Path) -> None:
     plug_in_with(camera, tmp_path, "<pValue>TriggerActivationRegister</pValue>", LEVEL_HIGH)
     plug_in_with(camera, tmp_path, '<Enumeration Name="GainAuto"', EXPOSURE_MODE)
-    with driver(trigger=Trigger.EXTERNAL_LEVEL, trigger_line="Line0", timeout=0.5) as opened:
+    with driver(trigger=Trigger.EXTERNAL_LEVEL, trigger_line="Line0", timeout_s=0.625) as opened:
         assert opened.camera.get_string("ExposureMode") == "TriggerWidth"
         with pytest.raises(CameraError, match=r"20 ms is requested; .* as long as the level, 10 ms: use one exposure"):
             opened.expose(Scene(0, (), 0.0, exposure_time=0.02))
@@ -546,7 +551,7 @@ def test_exposures_of_the_trigger_level_end_with_this_trigger(camera: FakeCamera
         assert opened.camera.get_string("ExposureMode") == "Timed"
 
 
-PARAMETERS = {"source": "aravis", "camera": FakeCamera.address, "region_px": "[0, 0, 640, 480]", "timeout_s": 5.0}
+PARAMETERS = {"source": "aravis", "camera": FakeCamera.address, "width": 640, "height": 480, "timeout_s": 5.0}
 
 
 def test_node_loses_its_camera_in_the_middle_of_a_stack(camera: FakeCamera, studio: Studio, tmp_path: Path) -> None:
@@ -566,7 +571,7 @@ def test_node_loses_its_camera_in_the_middle_of_a_stack(camera: FakeCamera, stud
 @contextmanager
 def lost_in_a_step(camera: FakeCamera, studio: Studio, folder: Path) -> Iterator[Publisher]:
     """A node with a free run, whose camera was lost in a step and is present again; the publisher of the stages."""
-    parameters = {**PARAMETERS, "region_px": "[64, 32, 320, 240]", "frame_rate_hz": 30.0}
+    parameters = {**PARAMETERS, **SMALL_REGION, "frame_rate_hz": 30.0}
     with NodeProcess("camera_node.camera_node", folder, parameters):
         steps = studio.create_publisher(StepStatus, "experiment/step", EVENTS)
         studio.wait(steps.get_subscription_count, "the camera to receive stages")
@@ -606,7 +611,7 @@ def test_free_run_continues_by_itself_when_the_camera_is_present_again(
 
 @pytest.mark.usefixtures("camera")
 def test_node_streams_at_30_hz_and_publishes_its_clock(studio: Studio, tmp_path: Path) -> None:
-    parameters = {**PARAMETERS, "region_px": "[64, 32, 320, 240]", "frame_rate_hz": 30.0}
+    parameters = {**PARAMETERS, **SMALL_REGION, "frame_rate_hz": 30.0}
     with NodeProcess("camera_node.camera_node", tmp_path, parameters):
         studio.wait(lambda: len(studio.exposures) >= 60 and studio.clocks, "60 frames")
     records = [frame_record(exposure) for exposure in studio.exposures]

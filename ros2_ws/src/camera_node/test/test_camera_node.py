@@ -138,8 +138,8 @@ def test_virtual_frames_are_those_of_the_twin(studio: Studio, tmp_path: Path) ->
     parameters = {
         "virtual_rig": '"{preset: plate, size: tiny}"',
         "truth_folder": str(truth_folder),
-        "exposure_time_s": 0.02,
-        "settle_time_s": 0.05,
+        "exposure_ms": 20.0,
+        "settle_ms": 50.0,
     }
     projection = ProjectedPattern(PatternKind.FRINGES, pitch=25.0, shift=2, shifts=4)
     patterns = [
@@ -305,7 +305,7 @@ def test_free_run_counts_every_frame(studio: Studio, tmp_path: Path) -> None:
         save(tmp_path, f"{name}.tif", np.full((40, 60), name, np.uint8))
     settle_s = 0.3
     parameters = {"source": "files", "files": str(tmp_path), "repeat": "true", "frame_rate_hz": 50}
-    with NodeProcess(MODULE, tmp_path, {**parameters, "settle_time_s": settle_s}):
+    with NodeProcess(MODULE, tmp_path, {**parameters, "settle_ms": 1e3 * settle_s}):
         studio.wait(lambda: studio.exposures, "a frame of the free run")
         studio.forget()
         studio.wait(lambda: len(studio.exposures) >= 50, "frames of the free run")
@@ -367,7 +367,7 @@ def test_bad_parameters_end_the_start_in_words() -> None:
         (["source:=files", "files:=/nowhere"], "camera cannot configure: /nowhere: no such image or folder"),
         (["source:=v4l2", "camera:=/dev/video97"], "camera cannot configure: there is no device /dev/video97"),
         (["source:=topic", "topic:=camera/image_raw"], "/camera/image_raw is a topic of this node itself"),
-        (["exposure_time_s:=.nan"], "camera.exposure_time_s = nan: must be a finite number"),
+        (["exposure_ms:=.nan"], "camera.exposure_ms = nan: must be a finite number"),
         (['virtual_rig:="{preset: tent}"'], "tent"),
     ]
     run = subprocess.run(

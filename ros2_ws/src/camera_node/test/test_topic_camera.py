@@ -26,7 +26,7 @@ MODULE = "camera_node.camera_node"
 Request = CaptureFrame.Request
 EXPOSURE_S = 0.01
 PERIOD_S = 0.03
-PARAMETERS = {"source": "topic", "topic": "/cam/image_raw", "exposure_time_s": EXPOSURE_S, "timeout_s": 5.0}
+PARAMETERS = {"source": "topic", "topic": "/cam/image_raw", "exposure_ms": 1e3 * EXPOSURE_S, "timeout_s": 5.0}
 
 # A driver as they are: exposes by itself, stamps the end of the exposure, delivers a little later. The first row of
 # its image says when the exposure began. A line of JSON on standard input changes how it behaves.
@@ -131,7 +131,7 @@ def test_first_frame_that_began_after_pattern_and_settling(
     driver: CameraDriver, studio: Studio, tmp_path: Path, reliability: str, encoding: str
 ) -> None:
     driver.behave(reliability, encoding=encoding)
-    with NodeProcess(MODULE, tmp_path, {**PARAMETERS, "settle_time_s": 0.02}):
+    with NodeProcess(MODULE, tmp_path, {**PARAMETERS, "settle_ms": 20.0}):
         delays = []
         for index in range(6):
             shown = time.time_ns()

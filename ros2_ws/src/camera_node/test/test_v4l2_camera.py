@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from camera_node.drivers import V4l2Driver, V4l2Settings
+from camera_node.drivers.v4l2 import V4l2Driver
 from camera_node.testing import Studio
 from fringedic.errors import CameraError
+from fringedic.settings.camera import V4l2Camera
 from fringedic_msgs.srv import CaptureFrame
 from fringedic_ros.images import image_array
 from fringedic_ros.stamps import to_msg, to_nanoseconds
@@ -28,8 +29,8 @@ SIZE = (64, 48)
 SCRIPT = """
 import json, os, sys
 from pathlib import Path
-from camera_node.drivers import Scene, V4l2Driver, V4l2Settings
-from camera_node.drivers import v4l2
+from camera_node.drivers import Scene, v4l2
+from fringedic.settings.camera import V4l2Camera
 from fringedic.errors import CameraError
 for line in sys.stdin:
     environment, settings = json.loads(line)
@@ -37,10 +38,9 @@ for line in sys.stdin:
     for name in ("FAKE_VIDEO_FORMAT", "FAKE_VIDEO_STICKY", "FAKE_VIDEO_BROKEN", "FAKE_VIDEO_DRIVER"):
         os.environ.pop(name, None)
     os.environ.update(environment)
-    settings["size"] = tuple(settings["size"])
     driver = None
     try:
-        driver = V4l2Driver(V4l2Settings(exposure_time=0.005, timeout=5.0, **settings))
+        driver = v4l2.V4l2Driver(V4l2Camera(exposure_ms=5.0, **settings))
         image = driver.expose(Scene(0, (), 0.0, exposure_time=0.005)).image
         longer = driver.expose(Scene(0, (), 0.0, exposure_time=0.0123)).exposure_time
         answer = [image.dtype.name, image.shape, int(image.min()), int(image.max()), longer]
@@ -54,13 +54,15 @@ for line in sys.stdin:
 # is interrupted once, after it has read its clock for the second frame; prints the stamps of both frames
 INTERRUPTED_SCRIPT = """
 import sys, time
-from camera_node.drivers import Scene, V4l2Driver, V4l2Settings
+from camera_node.drivers import Scene
+from camera_node.drivers.v4l2 import V4l2Driver
+from fringedic.settings.camera import V4l2Camera
 true_time_ns = time.time_ns
 def interrupted():
     time.time_ns, shown = true_time_ns, true_time_ns()
     time.sleep(0.31)
     return shown
-driver = V4l2Driver(V4l2Settings(sys.argv[1], exposure_time=0.005))
+driver = V4l2Driver(V4l2Camera(camera=sys.argv[1], exposure_ms=5.0))
 for clock in (true_time_ns, interrupted):
     time.time_ns = clock
     print(driver.expose(Scene(0, (), 0.0, exposure_time=0.005)).stamp_ns)
@@ -86,7 +88,10 @@ def test_formats_and_settings(library: Path, tmp_path: Path) -> None:
         parameter = tmp_path / f"nodrop_{no_drop}"
         if no_drop:
             parameter.write_text(f"{no_drop}\n")
-        return [environment, {"device": DEVICE, "size": SIZE, "no_drop": str(parameter), **settings}]
+        return [
+            environment,
+            {"camera": DEVICE, "width": SIZE[0], "height": SIZE[1], "no_drop": str(parameter), **settings},
+        ]
 
     cases = [
         case("GREY"),
@@ -94,7 +99,7 @@ def test_formats_and_settings(library: Path, tmp_path: Path) -> None:
         case("Y16 ", pixel_format="Mono16"),
         case("MJPG"),
         case("GREY", fault="STICKY"),
-        case("GREY", size=(1280, 720)),
+        case("GREY", width=1280, height=720),
         case("GREY", fault="BROKEN"),
         *(case("GREY", "uvcvideo", no_drop=value) for value in ("1", "Y", "0", "N", "")),
     ]
@@ -148,7 +153,7 @@ def test_node_takes_what_began_late_enough_and_survives_unplugging(
     monkeypatch.setenv("FAKE_VIDEO", DEVICE)
     monkeypatch.setenv("FAKE_VIDEO_FORMAT", "GREY")
     monkeypatch.setenv("FAKE_VIDEO_UNPLUGGED", str(unplugged))
-    parameters = {"source": "v4l2", "camera": DEVICE, "exposure_time_s": 0.005}
+    parameters = {"source": "v4l2", "camera": DEVICE, "exposure_ms": 5.0}
     with NodeProcess("camera_node.camera_node", tmp_path, parameters):
         stamps, numbers = [], []
         for index in range(6):
@@ -183,9 +188,9 @@ def test_node_takes_what_began_late_enough_and_survives_unplugging(
 )
 def test_device_that_is_no_camera(device: str, words: str) -> None:
     with pytest.raises(CameraError, match=words):
-        V4l2Driver(V4l2Settings(device, 0.01))
+        V4l2Driver(V4l2Camera(camera=device))
 
 
 def test_pixels_that_no_such_device_has() -> None:
     with pytest.raises(CameraError, match="pixel format Mono12: Video4Linux has Mono8, Mono16"):
-        V4l2Driver(V4l2Settings(DEVICE, 0.01, pixel_format="Mono12"))
+        V4l2Driver(V4l2Camera(camera=DEVICE, pixel_format="Mono12"))

@@ -9,9 +9,11 @@ import cv2
 import numpy as np
 import pytest
 
-from camera_node.drivers import Scene, VideoDriver
+from camera_node.drivers import Scene
+from camera_node.drivers.video import VideoDriver
 from camera_node.testing import Studio
 from fringedic.errors import CameraError
+from fringedic.settings.camera import VideoCamera
 from fringedic_msgs.srv import CaptureFrame
 from fringedic_ros.images import image_array
 from fringedic_ros.testing import NodeProcess
@@ -42,7 +44,7 @@ def save(path: Path, images: np.ndarray, code: str = "FFV1") -> Path:
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_lossless_grey_levels_are_those_recorded(tmp_path: Path, suffix: str, dtype: type) -> None:
     images = frames(dtype)
-    driver = VideoDriver(str(save(tmp_path / f"test.{suffix}", images)), repeat=False)
+    driver = VideoDriver(VideoCamera(files=str(save(tmp_path / f"test.{suffix}", images))))
     for image in images:
         frame = driver.expose(SCENE)
         assert frame.image.dtype == dtype
@@ -55,7 +57,7 @@ def test_lossless_grey_levels_are_those_recorded(tmp_path: Path, suffix: str, dt
 
 def test_colours_become_luminance(tmp_path: Path) -> None:
     images = frames(np.uint8, channels=3)
-    driver = VideoDriver(str(save(tmp_path / "test.avi", images)), repeat=True)
+    driver = VideoDriver(VideoCamera(files=str(save(tmp_path / "test.avi", images)), repeat=True))
     for image in (*images, images[0]):
         expected = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
         difference = np.abs(driver.expose(SCENE).image.astype(int) - expected)
@@ -64,7 +66,7 @@ def test_colours_become_luminance(tmp_path: Path) -> None:
 
 def test_compressed_video_is_read(tmp_path: Path) -> None:
     ramp = np.tile(np.linspace(20, 220, 64).astype(np.uint8), (COUNT, 48, 1))
-    driver = VideoDriver(str(save(tmp_path / "test.avi", ramp, "MJPG")), repeat=False)
+    driver = VideoDriver(VideoCamera(files=str(save(tmp_path / "test.avi", ramp, "MJPG"))))
     difference = np.abs(driver.expose(SCENE).image.astype(int) - ramp[0])
     assert difference.max() < 8, f"compression and range change the ramp by {difference.max()} grey levels"
 
@@ -75,7 +77,7 @@ def test_compressed_video_is_read(tmp_path: Path) -> None:
 def test_no_such_video(tmp_path: Path, name: str, words: str) -> None:
     (tmp_path / "junk.avi").write_text("no video")
     with pytest.raises(CameraError, match=words):
-        VideoDriver(str(tmp_path / name), repeat=False)
+        VideoDriver(VideoCamera(files=str(tmp_path / name)))
 
 
 def test_node_takes_frame_after_frame_until_the_end(studio: Studio, tmp_path: Path) -> None:
@@ -92,7 +94,7 @@ def test_node_takes_frame_after_frame_until_the_end(studio: Studio, tmp_path: Pa
 
 
 def test_free_run_has_the_times_of_the_file(tmp_path: Path) -> None:
-    driver = VideoDriver(str(save(tmp_path / "test.avi", frames(np.uint8))), repeat=False)
+    driver = VideoDriver(VideoCamera(files=str(save(tmp_path / "test.avi", frames(np.uint8)))))
     with pytest.raises(CameraError, match="has 25 frames/s, not 30; set frame_rate_hz to 25"):
         driver.start(30.0)
     driver.expose(SCENE)

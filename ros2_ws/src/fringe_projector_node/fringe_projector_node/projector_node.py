@@ -16,9 +16,10 @@ from fringedic.errors import PatternError, ScreenError
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern, pattern_of_message
 from fringedic.patterns.render import render_pattern
 from fringedic.patterns.response import ResponseCurve
+from fringedic.settings.base import HardwareNodeSettings
 from fringedic_msgs.srv import ShowPattern
 from fringedic_ros.images import image_message
-from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
+from fringedic_ros.lifecycle import HardwareNode
 from fringedic_ros.main import run
 from fringedic_ros.qos import LATCHED
 from fringedic_ros.rig_node import PROJECTOR_FRAME, frame_id
@@ -28,7 +29,7 @@ _CHECK_PERIOD_S = 0.1
 _KEPT_PATTERNS = 64  # more than a sequence has: the steps after the first do not render
 
 
-class ProjectorParameters(HardwareParameters):
+class ProjectorParameters(HardwareNodeSettings):
     """Parameters of the projector node."""
 
     screen: Literal["virtual", "display"] = Field(

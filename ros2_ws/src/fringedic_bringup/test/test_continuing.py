@@ -45,7 +45,7 @@ def test_a_folder_belongs_to_one_command(tmp_path: Path) -> None:
     [
         ({"sequence": {"pitches_px": [100.0, 20.0, 10.0], "shifts": 4}}, "experiment.pitches_px"),
         ({"nodes": {"dic": {"window": 24}}}, "dic.window"),
-        ({"camera": {"source": "virtual", "exposure_ms": 12.0}}, "camera.exposure_time_s"),
+        ({"camera": {"source": "virtual", "exposure_ms": 12.0}}, "camera.exposure_ms"),
         ({"load_frame": {"source": "simulated", "rate_hz": 50.0}}, ""),
     ],
 )

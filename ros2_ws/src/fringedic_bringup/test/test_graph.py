@@ -28,10 +28,11 @@ def test_real_devices_get_the_parameters_of_the_rig_file(tmp_path: Path) -> None
     assert "stage" not in nodes, "the stage belongs to the virtual rig"
     camera = nodes["camera"]
     assert camera["source"] == "aravis"
-    assert (camera["camera"], camera["region_px"]) == ("192.168.1.20", [0, 64, 1280, 960])
+    region = [camera[name] for name in ("first_column", "first_row", "width", "height")]
+    assert (camera["camera"], region) == ("192.168.1.20", [0, 64, 1280, 960])
     experiment = nodes["experiment"]
     assert (experiment["camera_first_column_px"], experiment["camera_first_row_px"]) == (0, 64)
-    assert (camera["exposure_time_s"], camera["gain_db"], camera["trigger"]) == (0.0167, 3.0, "software")
+    assert (camera["exposure_ms"], camera["gain_db"], camera["trigger"]) == (16.7, 3.0, "software")
     assert nodes["projector"] == {"width_px": 1920, "height_px": 1080, "screen": "display", "display": 1}
     machine_file = str(tmp_path / "frame.yaml")
     expected = {"source": "machine", "rate_hz": 500.0, "position_tolerance_mm": 0.02, "machine_file": machine_file}
@@ -101,7 +102,7 @@ def test_other_cameras_get_the_parameters_of_the_rig_file(tmp_path: Path) -> Non
     for section, expected in (
         (
             f"source: v4l2, camera: /dev/video2, stamp_of: start, {size}",
-            {"camera": "/dev/video2", "stamp_of": "start", "region_px": [0, 0, 640, 480], "pixel_format": "Mono8"},
+            {"camera": "/dev/video2", "stamp_of": "start", "width": 640, "height": 480, "pixel_format": "Mono8"},
         ),
         (f"source: topic, topic: /cam/image_raw, {size}", {"topic": "/cam/image_raw", "stamp_of": "end"}),
         ("source: video, files: test.mkv", {"files": str(tmp_path / "test.mkv")}),

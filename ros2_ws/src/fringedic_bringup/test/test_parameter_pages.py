@@ -10,7 +10,7 @@ from fringedic_ros.parameter_docs import documented
 
 PAGES = Path(__file__).parents[4] / "docs" / "nodes"
 DECLARATIONS = {
-    "camera": "camera_node.camera_node:CameraParameters",
+    "camera": "fringedic.settings.camera:CameraNodeSettings",
     "coupling": "fringedic.steps.parameters:CouplingParameters",
     "dic": "fringedic.steps.parameters:DicParameters",
     "experiment": "experiment_node.experiment_parameters:ExperimentParameters",

@@ -6,24 +6,15 @@ import traceback
 from collections.abc import Callable
 from typing import Any, Generic, Self, TypeVar
 
-from pydantic import BaseModel, Field
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from fringedic.errors import FringedicError, ProcessError
+from fringedic.settings.base import HardwareNodeSettings
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.parameters import declare
 from fringedic_ros.rig_node import RigLifecycleNode
 
-
-class HardwareParameters(BaseModel):
-    """Parameters of every hardware node."""
-
-    autostart: bool = Field(
-        True, description="Configure and activate at the start; otherwise wait for a lifecycle manager."
-    )
-
-
-ParametersT = TypeVar("ParametersT", bound=HardwareParameters)
+ParametersT = TypeVar("ParametersT", bound=HardwareNodeSettings)
 
 
 class HardwareNode(RigLifecycleNode, Generic[ParametersT]):
@@ -37,7 +28,7 @@ class HardwareNode(RigLifecycleNode, Generic[ParametersT]):
     name
         Node name.
     model
-        Model of the parameters, derived from `HardwareParameters`.
+        Model of the parameters, derived from `HardwareNodeSettings`.
     """
 
     def __init__(self, name: str, model: type[ParametersT], **options: Any) -> None:

@@ -5,11 +5,12 @@ class FilterParameters(BaseModel):
 
 parameters = declare(node, FilterParameters)
 parameters.value.window
+
+A model with the settings of a device has the parameters of the chosen source only (`fringedic.settings.parameters`).
 """
 
 from __future__ import annotations
 
-import enum
 import math
 import time
 import typing
@@ -24,6 +25,18 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from fringedic.errors import ConfigurationError
+from fringedic.settings.devices import SOURCE, DeviceSettings
+from fringedic.settings.parameters import (
+    all_parameters,
+    choices,
+    default_value,
+    device_field,
+    element_type,
+    from_parameters,
+    is_text,
+    parameter_fields,
+    scalar_type,
+)
 from fringedic_msgs.msg import NodeParameters
 from fringedic_ros.qos import LATCHED
 from fringedic_ros.stamps import to_msg
@@ -59,7 +72,7 @@ class Parameters(Generic[ModelT]):
         self._publish()
 
     def _to_declared_types(self, changes: list[Parameter]) -> list[Parameter]:
-        fields = type(self.value).model_fields
+        fields = _fields_of(self.value)
         return [
             Parameter(change.name, _ros_type(fields[change.name]), _widened(change.value, fields[change.name]))
             if change.name in fields and _fits(change.value, fields[change.name])
@@ -68,9 +81,9 @@ class Parameters(Generic[ModelT]):
         ]
 
     def _changed(self, changes: list[Parameter]) -> ModelT:
-        fields = type(self.value).model_fields
+        fields = _fields_of(self.value)
         new = {change.name: change.value for change in changes if change.name in fields}
-        return _validated(self._node.get_name(), type(self.value), {**_plain(self.value), **new})
+        return _validated(self._node.get_name(), type(self.value), fields, {**all_parameters(self.value), **new})
 
     def _check(self, changes: list[Parameter]) -> SetParametersResult:
         try:
@@ -95,10 +108,10 @@ def parameters_message(node: str, value: BaseModel) -> NodeParameters:
     """Return the message with the parameters of a node, from the model that declares them."""
     message = NodeParameters(node=node)
     message.header.stamp = to_msg(time.time_ns())
-    plain = _plain(value)
+    fields = _fields_of(value)
     message.parameters = [
-        Parameter(name, _ros_type(field), _widened(plain[name], field)).to_parameter_msg()
-        for name, field in type(value).model_fields.items()
+        Parameter(name, _ros_type(fields[name]), _widened(each, fields[name])).to_parameter_msg()
+        for name, each in all_parameters(value).items()
     ]
     return message
 
@@ -115,8 +128,8 @@ def declare(node: Node, model: type[ModelT], on_change: Callable[[ModelT], None]
     node
         Owner of the parameters; it calls this function once.
     model
-        Flat model whose fields are bool, int, float, str, enumerations of str, or lists of these; each with a default
-        and a description.
+        Model whose fields have a default and a description: bool, int, float, str, enumerations of str, or lists of
+        these, the settings of one device, or others that are parameters as one line of YAML.
     on_change
         Called with the new model after each change.
 
@@ -125,16 +138,17 @@ def declare(node: Node, model: type[ModelT], on_change: Callable[[ModelT], None]
     ConfigurationError
         The model refuses a value; the message names node, parameter and value.
     """
+    fields = parameter_fields(model, _device(node, model))
     raw: dict[str, Any] = {}
-    for name, field in model.model_fields.items():
-        # declared with any type first: the messages of the model are better than those of the middleware
-        start = ParameterDescriptor(description=field.description or "", dynamic_typing=True)
-        raw[name] = node.declare_parameter(
-            name, _plain_value(field.get_default(call_default_factory=True)), start
-        ).value
-    value = _validated(node.get_name(), model, raw)
-    plain = _plain(value)
-    for name, field in model.model_fields.items():
+    for name, field in fields.items():
+        if not node.has_parameter(name):
+            # declared with any type first: the messages of the model are better than those of the middleware
+            start = ParameterDescriptor(description=field.description or "", dynamic_typing=True)
+            node.declare_parameter(name, default_value(field), start)
+        raw[name] = node.get_parameter(name).value
+    value = _validated(node.get_name(), model, fields, raw)
+    plain = all_parameters(value)
+    for name, field in fields.items():
         typed = Parameter(name, _ros_type(field), _widened(plain[name], field))
         node.set_descriptor(name, _descriptor(name, field), typed.to_parameter_msg().value)
     return Parameters(node, value, on_change)
@@ -159,10 +173,35 @@ def report_unknown_parameters(node: Node) -> None:
 
 
 def parameter_table(model: type[BaseModel]) -> str:
-    """Return the Markdown table of the parameters of a model: name, type, default, range, description."""
+    """Return the Markdown table of the parameters of a model: name, type, default, range, description.
+
+    Of the settings of a device, the table of all sources is followed by one for each source of the project.
+    """
+    found = device_field(model)
+    if found is None:
+        return _table(model.model_fields)
+    name, devices = found
+    source = model.model_fields[name].default.source
+    common = {**parameter_fields(model, devices.base)}
+    shown = [_table(common, {SOURCE: (source, ", ".join(f"`{each}`" for each in devices.own))})]
+    for each, kind in devices.own.items():
+        base = devices.base.model_fields
+        fields = {
+            key: field
+            for key, field in kind.model_fields.items()
+            if key != SOURCE and (key not in base or field.default != base[key].default)
+        }
+        if fields:
+            sentence = (kind.__doc__ or "").partition("\n")[0]
+            shown += [f"Source `{each}`: {sentence[:1].lower()}{sentence[1:]}", _table(fields)]
+    return "\n\n".join(shown)
+
+
+def _table(fields: Mapping[str, FieldInfo], replaced: Mapping[str, tuple[str, str]] | None = None) -> str:
+    """Return the table of fields; `replaced` has default and range of those that a type does not contain."""
     lines = ["| parameter | type | default | range | what |", "|---|---|---|---|---|"]
-    for name, field in model.model_fields.items():
-        default = _plain_value(field.get_default(call_default_factory=True))
+    for name, field in fields.items():
+        default, limits = (replaced or {}).get(name) or (default_value(field), _range_text(field))
         shown = (
             f'"{default}"'
             if isinstance(default, str)
@@ -170,21 +209,45 @@ def parameter_table(model: type[BaseModel]) -> str:
             if isinstance(default, bool)
             else str(default)
         )
-        kind = _ros_type(field).name.lower().replace("_", " ")
-        lines.append(f"| `{name}` | {kind} | `{shown}` | {_range_text(field)} | {field.description or ''} |")
+        kind = f"{_kind(field)} (YAML)" if is_text(field) else _kind(field)
+        lines.append(f"| `{name}` | {kind} | `{shown}` | {limits} | {field.description or ''} |")
     return "\n".join(lines)
 
 
-def _validated(node_name: str, model: type[ModelT], values: Mapping[str, Any]) -> ModelT:
+def _device(node: Node, model: type[BaseModel]) -> type[DeviceSettings] | None:
+    """Declare the source of the device of a node, and return the settings that it selects; None without a device."""
+    found = device_field(model)
+    if found is None:
+        return None
+    name, devices = found
+    # it selects which parameters the node has, so it stays as it is
+    start = ParameterDescriptor(description="", dynamic_typing=True, read_only=True)
+    source = node.declare_parameter(SOURCE, model.model_fields[name].default.source, start).value
+    try:
+        return devices.model(str(source))
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{node.get_name()}: {error}") from None
+
+
+def _fields_of(value: BaseModel) -> dict[str, FieldInfo]:
+    """Return the fields that are parameters of a node with these settings."""
+    found = device_field(type(value))
+    return parameter_fields(type(value), None if found is None else type(getattr(value, found[0])))
+
+
+def _validated(
+    node_name: str, model: type[ModelT], fields: Mapping[str, FieldInfo], values: Mapping[str, Any]
+) -> ModelT:
     for name, value in values.items():
-        field = model.model_fields[name]
+        field = fields[name]
         if not _fits(value, field):
-            kind = _ros_type(field).name.lower().replace("_", " ")
-            raise ConfigurationError(f"{node_name}.{name} = {value!r}: needs a value of type {kind}")
+            raise ConfigurationError(f"{node_name}.{name} = {value!r}: needs a value of type {_kind(field)}")
         if not all(math.isfinite(number) for number in _elements(value) if isinstance(number, float)):
             raise ConfigurationError(f"{node_name}.{name} = {value}: must be a finite number")
     try:
-        return model.model_validate({name: _widened(value, model.model_fields[name]) for name, value in values.items()})
+        return from_parameters(model, {name: _widened(value, fields[name]) for name, value in values.items()})
+    except ConfigurationError as error:
+        raise ConfigurationError(f"{node_name}: {error}") from None
     except ValidationError as error:
         complaints = []
         for detail in error.errors():
@@ -230,9 +293,9 @@ def _bounds(field: FieldInfo) -> tuple[float, float, bool, bool]:
 
 
 def _range_text(field: FieldInfo) -> str:
-    choices = _choices(_element_type(field)[0])
-    if choices:
-        return ", ".join(f"`{choice}`" for choice in choices)
+    values = choices(element_type(field)[0])
+    if values:
+        return ", ".join(f"`{value}`" if value != "" else "empty" for value in values)
     low, high, low_open, high_open = _bounds(field)
     if low != -math.inf and high != math.inf:
         return f"{'over' if low_open else 'from'} {low:g} {'to below' if high_open else 'to'} {high:g}"
@@ -243,30 +306,15 @@ def _range_text(field: FieldInfo) -> str:
     return ""
 
 
-def _choices(annotation: Any) -> list[str]:
-    if typing.get_origin(annotation) is typing.Literal:
-        return [str(choice) for choice in typing.get_args(annotation)]
-    if isinstance(annotation, type) and issubclass(annotation, enum.Enum):
-        return [str(member.value) for member in annotation]
-    return []
-
-
-def _element_type(field: FieldInfo) -> tuple[Any, bool]:
-    """Return the type of the elements of a field, and whether the field is a list."""
-    annotation: Any = field.annotation
-    if typing.get_origin(annotation) in (list, tuple):
-        return typing.get_args(annotation)[0], True
-    return annotation, False
-
-
-def _scalar_type(field: FieldInfo) -> type:
-    element, _ = _element_type(field)
-    return str if _choices(element) else element
-
-
 def _ros_type(field: FieldInfo) -> Parameter.Type:
-    kinds = _ARRAYS if _element_type(field)[1] else _SCALARS
-    return kinds[_scalar_type(field)]
+    if is_text(field):
+        return Parameter.Type.STRING
+    kinds = _ARRAYS if element_type(field)[1] else _SCALARS
+    return kinds[scalar_type(field)]
+
+
+def _kind(field: FieldInfo) -> str:
+    return _ros_type(field).name.lower().replace("_", " ")
 
 
 def _elements(value: Any) -> list[Any]:
@@ -274,8 +322,8 @@ def _elements(value: Any) -> list[Any]:
 
 
 def _fits(value: Any, field: FieldInfo) -> bool:
-    is_array = _element_type(field)[1]
-    scalar = _scalar_type(field)
+    is_array = element_type(field)[1] and not is_text(field)
+    scalar = str if is_text(field) else scalar_type(field)
     accepted = (int, float) if scalar is float else (scalar,)
     if is_array is (isinstance(value, bool | int | float | str) or value is None):
         return False
@@ -287,17 +335,6 @@ def _fits(value: Any, field: FieldInfo) -> bool:
 
 def _widened(value: Any, field: FieldInfo) -> Any:
     """Return the value, with whole numbers as floats for a float field."""
-    convert = float if _scalar_type(field) is float else lambda element: element
-    return [convert(element) for element in _elements(value)] if _element_type(field)[1] else convert(value)
-
-
-def _plain_value(value: Any) -> Any:
-    if isinstance(value, enum.Enum):
-        return value.value
-    if isinstance(value, list | tuple):
-        return [_plain_value(element) for element in value]
-    return value
-
-
-def _plain(model: BaseModel) -> dict[str, Any]:
-    return {name: _plain_value(getattr(model, name)) for name in type(model).model_fields}
+    convert = float if scalar_type(field) is float else lambda element: element
+    is_array = element_type(field)[1] and not is_text(field)
+    return [convert(element) for element in _elements(value)] if is_array else convert(value)

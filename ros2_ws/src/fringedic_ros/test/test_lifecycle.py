@@ -5,16 +5,17 @@ from __future__ import annotations
 import pytest
 
 from fringedic.errors import CameraError, ProcessError
-from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
+from fringedic.settings.base import HardwareNodeSettings
+from fringedic_ros.lifecycle import HardwareNode
 
 
-class Failing(HardwareNode[HardwareParameters]):
+class Failing(HardwareNode[HardwareNodeSettings]):
     """Raises the error of the test when it opens its device."""
 
     error: Exception
 
     def __init__(self) -> None:
-        super().__init__("device", HardwareParameters)
+        super().__init__("device", HardwareNodeSettings)
 
     def open(self) -> None:
         raise self.error

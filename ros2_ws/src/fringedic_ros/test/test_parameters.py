@@ -129,7 +129,7 @@ def test_table_says_what_the_model_declares() -> None:
     assert table[2] == "| `window` | integer | `32` | from 8 to 128 | Width of the window [px]. |"
     assert table[3] == "| `rate_hz` | double | `10.0` | over 0 | Rate [Hz]. |"
     assert "| `dense`, `zoi` |" in table[5]
-    marks = "<!-- parameters: fringedic_ros.lifecycle:HardwareParameters -->", "<!-- end of parameters -->"
+    marks = "<!-- parameters: fringedic.settings.base:HardwareNodeSettings -->", "<!-- end of parameters -->"
     page = f"before\n{marks[0]}\nold\n{marks[1]}\nafter"
     new = documented(page)
     assert "old" not in new

@@ -7,14 +7,14 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 from rclpy.node import Node
 
+from fringedic.settings.base import HardwareNodeSettings
 from fringedic.virtual_rig import SimulatedLoadFrame
-from fringedic_ros.lifecycle import HardwareParameters
 from fringedic_ros.virtual import VirtualRigText, virtual_configuration
 from load_frame_node.machines import Machine, SimulatedMachine, load_machine, open_machine
 from load_frame_node.machines.controller import ControllerMachine, ControllerTopics
 
 
-class LoadFrameParameters(HardwareParameters):
+class LoadFrameParameters(HardwareNodeSettings):
     """Parameters of the load frame node."""
 
     source: Literal["simulated", "machine", "controller"] = Field(

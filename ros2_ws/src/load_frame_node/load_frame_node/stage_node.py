@@ -10,9 +10,10 @@ from pydantic import Field
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.duration import Duration
 
+from fringedic.settings.base import HardwareNodeSettings
 from fringedic_msgs.msg import ReferencePlane
 from fringedic_msgs.srv import PlaceReferencePlane
-from fringedic_ros.lifecycle import HardwareNode, HardwareParameters
+from fringedic_ros.lifecycle import HardwareNode
 from fringedic_ros.main import run
 from fringedic_ros.qos import LATCHED
 from fringedic_ros.rig_node import RIG_FRAME, frame_id
@@ -26,7 +27,7 @@ _KINDS = {
 }
 
 
-class StageParameters(HardwareParameters):
+class StageParameters(HardwareNodeSettings):
     """Parameters of the stage node."""
 
     maximum_angle_degree: float = Field(

@@ -9,8 +9,10 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
+from rclpy.node import Node
 
 from camera_node.drivers.aravis_connection import (
+    PIXEL_TYPES,
     AravisConnection,
     connect,
     set_exposure_time,
@@ -19,10 +21,10 @@ from camera_node.drivers.aravis_connection import (
     set_trigger,
 )
 from camera_node.drivers.aravis_library import error_message, load_aravis
-from camera_node.drivers.aravis_settings import PIXEL_TYPES, AravisSettings, Trigger
 from camera_node.drivers.driver import Frame, Scene
 from fringedic.errors import CameraError, CameraTimeoutError
 from fringedic.frames.clocks import ClockEstimate
+from fringedic.settings.camera import AravisCamera, Trigger
 
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 8.0  # between two attempts to find a lost camera
 _ATTEMPTS = 3  # to take a frame of which packets are lost, while its pattern is on the screen
@@ -60,7 +62,7 @@ class AravisDriver:
 
     needs_scene = False
 
-    def __init__(self, settings: AravisSettings) -> None:
+    def __init__(self, settings: AravisCamera, _node: Node | None = None) -> None:
         self._aravis = load_aravis()
         self._settings = settings
         self.dropped = 0
@@ -225,7 +227,7 @@ class AravisDriver:
 
     def _next(self, connection: AravisConnection) -> Frame:
         begun = connection.exposure_time + 1 / (self._rate or np.inf)
-        transfer = min(_TRANSFER_S, self._settings.timeout)
+        transfer = min(_TRANSFER_S, self._settings.driver_timeout)
         buffer = connection.stream.timeout_pop_buffer(round(1e6 * (begun + transfer)))
         if buffer is None and connection.ignores_frame:
             if self._rate is None:
@@ -237,11 +239,11 @@ class AravisDriver:
                 "repeated, give the camera its own network card"
             )
         if buffer is None:
-            buffer = connection.stream.timeout_pop_buffer(round(1e6 * (self._settings.timeout - transfer)))
+            buffer = connection.stream.timeout_pop_buffer(round(1e6 * (self._settings.driver_timeout - transfer)))
         if buffer is None:
             connection.camera.get_exposure_time()  # raises an error when the camera is lost
             raise CameraTimeoutError(
-                f"no frame within {begun + self._settings.timeout:.3g} s; "
+                f"no frame within {begun + self._settings.driver_timeout:.3g} s; "
                 + (
                     "check the cable of the trigger"
                     if self._settings.trigger in (Trigger.EXTERNAL_EDGE, Trigger.EXTERNAL_LEVEL)

@@ -10,10 +10,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from camera_node.drivers.aravis_library import Aravis
-from camera_node.drivers.aravis_settings import PIXEL_TYPES, AravisSettings, Trigger
 from fringedic.errors import CameraError
 from fringedic.frames.clocks import DeviceClock
+from fringedic.settings.camera import AravisCamera, Trigger
 from fringedic.wording.numbers import number_text
 
 # Frames that may wait in this process. The middleware may keep a publisher waiting for a second (decision 0031), and
@@ -36,6 +38,7 @@ _COUNTED = {
     "frames_incomplete": "n_failures",
     "packets_without_buffer": "n_underruns",
 }
+PIXEL_TYPES = {"Mono8": np.uint8, "Mono10": np.uint16, "Mono12": np.uint16, "Mono16": np.uint16}
 _NUMBERS = 65_535  # of frames in GigE Vision: 1 follows on the largest one, and 0 is none
 _LARGEST_DEVIATION = 0.05  # of the exposure time that a camera sets, relative to the requested one
 _LARGEST_RATE_DEVIATION = 0.01  # of its frame rate
@@ -184,7 +187,7 @@ class AravisConnection:
                 )
 
 
-def connect(aravis: Aravis, settings: AravisSettings) -> AravisConnection:
+def connect(aravis: Aravis, settings: AravisCamera) -> AravisConnection:
     """Open a camera, apply its settings and create its stream.
 
     Raises
@@ -202,10 +205,10 @@ def connect(aravis: Aravis, settings: AravisSettings) -> AravisConnection:
     set_timed(aravis, camera)  # before the exposure time, which some cameras lock in the other mode
     exposure_time = ask("exposure time", lambda: set_exposure_time(camera, settings.exposure_time))
     if ask("gain", camera.is_gain_available):
-        ask("gain", lambda: _check_range(camera.get_gain_bounds(), settings.gain, "dB"))
-        ask("gain", lambda: camera.set_gain(settings.gain))
+        ask("gain", lambda: _check_range(camera.get_gain_bounds(), settings.gain_db, "dB"))
+        ask("gain", lambda: camera.set_gain(settings.gain_db))
     if camera.is_gv_device():
-        ask("packet size", lambda: _set_packet_size(camera, settings.packet_size))
+        ask("packet size", lambda: _set_packet_size(camera, settings.packet_size_byte))
     set_trigger(aravis, camera, settings)
     stream = ask("stream", lambda: camera.create_stream(None, None))
     if camera.is_gv_device():
@@ -235,7 +238,7 @@ def set_timed(aravis: Aravis, camera: Any) -> None:
         aravis.ask(what, lambda: camera.set_string("ExposureMode", "Timed"))
 
 
-def set_trigger(aravis: Aravis, camera: Any, settings: AravisSettings) -> None:
+def set_trigger(aravis: Aravis, camera: Any, settings: AravisCamera) -> None:
     """Set the event that starts an exposure.
 
     Raises

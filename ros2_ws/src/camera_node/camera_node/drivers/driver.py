@@ -128,7 +128,7 @@ class Driver(Protocol):
 
 
 class LocalDriver:
-    """Base of files, videos and the digital twin: no frames get lost, and there is no other clock."""
+    """Base of drivers without a clock and counts of their own: no frames get lost, and there is no other clock."""
 
     needs_scene = False
     dropped = 0

@@ -8,10 +8,12 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from rclpy.node import Node
 
 from camera_node.drivers.driver import Frame, LocalDriver, Scene
 from fringedic.errors import CameraError, ImageError
 from fringedic.frames.files import image_files, read_grey
+from fringedic.settings.camera import FilesCamera
 
 _KEPT_IMAGES = 16  # of a source that repeats, so that a short series costs no reading
 
@@ -21,10 +23,8 @@ class FilesDriver(LocalDriver):
 
     Parameters
     ----------
-    files
-        A folder, or a pattern such as `folder/*.tif`.
-    repeat
-        Begin again after the last image.
+    settings
+        The files, and whether they are repeated.
 
     Raises
     ------
@@ -32,16 +32,13 @@ class FilesDriver(LocalDriver):
         There is no such image.
     """
 
-    def __init__(self, files: str, *, repeat: bool) -> None:
+    def __init__(self, settings: FilesCamera, _node: Node | None = None) -> None:
+        self._files, self._repeat = settings.files, settings.repeat
         try:
-            self._paths = image_files([Path(files)]) if files else []
+            self._paths = image_files([Path(self._files)])
         except ImageError as error:
             raise CameraError(f"{error}; set files to a folder of images") from error
-        if not self._paths:
-            raise CameraError("files is empty; set it to a folder of images")
-        self._files = files
-        self._repeat = repeat
-        self._read: Callable[[Path], np.ndarray] = lru_cache(_KEPT_IMAGES)(_read) if repeat else _read
+        self._read: Callable[[Path], np.ndarray] = lru_cache(_KEPT_IMAGES)(_read) if self._repeat else _read
         self._next = 0
 
     def expose(self, scene: Scene) -> Frame:

@@ -6,7 +6,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
@@ -17,10 +16,10 @@ from rclpy.topic_endpoint_info import TopicEndpointInfo
 from sensor_msgs.msg import Image
 
 from camera_node.drivers.driver import Frame, Scene
-from camera_node.drivers.stamp_of import StampOf
 from fringedic.errors import CameraError, CameraTimeoutError, ClockJumpError
 from fringedic.frames.clocks import ClockEstimate, DeviceClock
 from fringedic.frames.grey import luminance
+from fringedic.settings.camera import TopicCamera
 from fringedic.wording.numbers import number_text
 from fringedic_ros.arrivals import MOST_BEHIND_S, Arrivals, Problem, stamp_problem
 from fringedic_ros.images import image_array
@@ -38,28 +37,6 @@ _EARLIER = Problem(
 _COLOURS = {"bgr8": slice(None), "rgb8": slice(None, None, -1)}  # order of the channels for blue, green, red
 
 
-@dataclass(frozen=True)
-class TopicSettings:
-    """Topic of the images, and their properties.
-
-    Attributes
-    ----------
-    topic
-        Name of the image topic.
-    exposure_time
-        Exposure time set in that driver [s].
-    stamp_of
-        Moment of the exposure to which the stamps belong.
-    timeout
-        Longest wait for an image beyond its exposure time [s].
-    """
-
-    topic: str
-    exposure_time: float
-    stamp_of: StampOf = StampOf.END
-    timeout: float = 5.0
-
-
 class TopicDriver:
     """A camera that another node drives; `expose` returns the first image whose exposure began after the request.
 
@@ -67,10 +44,10 @@ class TopicDriver:
 
     Parameters
     ----------
-    node
-        Owner of the subscription; its executor must spin while `expose` waits in another thread.
     settings
         Topic and properties of the images.
+    node
+        Owner of the subscription; its executor must spin while `expose` waits in another thread.
 
     Raises
     ------
@@ -81,7 +58,7 @@ class TopicDriver:
     needs_scene = False
     counts: Mapping[str, int] = {}
 
-    def __init__(self, node: Node, settings: TopicSettings) -> None:
+    def __init__(self, settings: TopicCamera, node: Node) -> None:
         self.dropped = 0
         self._node = node
         self._settings = settings
@@ -140,7 +117,7 @@ class TopicDriver:
                 f"for {1e3 * settings.exposure_time:g} ms; change the exposure time there"
             )
         asked = 0 if self._streaming else time.time_ns()
-        deadline = time.monotonic() + settings.timeout + settings.exposure_time
+        deadline = time.monotonic() + settings.driver_timeout + settings.exposure_time
         if not self._streaming:
             with self._arrived:
                 self._images.clear()
@@ -240,7 +217,7 @@ class TopicDriver:
             raise CameraError(
                 f"an image of {self._topic} arrived {number_text(1e-9 * (ended - arrived_ns), 3)} s before the end of "
                 "its exposure by its stamp; synchronise the clock of the driver with this computer, or correct "
-                f"exposure_time_s and stamp_of ({settings.stamp_of})"
+                f"exposure_ms and stamp_of ({settings.stamp_of})"
             )
 
     def _grey(self, message: Image) -> np.ndarray:

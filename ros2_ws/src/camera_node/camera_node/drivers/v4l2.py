@@ -8,16 +8,16 @@ import os
 import struct
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
+from rclpy.node import Node
 
 from camera_node.drivers.driver import Frame, Scene
-from camera_node.drivers.stamp_of import StampOf
 from fringedic.errors import CameraError, CameraTimeoutError
 from fringedic.frames.clocks import ClockEstimate, wall_minus_monotonic_ns
+from fringedic.settings.camera import V4l2Camera
 
 NO_DROP = Path("/sys/module/uvcvideo/parameters/nodrop")  # whether the kernel returns frames with lost packets
 _CAPABILITY = 0x80685600  # VIDIOC_QUERYCAP
@@ -33,34 +33,6 @@ _LARGEST_DEVIATION = 0.05  # of the exposure time that a camera sets, relative t
 _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 8.0  # between two attempts to open a lost camera
 # formats with the grey levels of the sensor; in YUYV, every second byte
 _FORMATS = {"Mono8": ("GREY", "YUYV"), "Mono16": ("Y16 ",)}
-
-
-@dataclass(frozen=True)
-class V4l2Settings:
-    """Settings of a device.
-
-    Attributes
-    ----------
-    device
-        Path of the device; the paths in /dev/v4l/by-id do not change when it is plugged in again.
-    exposure_time
-        Exposure time [s], in units of 0.1 ms.
-    size
-        (width, height) of the images [px]; None keeps the setting of the device.
-    pixel_format
-        "Mono8" or "Mono16".
-    stamp_of
-        Moment of the exposure to which the stamps of the kernel belong.
-    timeout
-        Longest wait for a frame beyond its exposure time [s].
-    """
-
-    device: str
-    exposure_time: float
-    size: tuple[int, int] | None = None
-    pixel_format: str = "Mono8"
-    stamp_of: StampOf = StampOf.END
-    timeout: float = 5.0
 
 
 class V4l2Driver:
@@ -86,11 +58,11 @@ class V4l2Driver:
     counts: Mapping[str, int] = {}
     clock: ClockEstimate | None = None  # the kernel stamps frames by the steady clock of this computer
 
-    def __init__(self, settings: V4l2Settings) -> None:
+    def __init__(self, settings: V4l2Camera, _node: Node | None = None) -> None:
         if settings.pixel_format not in _FORMATS:
             raise CameraError(f"pixel format {settings.pixel_format}: Video4Linux has {', '.join(_FORMATS)}")
         self._settings = settings
-        self._path = settings.device
+        self._path = settings.camera
         self._pause = _FIRST_PAUSE_S
         self._next_attempt = 0.0
         self._rate: float | None = None
@@ -134,7 +106,7 @@ class V4l2Driver:
         except OSError as error:
             raise self._lost(str(error)) from error
         asked = 0 if self._rate else time.monotonic_ns()
-        deadline = time.monotonic() + self._settings.timeout + self._exposure_time
+        deadline = time.monotonic() + self._settings.driver_timeout + self._exposure_time
         while time.monotonic() < deadline:
             try:
                 read, raw = video.read()
@@ -147,7 +119,7 @@ class V4l2Driver:
             if self._settings.stamp_of.start_ns(stamp, self._exposure_time) >= asked:
                 middle = self._settings.stamp_of.middle_ns(stamp, self._exposure_time)
                 return Frame(self._grey(raw), middle + wall_minus_monotonic_ns(), self._exposure_time)
-        raise CameraTimeoutError(f"{self._path}: no frame began after the request; check the parameter stamp_of")
+        raise CameraTimeoutError(f"{self._path}: no frame began after the request; check stamp_of")
 
     def close(self) -> None:
         """Close the device."""

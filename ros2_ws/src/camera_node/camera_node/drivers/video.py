@@ -6,10 +6,12 @@ import time
 from pathlib import Path
 
 import cv2
+from rclpy.node import Node
 
 from camera_node.drivers.driver import Frame, LocalDriver, Scene
 from fringedic.errors import CameraError
 from fringedic.frames.grey import luminance
+from fringedic.settings.camera import VideoCamera
 
 # codes of OpenCV for grey pixels of 8 and 16 bits, which it returns unchanged without CONVERT_RGB
 _GREY = {"Y800", "Y1\x00\x10"}
@@ -23,11 +25,9 @@ class VideoDriver(LocalDriver):
 
     Parameters
     ----------
-    file
-        A video that FFmpeg of OpenCV can read. Lossless grey videos keep their grey levels; others are converted to
-        luminance.
-    repeat
-        Start again after the last frame.
+    settings
+        A video that FFmpeg of OpenCV can read, and whether it is repeated. Lossless grey videos keep their grey levels;
+        others are converted to luminance.
 
     Raises
     ------
@@ -35,11 +35,10 @@ class VideoDriver(LocalDriver):
         There is no such video.
     """
 
-    def __init__(self, file: str, *, repeat: bool) -> None:
-        self._file = file
-        self._repeat = repeat
-        if not Path(file).is_file():
-            raise CameraError(f"there is no video '{file}'; set the parameter files to a video file")
+    def __init__(self, settings: VideoCamera, _node: Node | None = None) -> None:
+        self._file, self._repeat = settings.files, settings.repeat
+        if not Path(self._file).is_file():
+            raise CameraError(f"there is no video '{self._file}'; set files to a video file")
         self._open()
         self._began_ns: int | None = None  # time of the first frame of the file in a free run
 

@@ -7,7 +7,9 @@ import math
 import numpy as np
 
 from camera_node.drivers.driver import Frame, LocalDriver, PlacedPlane, Scene
+from fringedic.settings.camera import CameraNodeSettings, VirtualCamera
 from fringedic.virtual_rig import VirtualRig, VirtualRigConfiguration, pattern_weights
+from fringedic_ros.lifecycle import HardwareNode
 
 
 class VirtualDriver(LocalDriver):
@@ -73,3 +75,8 @@ class VirtualDriver(LocalDriver):
 
     def _dark(self) -> np.ndarray:
         return np.zeros(self.rig.projector_shape, np.uint8)
+
+
+def open_virtual_camera(_settings: VirtualCamera, node: HardwareNode[CameraNodeSettings]) -> VirtualDriver:
+    """Return the camera of the virtual rig of a camera node."""
+    return VirtualDriver(VirtualRigConfiguration.from_dict(node.parameters.value.virtual_rig))

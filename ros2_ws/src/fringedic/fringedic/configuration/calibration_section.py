@@ -11,11 +11,11 @@ from pydantic import Field
 
 from fringedic.calibration.history import recorded_checks
 from fringedic.calibration.result import RigCalibration
-from fringedic.configuration.sections import MILLI
 from fringedic.configuration.yaml_section import Section
 from fringedic.errors import CalibrationError
 from fringedic.metadata import CalibrationMetadata, CheckMetadata
 from fringedic.rig.model import RigModel
+from fringedic.settings.base import MILLI
 
 LATEST_CHECKS = 5  # of the calibration in the metadata of a recording
 

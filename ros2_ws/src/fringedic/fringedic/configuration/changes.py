@@ -98,7 +98,7 @@ def load_changed_rig_file(path: str | os.PathLike[str], values: Mapping[str, Any
     for name, value in values.items():
         section, key = name.split(".")
         content = _merged(content, {section: {key: value}})
-    return validate(RigFile, content, str(path), REPLACED_KEYS)
+    return validate(RigFile, content, str(path), REPLACED_KEYS, folder=Path(path).parent)
 
 
 def _merged(old: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:

@@ -214,7 +214,7 @@ class _Costs:
 def _bits(rig: RigFile) -> int:
     if rig.camera.source == "virtual":
         return rig.virtual_configuration().sensor.bits
-    return 8 if rig.camera.pixel_format == "Mono8" else 16
+    return rig.camera.bits or 8
 
 
 def _moving_time(rig: RigFile, steps: list[ProgrammeStep]) -> float:

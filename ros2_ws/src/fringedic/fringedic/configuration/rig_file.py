@@ -15,9 +15,7 @@ from fringedic.configuration.plan_section import PlanSection
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.sections import (
     FINEST_DEFAULT_PITCH_PX,
-    MILLI,
     VIRTUAL_RIG,
-    CameraSection,
     ExtensometerSection,
     LoadFrameSection,
     NodesSection,
@@ -33,8 +31,9 @@ from fringedic.metadata import CalibrationMetadata, HardwareMetadata, Metadata, 
 from fringedic.patterns.pattern import ProjectedPattern
 from fringedic.patterns.sequences import step_sequence
 from fringedic.rig.compatibility import RigSetup, check_calibration
-from fringedic.rig.geometry import UNKNOWN_FIRST
 from fringedic.rig.model import RigModel
+from fringedic.settings.base import MILLI
+from fringedic.settings.camera import Camera, CameraSettings
 from fringedic.virtual_rig import VirtualRigConfiguration
 from fringedic.wording.arguments import check_arguments
 from fringedic.wording.arguments import path as file_path
@@ -60,7 +59,7 @@ class RigFile(Section):
     """The content of a rig file."""
 
     namespace: str = Field("rig", pattern=NAMESPACE, description="ROS namespace of the rig.")
-    camera: CameraSection = Field(description="The camera.")
+    camera: Camera = Field(description="The camera.")
     projector: ProjectorSection | None = Field(None, description="The projector; without one only white frames.")
     sequence: SequenceSection = Field(SequenceSection(), description="The fringe patterns of one step.")
     calibration: Calibration | None = Field(
@@ -114,6 +113,12 @@ class RigFile(Section):
         return self
 
     @model_validator(mode="after")
+    def _size_of_the_images_is_known(self) -> RigFile:
+        if self.camera.needs_size and self.camera.size is None:
+            raise ValueError(f"camera: source: {self.camera.source} needs width and height, the size of its images")
+        return self
+
+    @model_validator(mode="after")
     def _relative_phases_are_wanted(self) -> RigFile:
         if self.sequence.fringe_order == "one_image" and self.nodes.phase.relative_phase != "accept":
             raise ValueError(
@@ -132,7 +137,7 @@ class RigFile(Section):
 
     def camera_first(self) -> tuple[int, int]:
         """Return the (column, row) of the sensor with which the images begin [px], -1 when it is not known."""
-        return (self.camera.first_column, self.camera.first_row) if self.camera.source == "aravis" else UNKNOWN_FIRST
+        return self.camera.first
 
     def projector_size(self) -> tuple[int, int] | None:
         """Return (width, height) of the projector's image [px], None without a projector."""
@@ -198,7 +203,7 @@ class RigFile(Section):
             noise = NoiseFloorMetadata.load(Path(path).parent / self.noise_floor_file)
         return Metadata(specimen=self.specimen, hardware=self.hardware, calibration=known, noise=noise)
 
-    def _size(self, section: CameraSection | ProjectorSection, name: str) -> tuple[int, int] | None:
+    def _size(self, section: CameraSettings | ProjectorSection, name: str) -> tuple[int, int] | None:
         if section.source == "virtual":
             part = getattr(self.virtual_configuration(), name)
             size = (part.columns, part.rows)
@@ -209,7 +214,7 @@ class RigFile(Section):
                     "remove width and height to use those"
                 )
             return size
-        if section.width is None or section.height is None:
+        if not section.width or not section.height:
             return None
         return section.width, section.height
 

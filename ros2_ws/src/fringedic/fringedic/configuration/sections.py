@@ -1,4 +1,4 @@
-"""Sections of a rig file: camera, projector, sequence, reference plane, load frame, nodes, recording.
+"""Sections of a rig file: projector, sequence, reference plane, load frame, nodes, recording.
 
 Positions in an image are (column, row).
 """
@@ -15,9 +15,9 @@ from pydantic import Field, model_validator
 from fringedic.configuration.yaml_section import Section
 from fringedic.patterns.sequences import FringeOrder
 from fringedic.recording.writer import Split
+from fringedic.settings.base import MILLI
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 
-MILLI = 1e-3
 # Angles [degree] of the plane for another image of its grid: below the first the perspective hides in the noise of the
 # grid (benchmarks/distortion.py), at the second it is clear and the grid is still in focus
 _LEAST_TURN, _GOOD_TURN = 2.0, 12.0
@@ -25,24 +25,6 @@ FINEST_DEFAULT_PITCH_PX = 8.0  # finer fringes lose their modulation in most pro
 VIRTUAL_RIG = "virtual_rig"
 
 # Keys that only some sources of a section use, with those sources, and where another source has such settings
-_CAMERA_USERS = {
-    "stamp_of": ("v4l2", "topic"),
-    "camera": ("aravis", "v4l2"),
-    "first_column": ("aravis",),
-    "first_row": ("aravis",),
-    "gain_db": ("aravis",),
-    "trigger": ("aravis",),
-    "trigger_line": ("aravis",),
-    "packet_size_byte": ("aravis",),
-}
-_CAMERA_ADVICE = {
-    "virtual": "the section virtual_rig describes this camera",
-    "files": "the images are used as they are stored",
-    "video": "the images are used as they are stored",
-    "aravis": "the meaning of the stamps of such a camera is known",
-    "v4l2": "such a camera runs freely with its whole image, and v4l2-ctl sets its gain",
-    "topic": "the driver of the camera has its own settings",
-}
 _PROJECTOR_USERS = {"display": ("display",)}
 _PROJECTOR_ADVICE = {"virtual": "source: display shows the patterns on a display of this computer"}
 _LOAD_FRAME_USERS = {
@@ -65,7 +47,7 @@ _LOAD_FRAME_ADVICE = {
 
 
 def _refuse_unused(
-    section: CameraSection | ProjectorSection | LoadFrameSection,
+    section: ProjectorSection | LoadFrameSection,
     users: Mapping[str, tuple[str, ...]],
     advice: Mapping[str, str],
 ) -> None:
@@ -81,72 +63,6 @@ def _refuse_unused(
         raise ValueError(
             f"source: {section.source} does not use {', '.join(unused)}; remove {them}: {advice[section.source]}"
         )
-
-
-class CameraSection(Section):
-    """The camera of the rig."""
-
-    source: Literal["virtual", "files", "video", "aravis", "v4l2", "topic"] = Field(
-        description="Source of the images. virtual: the virtual rig; files: a folder; video: a video file; aravis: a "
-        "GigE or USB3 Vision camera; v4l2: a USB camera (UVC); topic: any camera with a ROS 2 driver of its own."
-    )
-    width: int | None = Field(None, ge=16, le=32768, description="Image width [px]; known from a virtual rig.")
-    height: int | None = Field(None, ge=16, le=32768, description="Image height [px]; known from a virtual rig.")
-    exposure_ms: float = Field(10.0, gt=0, le=60e3, description="Exposure time [ms].")
-    settle_ms: float = Field(
-        0.0, ge=0, le=60e3, description="Time between the request of a pattern and the exposure [ms]."
-    )
-    files: str | None = Field(
-        None,
-        description="Images for the source 'files', a folder or a pattern such as a/*.tif; file of the source 'video'.",
-    )
-    topic: str | None = Field(None, description="Images of the source 'topic', such as /cam/image_raw.")
-    stamp_of: Literal["start", "middle", "end"] = Field(
-        "end", description="Moment of the exposure that stamps of the sources 'topic' and 'v4l2' refer to; end is safe."
-    )
-    camera: str = Field(
-        "", description="Identifier or network address of a real camera, path of a 'v4l2' camera; empty: the only one."
-    )
-    pixel_format: Literal["Mono8", "Mono10", "Mono12", "Mono16"] = Field(
-        "Mono8", description="Pixel format of a real camera."
-    )
-    first_column: int = Field(
-        0, ge=0, le=32768, description="First column of the used part of the sensor [px], of the source 'aravis'."
-    )
-    first_row: int = Field(
-        0, ge=0, le=32768, description="First row of the used part of the sensor [px], of the source 'aravis'."
-    )
-    gain_db: float = Field(0.0, ge=-100, le=100, description="Gain of the source 'aravis' [dB].")
-    trigger: Literal["internal", "software", "external_edge", "external_level"] = Field(
-        "software", description="Trigger of the exposures of the source 'aravis'."
-    )
-    trigger_line: str = Field("Line1", description="Input of the source 'aravis' for external triggers.")
-    packet_size_byte: int = Field(
-        0, ge=0, le=65535, description="Size of network packets of the source 'aravis' [byte]; 0: the largest."
-    )
-
-    @model_validator(mode="after")
-    def _keys_belong_to_their_source(self) -> CameraSection:
-        if (self.source in ("files", "video")) != (self.files is not None):
-            raise ValueError("source: files needs the key files, and so does video; other sources do not use it")
-        if (self.source == "topic") != (self.topic is not None):
-            raise ValueError("source: topic needs the key topic, and only this source uses it")
-        if self.source == "v4l2" and not self.camera:
-            raise ValueError("source: v4l2 needs the key camera, a path such as /dev/video0")
-        if self.source in ("aravis", "v4l2", "topic") and (self.width is None or self.height is None):
-            raise ValueError(f"source: {self.source} needs width and height, the size of its images")
-        _refuse_unused(self, _CAMERA_USERS, _CAMERA_ADVICE)
-        return self
-
-    @property
-    def exposure_time(self) -> float:
-        """Exposure time [s]."""
-        return self.exposure_ms * MILLI
-
-    @property
-    def settle_time(self) -> float:
-        """Time between pattern and exposure [s]."""
-        return self.settle_ms * MILLI
 
 
 class ProjectorSection(Section):

@@ -8,9 +8,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ValidationError
 
 from fringedic.errors import ConfigurationError
+from fringedic.settings.base import FOLDER, Settings
+from fringedic.settings.devices import UNKNOWN_KEY
 from fringedic.wording.causes import cause_of
 from fringedic.wording.yaml_text import load_yaml
 
@@ -20,10 +22,8 @@ _LONGEST_LIST = 400  # characters of a list of problems; the rest is counted
 _MEMBERS = ("values", "file", "a step", "a ramp", "a cycle")
 
 
-class Section(BaseModel):
-    """Base of all sections: refuses unknown keys, other types, NaN and infinity."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+class Section(Settings):
+    """Base of the sections that are no settings of a device or a node."""
 
 
 def load_sections(path: Path, model: type[Model], replaced: Mapping[str, str] | None = None) -> Model:
@@ -52,13 +52,25 @@ def load_sections(path: Path, model: type[Model], replaced: Mapping[str, str] | 
         raise ConfigurationError(f"{path}: is not YAML: {error}") from error
     if not isinstance(content, dict):
         raise ConfigurationError(f"{path}: is empty or has no 'key: value'; keys are {_keys(model)}")
-    return validate(model, content, str(path), replaced)
+    return validate(model, content, str(path), replaced, folder=path.parent)
 
 
 def validate(
-    model: type[Model], content: Mapping[str, Any], source: str, replaced: Mapping[str, str] | None = None
+    model: type[Model],
+    content: Mapping[str, Any],
+    source: str,
+    replaced: Mapping[str, str] | None = None,
+    *,
+    folder: Path | None = None,
 ) -> Model:
     """Return checked sections; the error names `source`, the key and what is allowed, in one sentence.
+
+    Parameters
+    ----------
+    model, content, source, replaced
+        The sections, what they contain, where it is written, and keys of earlier versions, as of `load_sections`.
+    folder
+        Paths in the sections are relative to it; by default to the working directory.
 
     Raises
     ------
@@ -66,7 +78,7 @@ def validate(
         A key is unknown, missing, replaced or out of its range.
     """
     try:
-        return model.model_validate(content)
+        return model.model_validate(content, context={FOLDER: folder})
     except ValidationError as error:
         problems = [_problem(model, each, replaced or {}) for each in error.errors()]
         raise ConfigurationError(f"{source}: {_listed(problems)}") from error
@@ -83,7 +95,8 @@ def _problem(model: type[BaseModel], error: Mapping[str, Any], replaced: Mapping
     if error["type"] == "missing":
         return f"{name}: is missing"
     words = f"{name}: {error['msg'].removeprefix('Value error, ')}"
-    return words if isinstance(error["input"], dict) else f"{words} (it is {reprlib.repr(error['input'])})"
+    is_value = error["type"] != UNKNOWN_KEY and not isinstance(error["input"], dict)
+    return f"{words} (it is {reprlib.repr(error['input'])})" if is_value else words
 
 
 def _listed(problems: Sequence[str]) -> str:

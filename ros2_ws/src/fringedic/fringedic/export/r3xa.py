@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets.attributes import experiment_name, first_time, image_size, origin_of, seconds
+from fringedic.steps.recorded_parameters import present_parameters
 
 VERSION = "2024.7.1"
 
@@ -90,9 +91,9 @@ def _camera(dataset: xr.Dataset, known: dict[str, Any], hardware: dict[str, Any]
         source["image_scale"] = _quantity(1e-3 / scale, "px/mm")
     if calibration is not None:
         source["standoff_distance"] = _quantity(1e3 * calibration["camera_distance"], "mm")
-    exposure = known.get("rig", {}).get("camera", {}).get("exposure_time_s")
-    if exposure is not None:
-        source["exposure"] = _quantity(1e3 * exposure, "ms")
+    exposure_ms = present_parameters("camera", known.get("rig", {}).get("camera", {})).get("exposure_ms")
+    if exposure_ms is not None:
+        source["exposure"] = _quantity(exposure_ms, "ms")
     if hardware.get("focal_length_mm") is not None:
         source["focal_length"] = _quantity(hardware["focal_length_mm"], "mm")
     entered = {"lens": "lens", "aperture": "aperture", "filters": "filter"}

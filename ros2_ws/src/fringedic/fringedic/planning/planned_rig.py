@@ -174,7 +174,6 @@ def pixel_ripple(pitch: float, blur: float) -> float:
     return float(abs(below) + abs(above)) / float(fringe) / math.sqrt(2)
 
 
-_BITS = {"Mono8": 8, "Mono10": 10, "Mono12": 12, "Mono16": 16}
 
 
 def planned_configuration(rig: RigFile, name: str) -> VirtualRigConfiguration:
@@ -204,5 +203,5 @@ def planned_configuration(rig: RigFile, name: str) -> VirtualRigConfiguration:
     sizes = rig.camera_size(), rig.projector_size()
     if sizes[0] is None or sizes[1] is None:
         raise ConfigurationError(f"{name}: a plan needs width and height of camera and projector")
-    bits = _BITS[rig.camera.pixel_format]
+    bits = rig.camera.bits or 8
     return VirtualRigConfiguration.from_dict(rig.plan.virtual_entries(sizes[0], sizes[1], bits))

@@ -21,6 +21,7 @@ from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.frames import records, with_losses
 from fringedic.recording.reader import BagReader
 from fringedic.rig_setup.advice import Advice
+from fringedic.steps.recorded_parameters import present_parameters
 
 
 @dataclass(frozen=True)
@@ -64,7 +65,7 @@ class ReportData:
     @cached_property
     def camera(self) -> dict[str, Any]:
         """Parameters of the camera node."""
-        return dict(self.attribute("rig").get("camera", {}))
+        return present_parameters("camera", self.attribute("rig").get("camera", {}))
 
     @property
     def section(self) -> float | None:

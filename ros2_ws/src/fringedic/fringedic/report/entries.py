@@ -101,8 +101,8 @@ def _view_entries(data: ReportData) -> list[Entry]:
 
 def _exposure_entries(data: ReportData) -> list[Entry]:
     exposures = data.exposures
-    time = data.camera.get("exposure_time_s") if exposures is None else exposures.exposure_time
-    exposure = Entry("exposure time", None if time is None else f"{1e3 * time:.4g} ms")
+    time_ms = data.camera.get("exposure_ms") if exposures is None else 1e3 * exposures.exposure_time
+    exposure = Entry("exposure time", None if time_ms is None else f"{time_ms:.4g} ms")
     if exposures is None:
         return [exposure, *without(("acquisition rate", "lost frames"), "needs the recording")]
     frames = "one frame per step" if exposures.frames == 1 else f"{exposures.frames} frames per step"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,8 +15,43 @@ from fringedic.rig.model import RigModel
 from fringedic.steps.parameters import CouplingParameters, DicParameters, Parameters, PhaseParameters
 
 METADATA_PARAMETER = "facts"  # its name in recordings
-_RENAMED = {"watch_region_px": "drift_marker_px"}  # parameters of older recordings
+_DIGITS = 9  # of a converted value, which does not show the rounding of its conversion
 MODELS: dict[str, type[Parameters]] = {"phase": PhaseParameters, "dic": DicParameters, "coupling": CouplingParameters}
+
+
+def _renamed(name: str, scale: float | None = None) -> Callable[[Any], dict[str, Any]]:
+    """Return the conversion of a parameter that has another name, and with a scale another unit."""
+    return lambda value: {name: value if scale is None else round(scale * value, _DIGITS)}
+
+
+def _part_of_the_sensor(region: Sequence[int]) -> dict[str, Any]:
+    return dict(zip(("first_column", "first_row", "width", "height"), region, strict=False))
+
+
+# By node and name of earlier versions: the parameters that replace it
+_REPLACED: dict[str, dict[str, Callable[[Any], dict[str, Any]]]] = {
+    "camera": {
+        "exposure_time_s": _renamed("exposure_ms", 1e3),
+        "settle_time_s": _renamed("settle_ms", 1e3),
+        "region_px": _part_of_the_sensor,
+    },
+    "coupling": {"watch_region_px": _renamed("drift_marker_px")},
+}
+
+
+def present_parameters(node: str, recorded: Mapping[str, Any]) -> dict[str, Any]:
+    """Return recorded parameters of a node with the names and units of this version.
+
+    Examples
+    --------
+    >>> present_parameters("camera", {"exposure_time_s": 0.012, "region_px": [0, 64, 1280, 960]})
+    {'exposure_ms': 12.0, 'first_column': 0, 'first_row': 64, 'width': 1280, 'height': 960}
+    """
+    replaced = _REPLACED.get(node, {})
+    present: dict[str, Any] = {}
+    for name, value in recorded.items():
+        present |= replaced[name](value) if name in replaced else {name: value}
+    return present
 
 
 def present_name(node: str, recorded: str) -> str | None:
@@ -27,7 +62,7 @@ def present_name(node: str, recorded: str) -> str | None:
     >>> present_name("coupling", "watch_region_px"), present_name("dic", "colour")
     ('drift_marker_px', None)
     """
-    name = _RENAMED.get(recorded, recorded)
+    [name] = present_parameters(node, {recorded: None})
     return name if name in MODELS[node].model_fields else None
 
 
@@ -101,7 +136,8 @@ class RecordedParameters:
 
     def take(self, message: Any) -> None:
         """Take the published parameters of one node; parameters that this version does not have are left out."""
-        recorded = {_RENAMED.get(each.name, each.name): _value(each.value) for each in message.parameters}
+        values = {each.name: _value(each.value) for each in message.parameters}
+        recorded = present_parameters(message.node, values)
         if message.node in self._overrides:
             known = self._model(message.node).model_fields
             self._set(message.node, {name: value for name, value in recorded.items() if name in known})

@@ -201,7 +201,7 @@ def test_what_cannot_be_planned_is_one_sentence():
     rig = rig_file()
     with pytest.raises(ConfigurationError, match="no projector"):
         PlannedRig.of(rig.model_copy(update={"projector": None}))
-    unsized = rig.camera.model_copy(update={"width": None})
+    unsized = rig.camera.model_copy(update={"width": 0})
     with pytest.raises(ConfigurationError, match="width and height"):
         PlannedRig.of(rig.model_copy(update={"camera": unsized}))
     repeating = rig.sequence.model_copy(update={"pitches_px": [60.0, 12.0]})

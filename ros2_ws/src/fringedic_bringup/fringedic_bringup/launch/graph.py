@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from pydantic import BaseModel
 
 from fringedic.configuration.rig_file import RigFile, load_fitting_calibration
 from fringedic.configuration.sections import ExtensometerSection
@@ -15,14 +16,15 @@ from fringedic.errors import ConfigurationError, ImageError
 from fringedic.frames.region import Region
 from fringedic.metadata import Metadata
 from fringedic.recording.reader import BagReader
+from fringedic.settings.camera import CameraNodeSettings
+from fringedic.settings.parameters import default_parameters, to_parameters
+from fringedic.steps.recorded_parameters import present_parameters
 from fringedic.wording.yaml_text import load_yaml
 
 PROCESSING_NODES = {"phase": "phase_node", "dic": "dic_node", "coupling": "coupling_node"}
 STEP_TOPIC = "experiment/step"
 _FULL_SCALES = (0.0, 255.0, 65535.0)  # unknown, or that of the pixel type
 FRAMES_MISSED = 3  # in a row, after which the extensometer reports that it has no image
-# A virtual camera renders its images; the first frame at a new position takes seconds, on a busy computer more.
-RENDERING_TIMEOUT_S = 120.0
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class NodeEntry:
     ----------
     changes_at_restart
         Parameters that differ when the node is started again after it has ended.
+    defaults
+        Values of the parameters that are not given.
     """
 
     name: str
@@ -40,6 +44,7 @@ class NodeEntry:
     executable: str
     parameters: Mapping[str, Any] = field(default_factory=dict)
     changes_at_restart: Mapping[str, Any] = field(default_factory=dict)
+    defaults: Mapping[str, Any] = field(default_factory=dict)
 
     def write_parameters(self, folder: Path, **others: Any) -> Path:
         """Write all parameters and some others into ``<name>.yaml`` of a folder, and return its path."""
@@ -50,6 +55,8 @@ class NodeEntry:
     def changed_parameters(self, folder: Path) -> set[str]:
         """Return the names of the parameters that differ from the file that `write_parameters` wrote; none without it.
 
+        The file may be that of an earlier version.
+
         Raises
         ------
         ConfigurationError
@@ -59,8 +66,10 @@ class NodeEntry:
         if not file.exists():
             return set()
         try:
-            before = load_yaml(file.read_text())["/**"]["ros__parameters"]
-            now = load_yaml(yaml.safe_dump(dict(self.parameters)))  # with lists and texts, as in the file
+            written = present_parameters(self.name, load_yaml(file.read_text())["/**"]["ros__parameters"])
+            before = {**self.defaults, **written}
+            # with lists and texts, as in the file
+            now = {**self.defaults, **load_yaml(yaml.safe_dump(dict(self.parameters)))}
             return {name for name in now.keys() | before.keys() if now.get(name) != before.get(name)}
         except (OSError, ValueError, yaml.YAMLError, KeyError, TypeError, AttributeError):
             raise ConfigurationError(f"{file} is damaged, so the settings of the first steps are unknown") from None
@@ -129,7 +138,7 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
     if not rig.recording.process:
         settings["later_parameters"] = yaml.safe_dump(processing)
     nodes += [
-        *_hardware(rig, rig_path, _camera(rig, rig_path) | _truth(rig, folder) | _free_run(rig)),
+        *_hardware(rig, rig_path, **_truth(rig, folder), **_free_run(rig)),
         NodeEntry("experiment", "experiment_node", "experiment", settings),
     ]
     if calibration is not None:
@@ -158,7 +167,7 @@ def calibration_graph(rig: RigFile, rig_path: Path, folder: Path) -> Graph:
     nodes = [
         NodeEntry("recorder", "recorder_node", "recorder", _recorder(rig, folder)),
         NodeEntry("phase", PROCESSING_NODES["phase"], "phase", phase),
-        *_hardware(rig, rig_path, _camera(rig, rig_path)),
+        *_hardware(rig, rig_path),
         NodeEntry("experiment", "experiment_node", "experiment", settings),
     ]
     return _graph(rig, nodes)
@@ -178,7 +187,7 @@ def live_graph(rig: RigFile, rig_path: Path, region: Sequence[int] = ()) -> Grap
     if region:
         view["region_px"] = list(region)
     live_view = NodeEntry("live_view", "camera_node", "live_view", view)
-    return _graph(rig, [live_view, *_hardware(rig, rig_path, _camera(rig, rig_path))])
+    return _graph(rig, [live_view, *_hardware(rig, rig_path)])
 
 
 def exposing_graph(rig: RigFile, rig_path: Path) -> Graph:
@@ -189,7 +198,8 @@ def exposing_graph(rig: RigFile, rig_path: Path) -> Graph:
     rig, rig_path
         The rig file, and its path.
     """
-    return _graph(rig, _hardware(rig, rig_path, _camera(rig, rig_path) | {"settle_time_s": 0.0}))
+    at_once = rig.model_copy(update={"camera": rig.camera.model_copy(update={"settle_ms": 0.0})})
+    return _graph(rig, _hardware(at_once, rig_path))
 
 
 def projecting_graph(rig: RigFile, rig_path: Path) -> Graph:
@@ -261,6 +271,11 @@ def _graph(rig: RigFile, nodes: Sequence[NodeEntry]) -> Graph:
     return Graph(rig.namespace, tuple(replace(node, parameters={**node.parameters, **prefix}) for node in nodes))
 
 
+def _node(name: str, package: str, settings: BaseModel, **again: Any) -> NodeEntry:
+    """Return a node with all of its settings; `again` are those that differ when it is started again."""
+    return NodeEntry(name, package, name, to_parameters(settings), again, default_parameters(settings))
+
+
 def _processing_nodes(parameters: Mapping[str, Mapping[str, Any]]) -> list[NodeEntry]:
     return [NodeEntry(name, package, name, parameters.get(name, {})) for name, package in PROCESSING_NODES.items()]
 
@@ -275,8 +290,9 @@ def _recorder(rig: RigFile, folder: Path) -> dict[str, Any]:
     }
 
 
-def _hardware(rig: RigFile, rig_path: Path, camera: Mapping[str, Any]) -> list[NodeEntry]:
-    """Return projector and camera, and the stage of a virtual rig."""
+def _hardware(rig: RigFile, rig_path: Path, **others: Any) -> list[NodeEntry]:
+    """Return projector and camera, and the stage of a virtual rig; `others` are further settings of the camera node."""
+    camera = CameraNodeSettings(device=rig.camera, **_virtual(rig), **others)
     nodes = []
     size = rig.projector_size()
     if rig.projector is not None and size is not None:
@@ -288,40 +304,11 @@ def _hardware(rig: RigFile, rig_path: Path, camera: Mapping[str, Any]) -> list[N
         nodes.append(NodeEntry("projector", "fringe_projector_node", "projector", parameters))
     if rig.camera.source == "virtual":
         nodes.append(NodeEntry("stage", "load_frame_node", "stage"))
-    return [*nodes, NodeEntry("camera", "camera_node", "camera", camera)]
+    return [*nodes, _node("camera", "camera_node", camera)]
 
 
-def _camera(rig: RigFile, rig_path: Path) -> dict[str, Any]:
-    camera = rig.camera
-    parameters: dict[str, Any] = {
-        "source": camera.source,
-        "exposure_time_s": camera.exposure_time,
-        "settle_time_s": camera.settle_time,
-    }
-    if camera.files is not None:
-        parameters["files"] = str((rig_path.parent / camera.files).absolute())
-    if camera.source == "aravis":
-        parameters |= {
-            "camera": camera.camera,
-            "pixel_format": camera.pixel_format,
-            "region_px": [camera.first_column, camera.first_row, camera.width, camera.height],
-            "gain_db": camera.gain_db,
-            "trigger": camera.trigger,
-            "trigger_line": camera.trigger_line,
-            "packet_size_byte": camera.packet_size_byte,
-        }
-    if camera.source == "v4l2":
-        parameters |= {
-            "camera": camera.camera,
-            "pixel_format": camera.pixel_format,
-            "region_px": [0, 0, camera.width, camera.height],
-            "stamp_of": camera.stamp_of,
-        }
-    if camera.source == "topic":
-        parameters |= {"topic": camera.topic, "stamp_of": camera.stamp_of}
-    if rig.virtual_rig is not None:
-        parameters |= {"virtual_rig": _virtual_rig(rig), "timeout_s": RENDERING_TIMEOUT_S}
-    return parameters
+def _virtual(rig: RigFile) -> dict[str, Any]:
+    return {} if rig.virtual_rig is None else {"virtual_rig": rig.virtual_rig}
 
 
 def _region(rig: RigFile, rig_path: Path) -> dict[str, str]:
@@ -348,13 +335,8 @@ def _phase(rig: RigFile) -> dict[str, Any]:
 
 def full_scale(rig: RigFile) -> float:
     """Return the grey level of a saturated pixel; 0 when it follows from the images."""
-    camera = rig.camera
-    if camera.source == "virtual":
-        return 2.0 ** rig.virtual_configuration().sensor.bits - 1
-    # images of other sources may have another type than the default of this key
-    if camera.source in ("aravis", "v4l2") or "pixel_format" in camera.model_fields_set:
-        return 2.0 ** int(camera.pixel_format.removeprefix("Mono")) - 1
-    return 0.0
+    bits = rig.virtual_configuration().sensor.bits if rig.camera.source == "virtual" else rig.camera.bits
+    return 2.0**bits - 1 if bits else 0.0
 
 
 def _free_run(rig: RigFile) -> dict[str, float]:
@@ -402,14 +384,13 @@ def _experiment(rig: RigFile, experiment: str) -> dict[str, Any]:
         "experiment": experiment,
         "projector": rig.projector is not None,
         "recording_required": True,
+        "camera_timeout_s": rig.camera.timeout_s,
         "camera_first_column_px": first_column,
         "camera_first_row_px": first_row,
     }
     if rig.load_frame is not None:
         names = ("hold_required", "load_drift_n", "position_drift_um")
         parameters |= {name: getattr(rig.load_frame, name) for name in names}
-    if rig.virtual_rig is not None:
-        parameters["camera_timeout_s"] = RENDERING_TIMEOUT_S
     size = rig.projector_size()
     if size is not None:
         pitches = rig.pitches()

@@ -136,7 +136,7 @@ class _RigFrames:
         """Return a node; the camera node waits for the settle time of the rig."""
         if node.name != "camera":
             return node
-        return replace(node, parameters={**node.parameters, "settle_time_s": self.rig.camera.settle_time})
+        return replace(node, parameters={**node.parameters, "settle_ms": self.rig.camera.settle_ms})
 
 
 def _fringes(rig: RigFile) -> list[ProjectedPattern]:

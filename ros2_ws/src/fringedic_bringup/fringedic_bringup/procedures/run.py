@@ -29,6 +29,7 @@ from fringedic.frames.records import frame_record, stamp_of
 from fringedic.recording.frames import EXPOSURE, IMAGE, with_losses
 from fringedic.recording.reader import BagReader
 from fringedic.report import write_report
+from fringedic.settings.camera import FilesCamera, StoredImages
 from fringedic_bringup.launch.environment import domain_of, node_environment
 from fringedic_bringup.launch.graph import rig_graph
 from fringedic_bringup.launch.processes import RunningGraph, require_no_nodes
@@ -68,10 +69,9 @@ def load_rig(rig_path: Path, programme_path: Path | None, images: Path | None) -
             raise ConfigurationError(f"{rig_path}: camera.source is {rig.camera.source}; only 'files' takes images")
         rig = rig.model_copy(update={"camera": rig.camera.model_copy(update={"files": str(images.absolute())})})
     programme = load_programme(programme_path) if programme_path is not None else rig.programme
-    if rig.camera.files is not None:
-        place = rig_path.parent / rig.camera.files
+    if isinstance(rig.camera, FilesCamera):
         try:
-            count = len(image_files([place]))
+            count = len(image_files([Path(rig.camera.files)]))
         except ImageError as error:
             raise ConfigurationError(f"{error}; give their folder with --images") from error
         if programme is None:
@@ -135,7 +135,7 @@ def run_experiment(
             if resume
             else f"{folder} contains a recording already; choose another --output, or go on with it by --continue"
         )
-    if resume and rig.camera.files is not None:
+    if resume and isinstance(rig.camera, StoredImages):
         raise ConfigurationError(
             f"{folder} cannot be continued, because the camera would read its files from the first image again; start "
             "a new run"
