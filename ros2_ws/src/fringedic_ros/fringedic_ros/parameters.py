@@ -138,7 +138,8 @@ def declare(node: Node, model: type[ModelT], on_change: Callable[[ModelT], None]
     ConfigurationError
         The model refuses a value; the message names node, parameter and value.
     """
-    fields = parameter_fields(model, _device(node, model))
+    device = _device(node, model)
+    fields = parameter_fields(model, device)
     raw: dict[str, Any] = {}
     for name, field in fields.items():
         if not node.has_parameter(name):
@@ -150,7 +151,10 @@ def declare(node: Node, model: type[ModelT], on_change: Callable[[ModelT], None]
     plain = all_parameters(value)
     for name, field in fields.items():
         typed = Parameter(name, _ros_type(field), _widened(plain[name], field))
-        node.set_descriptor(name, _descriptor(name, field), typed.to_parameter_msg().value)
+        descriptor = _descriptor(name, field)
+        # the source of a device selects which parameters the node has, so it stays as it is
+        descriptor.read_only = name == SOURCE and device is not None
+        node.set_descriptor(name, descriptor, typed.to_parameter_msg().value)
     return Parameters(node, value, on_change)
 
 
@@ -220,8 +224,7 @@ def _device(node: Node, model: type[BaseModel]) -> type[DeviceSettings] | None:
     if found is None:
         return None
     name, devices = found
-    # it selects which parameters the node has, so it stays as it is
-    start = ParameterDescriptor(description="", dynamic_typing=True, read_only=True)
+    start = ParameterDescriptor(description="", dynamic_typing=True)
     source = node.declare_parameter(SOURCE, model.model_fields[name].default.source, start).value
     try:
         return devices.model(str(source))

@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from fringedic.errors import ConfigurationError
+from fringedic.settings.camera import CameraNodeSettings, FilesCamera
 from fringedic_msgs.msg import NodeParameters
 from fringedic_ros.parameter_docs import documented
 from fringedic_ros.parameters import declare, parameter_table
@@ -122,6 +123,33 @@ def test_changes_are_taken_published_and_told() -> None:
     assert (parameters.value.low, parameters.value.high) == (3.0, 4.0)
     for each in (node, reader):
         each.destroy_node()
+
+
+@pytest.mark.usefixtures("ros")
+def test_a_node_has_the_parameters_of_the_source_of_its_device() -> None:
+    node = node_with(source="files", files="images", exposure_ms=4, virtual_rig="{preset: skin}")
+    parameters = declare(node, CameraNodeSettings)
+    assert parameters.value == CameraNodeSettings(
+        device=FilesCamera(files="images", exposure_ms=4.0), virtual_rig={"preset": "skin"}
+    )
+    assert not node.has_parameter("gain_db")
+    assert node.describe_parameter("exposure_ms").floating_point_range[0].to_value == 60e3
+    assert node.set_parameters([Parameter("exposure_ms", value=8)])[0].successful
+    assert parameters.value.device.exposure_time == 0.008
+    for name, value, words in (
+        ("source", "virtual", "read-only"),
+        ("exposure_ms", -1.0, "out of range"),
+        ("files", "", "needs the key files"),
+        ("virtual_rig", "{preset", "filter: virtual_rig is not valid YAML"),
+        ("virtual_rig", "{preset: tent}", "preset 'tent' is unknown"),
+    ):
+        result = node.set_parameters([Parameter(name, value=value)])[0]
+        assert (result.successful, words in result.reason) == (False, True), result.reason
+    node.destroy_node()
+    node = node_with(source="webcam")
+    with pytest.raises(ConfigurationError, match="filter: source 'webcam' is unknown; known are virtual, files"):
+        declare(node, CameraNodeSettings)
+    node.destroy_node()
 
 
 def test_table_says_what_the_model_declares() -> None:
