@@ -174,8 +174,6 @@ def pixel_ripple(pitch: float, blur: float) -> float:
     return float(abs(below) + abs(above)) / float(fringe) / math.sqrt(2)
 
 
-
-
 def planned_configuration(rig: RigFile, name: str) -> VirtualRigConfiguration:
     """Return the rig that a rig file plans as a virtual rig: that of its section plan, or of virtual_rig without one.
 
