@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
@@ -16,7 +16,7 @@ from fringedic.rig.compatibility import RigSetup, check_calibration
 from fringedic.rig.model import RigModel
 from fringedic.steps.parameters import CouplingParameters
 from fringedic.steps.rehearsal import rehearse_coupling
-from fringedic.steps.sentences import drift_sentence
+from fringedic.steps.remarks import HEIGHTS_RELATIVE, Correction, Remark
 from fringedic.steps.shape_tracker import ShapeTracker, StepSurface
 from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult, displacement_field
 from fringedic_msgs.msg import Exposure, NodeStatus, RigCalibration
@@ -80,7 +80,7 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         if message.kind == PatternKind.FRINGES:  # the last exposure has the step's stamp and the finest pitch
             self._join("camera/exposure", message)
         elif message.kind == PatternKind.WHITE:
-            self.answer(StepId.of(message), NodeStatus.NONE)
+            self.skip(StepId.of(message))
 
     def _take_status(self, name: str, message: NodeStatus) -> None:
         if message.error_code != NodeStatus.NONE:
@@ -120,10 +120,10 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
         self._arrows.publish(result, self._frame)
         return Outcome(
             result.valid_fraction,
-            result.rms,
             parts["phase/status"].frames,
-            "; ".join(_remarks(parts["phase/status"], result)),
-            phase.relative,
+            rms_displacement=result.rms,
+            remarks=tuple(_remarks(result, phase.relative)),
+            relative=phase.relative,
             reference_step=result.reference_step,
             correlated_step=displacement.correlated_step,
         )
@@ -147,9 +147,9 @@ def _phase_result(parts: dict[str, Any]) -> PhaseResult:
         pitch=exposure.pitch,
         orientation=Orientation(exposure.orientation),
         valid_fraction=status.valid_fraction,
-        rms=status.rms,
+        rms=status.phase_sigma,
         relative=status.relative,
-        corrections=status.method,
+        corrections=tuple(map(Correction.of_message, status.corrections)),
     )
 
 
@@ -172,14 +172,15 @@ def _dic_result(parts: dict[str, Any]) -> DicResult:
             method=status.method,
         ),
         valid_fraction=status.valid_fraction,
-        rms=status.rms,
+        rms=status.rms_displacement_px,
     )
 
 
-def _remarks(phase: NodeStatus, result: CouplingResult) -> list[str]:
-    remarks = [f"heights may be off by whole fringes: {phase.error_message}"] if phase.relative else []
-    drift = drift_sentence(result.drift) if result.drift is not None else ""
-    return [*remarks, drift] if drift else remarks
+def _remarks(result: CouplingResult, relative: bool) -> Iterator[Remark]:
+    if relative:
+        yield Remark(HEIGHTS_RELATIVE)
+    if result.drift is not None and (result.drift.moved or result.drift.lost):
+        yield Remark.of_marker(result.drift)
 
 
 def main() -> int:

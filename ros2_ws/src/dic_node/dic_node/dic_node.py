@@ -59,7 +59,7 @@ class DicNode(ProcessingNode[DicParameters]):
         if message.error_code != NodeStatus.NONE:
             self._textures.discard(stamp)
             self.refuse_input("phase", message)
-        elif message.frames:  # 0 for a white step, which the phase node does not measure
+        elif not message.skipped:  # as a white step, which the phase node does not measure
             self._join("phase/status", stamp, message)
 
     def _take_texture(self, message: Image) -> None:
@@ -107,8 +107,8 @@ class DicNode(ProcessingNode[DicParameters]):
             self._preview.publish(image_message(colours, stamp_ns=step.stamp, frame_id=self._frame))
         return Outcome(
             result.valid_fraction,
-            result.rms,
             frames,
+            rms_displacement_px=result.rms,
             reference_step=result.reference_step,
             correlated_step=result.correlated_step,
             window=result.field.attrs["window_px"],

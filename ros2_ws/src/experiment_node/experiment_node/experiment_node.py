@@ -25,8 +25,8 @@ from experiment_node.running_step import RunningStep
 from experiment_node.step_runner import StepRunner
 from fringedic.errors import WaitTimeoutError
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
-from fringedic.recording.load_samples import summarise_load
 from fringedic.rig.model import RigModel
+from fringedic.signals import summarise
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import NodeParameters, RigCalibration
 from fringedic_msgs.srv import SetReference, StartExperiment
@@ -143,6 +143,8 @@ class ExperimentNode(RigNode):
             self._step = None
             self._slot.end()
         result = _empty_result(experiment.name, step.number, failure)
+        if failure is not None:  # who called the action reads the message alone
+            result.error_message = f"experiment '{experiment.name}', step {step.number}: {failure}"
         result.stamp = to_msg(step.stamp)
         result.duration = time.monotonic() - step.started
         if failure is None:
@@ -208,21 +210,26 @@ def _empty_result(experiment: str, step: int, failure: StepFailure | None) -> Me
     result = MeasureStep.Result(experiment=experiment, step=step)
     if failure is not None:
         result.error_code, result.error_message = failure.code, str(failure)
-    result.valid_fraction = result.rms_displacement = nan
+    result.valid_fraction = result.rms_displacement = result.rms_displacement_px = nan
     result.force_mean = result.force_range = result.position_mean = result.position_range = nan
     return result
 
 
 def _fill_in(result: MeasureStep.Result, step: RunningStep) -> None:
     """Enter the figures of a step that succeeded."""
-    measured = step.statuses.get("coupling" if step.patterns[-1].kind == PatternKind.FRINGES else "dic")
-    if measured is not None:
-        result.valid_fraction, result.rms_displacement = measured.valid_fraction, measured.rms
+    for name in ("dic", "coupling"):  # the last one that measured the step has its measured part
+        status = step.statuses.get(name)
+        if status is not None and not status.skipped:
+            result.valid_fraction = status.valid_fraction
+    if "dic" in step.statuses:
+        result.rms_displacement_px = step.statuses["dic"].rms_displacement_px
+    if "coupling" in step.statuses:
+        result.rms_displacement = step.statuses["coupling"].rms_displacement
     result.processing_time = step.processing_time
     samples = step.load_during_exposures()
     stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
-    force = summarise_load(stamps, [sample.force for sample in samples])
-    position = summarise_load(stamps, [sample.position for sample in samples])
+    force = summarise(stamps, [sample.force for sample in samples])
+    position = summarise(stamps, [sample.position for sample in samples])
     result.load_samples = force.samples
     result.recorded_frames, result.recorded_crc = step.recorded_frames, step.recorded_crc
     result.force_mean, result.force_range = force.mean, force.spread

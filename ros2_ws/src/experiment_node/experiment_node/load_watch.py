@@ -16,7 +16,7 @@ from experiment_node.active_goal import StepFailure
 from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.running_step import RunningStep
 from fringedic.errors import WaitTimeoutError
-from fringedic.recording.load_samples import summarise_load
+from fringedic.signals import summarise
 from fringedic.wording.numbers import number_text
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import LoadState
@@ -316,7 +316,7 @@ def check_drift(step: RunningStep, limit: DriftLimit) -> None:
         )
     inside = [index for index, stamp in enumerate(stamps) if start <= stamp <= end]
     chosen = inside if len(inside) > 1 else range(len(stamps))  # a single sample shows no change
-    drift = summarise_load([stamps[each] for each in chosen], [limit.value(samples[each]) for each in chosen]).drift
+    drift = summarise([stamps[each] for each in chosen], [limit.value(samples[each]) for each in chosen]).drift
     if abs(drift) > limit.largest:
         raise StepFailure(
             Result.LOAD_DRIFT,

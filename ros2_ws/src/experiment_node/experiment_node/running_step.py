@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from experiment_node.active_goal import ActiveGoal
 from experiment_node.experiments import Experiment
 from fringedic.patterns.pattern import ProjectedPattern
-from fringedic.recording.load_samples import samples_over
+from fringedic.signals import samples_over
 from fringedic_msgs.msg import LoadState, NodeStatus
 from fringedic_ros.result_codes import failed_node
 from fringedic_ros.stamps import to_nanoseconds

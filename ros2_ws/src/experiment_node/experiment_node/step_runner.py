@@ -138,7 +138,7 @@ class StepRunner:
         self._diagnostics.success(step.processing_time)
 
     def _reject(self, step: RunningStep, failure: StepFailure) -> StepFailure:
-        """Restore the reference of before the step, and return the failure with the name of the step.
+        """Restore the reference of before the step, and return the failure.
 
         A node that was started again has lost the reference: then the next step becomes one.
         """
@@ -146,11 +146,11 @@ class StepRunner:
         if any(status.error_code == NodeStatus.NO_REFERENCE for status in step.statuses.values()):
             experiment.next_is_reference = True
             failure = StepFailure(failure.code, f"{failure}; the next step becomes the reference")
-        failure = StepFailure(failure.code, f"experiment '{experiment.name}', step {step.number}: {failure}")
         if step.is_reference and experiment.reference is not None:
             self.publish_reference(experiment, experiment.reference)
-        self._node.get_logger().error(str(failure))
-        self._diagnostics.failure(str(failure))
+        named = f"experiment '{experiment.name}', step {step.number}: {failure}"
+        self._node.get_logger().error(named)
+        self._diagnostics.failure(named)
         return failure
 
     # stages

@@ -212,7 +212,10 @@ class Rig(Peer):
             if name not in self.silent:
                 status = NodeStatus(node=name, experiment=experiment, step=step, error_code=self.answers.get(name, 0))
                 status.error_message = "scripted" if status.error_code else ""
-                status.valid_fraction, status.rms = 0.75, {"phase": 1.0, "dic": 2.0, "coupling": 3.0}[name]
+                status.valid_fraction, status.rms_displacement_px, status.rms_displacement = 0.75, 2.0, 3.0
+                status.skipped = name == "coupling" and self.captured[-1].kind == Exposure.WHITE
+                if status.skipped:
+                    status.valid_fraction = status.rms_displacement = math.nan
                 status.header.stamp = stamp
                 if self.misnamed == "statuses" and name != "phase":
                     status.step = 7
@@ -379,7 +382,7 @@ def test_a_step_from_begin_to_end(rig: Rig, request: pytest.FixtureRequest) -> N
     last = to_nanoseconds(result.stamp)
     assert last == to_nanoseconds(rig.last_stamp)
     assert [to_nanoseconds(message.header.stamp) for message in rig.steps[-2:]] == [last, last]
-    assert (result.valid_fraction, result.rms_displacement) == (0.75, 3.0)
+    assert (result.valid_fraction, result.rms_displacement, result.rms_displacement_px) == (0.75, 3.0, 2.0)
     assert (result.load_samples, result.force_mean, result.force_range) == (FRAMES, 103.0, 6.0)
     assert (result.position_mean, result.position_range) == (pytest.approx(1e-3), 0.0)
     assert 0 <= result.processing_time < result.duration
@@ -394,7 +397,8 @@ def test_a_step_from_begin_to_end(rig: Rig, request: pytest.FixtureRequest) -> N
 def test_white_without_projector(rig: Rig) -> None:
     rig.change(projector=False)
     result = rig.step(mode=MeasureStep.Goal.WHITE)
-    assert (result.error_code, result.rms_displacement) == (Result.NONE, 2.0)
+    assert (result.error_code, result.valid_fraction, result.rms_displacement_px) == (Result.NONE, 0.75, 2.0)
+    assert math.isnan(result.rms_displacement)
     assert not rig.shown
     assert [captured.kind for captured in rig.captured] == [Exposure.WHITE]
     assert to_nanoseconds(rig.captured[0].shown) == 0

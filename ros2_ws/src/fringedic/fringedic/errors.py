@@ -54,27 +54,40 @@ class FringedicError(Exception):
 class StepError(FringedicError, ValueError):
     """A step of an experiment cannot be measured.
 
+    Its text names the step and the reason; who shows both anyway takes the reason alone.
+
     Attributes
     ----------
+    reason
+        Why it failed, without the name of the step.
     experiment, step
-        Which step failed.
+        Which step failed; an empty experiment where frames were not taken in one.
     index
         Index of the frame concerned, None when it is none in particular.
     """
 
     def __init__(
         self,
-        message: str,
+        reason: str,
         *,
         code: ErrorCode | None = None,
         experiment: str = "",
         step: int = 0,
         index: int | None = None,
     ) -> None:
-        super().__init__(message, code=code)
+        super().__init__(reason, code=code)
+        self.reason = reason
         self.experiment = experiment
         self.step = step
         self.index = index
+
+    def __str__(self) -> str:
+        return f"experiment '{self.experiment}', step {self.step}: {self.reason}" if self.experiment else self.reason
+
+
+def reason_of(error: Exception) -> str:
+    """Return why something failed, without the name of the step, which is shown beside it."""
+    return error.reason if isinstance(error, StepError) else str(error)
 
 
 class VirtualRigError(FringedicError, ValueError):

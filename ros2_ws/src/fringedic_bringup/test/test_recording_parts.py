@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
@@ -90,6 +91,9 @@ def test_parts_that_were_not_joined_are_stated_and_recovered(bag: Path) -> None:
     assert "bag-2 beside it" in verify(bag).damage
     with open_experiment(process_bag(bag)) as dataset:
         assert "bag-2 beside it" in dataset.damage
+        assert json.loads(dataset.missing_parts) == ["bag-2"]
+    with open_experiment(bag) as dataset:
+        assert "bag-2" in dataset.missing_parts, "the dataset says itself what it lacks"
     recovered = recover(bag)
     assert messages(Path(recovered.path)) == 2 * messages(RECORDED)
     assert "not closed" in recovered.damage

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from math import nan
 from typing import Any, Generic, NamedTuple
 
@@ -13,9 +13,13 @@ from rclpy.logging import get_logger
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.subscription import Subscription
 
-from fringedic.errors import ErrorCode, FringedicError, ImageError
+from fringedic.errors import ErrorCode, FringedicError, ImageError, reason_of
+from fringedic.steps.remarks import Correction, Remark
+from fringedic.steps.sentences import remark_sentence
 from fringedic.warm_up import require_kernels
+from fringedic_msgs.msg import Correction as CorrectionMessage
 from fringedic_msgs.msg import NodeStatus, StepStatus
+from fringedic_msgs.msg import Remark as RemarkMessage
 from fringedic_msgs.srv import QueryStep
 from fringedic_ros.arrivals import Arrivals
 from fringedic_ros.diagnostics import NodeDiagnostics
@@ -58,12 +62,14 @@ class Outcome:
     ----------
     valid_fraction
         Valid pixels over all pixels.
-    rms
-        Median 1-sigma of the phase [rad], or rms displacement [px] or [m].
     frames
         Number of frames used.
-    remark
-        Sentence about a valid result that needs attention; becomes the status' message and a warning in the log.
+    phase_sigma, rms_displacement_px, rms_displacement
+        Median standard deviation of the phase [rad], RMS of (d_x, d_y) [px], RMS of (u, v, w) [m].
+    remarks
+        What needs attention although the result is valid; each becomes a warning in the log, too.
+    corrections
+        Of the phase.
     relative
         The phase is known up to whole fringes only.
     reference_step, correlated_step
@@ -73,9 +79,12 @@ class Outcome:
     """
 
     valid_fraction: float = nan
-    rms: float = nan
     frames: int = 0
-    remark: str = ""
+    phase_sigma: float = nan
+    rms_displacement_px: float = nan
+    rms_displacement: float = nan
+    remarks: tuple[Remark, ...] = ()
+    corrections: tuple[Correction, ...] = ()
     relative: bool = False
     reference_step: int = 0
     correlated_step: int = 0
@@ -215,14 +224,19 @@ class ProcessingNode(RigNode, Generic[ModelT]):
         elif self._close(step):
             self.worker.submit(self._measure, step, work, time.monotonic())
 
-    def answer(self, step: StepId, error_code: int, error_message: str = "") -> None:
-        """Publish the status of a step without any work, unless it has one."""
+    def answer(self, step: StepId, error_code: int, error_message: str) -> None:
+        """Publish the status of a step that is not measured, unless it has one."""
         if self._close(step):
-            self._publish(step, Outcome(), 0.0, error_code, error_message)
+            self._publish(step, NodeStatus(error_code=error_code, error_message=error_message))
+
+    def skip(self, step: StepId) -> None:
+        """Publish the status of a step that contains nothing for this node, unless it has one."""
+        if self._close(step):
+            self._publish(step, NodeStatus(skipped=True))
 
     def fail(self, step: StepId, error: Exception) -> None:
         """Publish the status of a step that failed with an exception, unless it has one."""
-        self.answer(step, *_code_and_message(error))
+        self.answer(step, *_code_and_reason(error))
 
     def refuse_input(self, name: str, status: NodeStatus) -> None:
         """Publish the status of a step whose input the node `name` could not measure."""
@@ -265,46 +279,48 @@ class ProcessingNode(RigNode, Generic[ModelT]):
         return True
 
     def _measure(self, step: StepId, work: Callable[[], Outcome], began: float) -> None:
-        outcome, code, message = Outcome(), NodeStatus.NONE, ""
+        status = NodeStatus()
         try:
             outcome = work()
-            message = outcome.remark
+            _fill_in(status, outcome)
+            for remark in outcome.remarks:
+                self.get_logger().warning(f"{step}: {remark_sentence(remark)}")
         except Exception as error:
-            code, message = _code_and_message(error)
-        self._publish(step, outcome, time.monotonic() - began, code, message)
+            status = NodeStatus()
+            status.error_code, status.error_message = _code_and_reason(error)
+        status.duration = time.monotonic() - began
+        self._publish(step, status)
 
-    def _publish(self, step: StepId, outcome: Outcome, duration: float, code: int, message: str) -> None:
-        status = NodeStatus(
-            node=self.get_name(),
-            experiment=step.experiment,
-            step=step.step,
-            error_code=code,
-            error_message=message,
-            valid_fraction=outcome.valid_fraction,
-            relative=outcome.relative,
-            reference_step=outcome.reference_step,
-            correlated_step=outcome.correlated_step,
-            window=outcome.window,
-            method=outcome.method,
-            rms=outcome.rms,
-            frames=outcome.frames,
-            duration=duration,
-        )
+    def _publish(self, step: StepId, status: NodeStatus) -> None:
+        status.node, status.experiment, status.step = self.get_name(), step.experiment, step.step
         status.header.stamp = to_msg(step.stamp)
-        if code == NodeStatus.NONE:
-            self.diagnostics.success(duration)
-            if message:
-                self.get_logger().warning(f"{step}: {message}")
+        if status.skipped or status.error_code:
+            _fill_in(status, Outcome())
+        if status.error_code == NodeStatus.NONE:
+            self.diagnostics.success(status.duration)
         else:
-            self.get_logger().error(f"{step}: {message.removeprefix(f'{step}: ')}")
-            self.diagnostics.failure(message)
+            self.get_logger().error(f"{step}: {status.error_message}")
+            self.diagnostics.failure(f"{step}: {status.error_message}")
         self._statuses.publish(status)
 
 
-def _code_and_message(error: Exception) -> tuple[int, str]:
+def _fill_in(status: NodeStatus, outcome: Outcome) -> None:
+    """Enter the figures of a step that was measured."""
+    for each in fields(outcome):
+        if each.name not in ("remarks", "corrections"):
+            setattr(status, each.name, getattr(outcome, each.name))
+    status.remarks = [
+        RemarkMessage(code=each.code, names=list(each.values), values=list(each.values.values()))
+        for each in outcome.remarks
+    ]
+    status.corrections = [CorrectionMessage(kind=str(each.kind), size=each.size) for each in outcome.corrections]
+
+
+def _code_and_reason(error: Exception) -> tuple[int, str]:
     code = error.code if isinstance(error, FringedicError) else None
+    reason = reason_of(error)
     if code in STATUS_CODES:
-        return STATUS_CODES[code], str(error)
+        return STATUS_CODES[code], reason
     if isinstance(error, ImageError):
-        return NodeStatus.FRAME_MISMATCH, str(error)
-    return NodeStatus.FAILED, f"{type(error).__name__}: {error}"
+        return NodeStatus.FRAME_MISMATCH, reason
+    return NodeStatus.FAILED, f"{type(error).__name__}: {reason}"

@@ -26,6 +26,7 @@ RAW_TOPICS = (
     CALIBRATION,
     NODE_PARAMETERS,
     *SAMPLE_TOPICS,
+    "signals",
     "load_frame/clock",
     "extensometer/strain",
     "extensometer/sigma",

@@ -93,11 +93,11 @@ def test_exceptions_become_codes_and_the_next_step_works(
         raise error
 
     node.measure(StepId("experiment", 0, 10), work)
-    node.measure(StepId("experiment", 1, 11), lambda: Outcome(0.5, 2.0, 3))
+    node.measure(StepId("experiment", 1, 11), lambda: Outcome(0.5, 3, phase_sigma=2.0))
     peer.wait(lambda: len(heard) == 2, "both statuses")
     assert (heard[0].error_code, heard[0].frames) == (code, 0)
     assert "another size" in heard[0].error_message
-    assert (heard[1].error_code, heard[1].valid_fraction, heard[1].rms, heard[1].frames) == (0, 0.5, 2.0, 3)
+    assert (heard[1].error_code, heard[1].valid_fraction, heard[1].phase_sigma, heard[1].frames) == (0, 0.5, 2.0, 3)
 
 
 def test_one_status_per_step_and_a_bounded_queue(peer: Peer, node: ProcessingNode[NoParameters]) -> None:

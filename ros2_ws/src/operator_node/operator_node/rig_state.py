@@ -110,7 +110,7 @@ class RigState:
             row = self._steps.setdefault(status.step, done)
             row["valid_fraction"] = status.valid_fraction
             if surface:
-                row["rms_displacement"] = status.rms
+                row["rms_displacement"] = status.rms_displacement
 
     def take_load(self, message: Any) -> None:
         """Take a sample of the load frame, rounded so that noise is no change."""
@@ -163,7 +163,7 @@ class RigState:
                 "position": each.position,
                 "force": each.force,
                 "valid_fraction": each.valid_fraction,
-                "rms_displacement": None if each.white else each.rms_displacement,
+                "rms_displacement": None if math.isnan(each.rms_displacement) else each.rms_displacement,
                 "error": each.error_message,
             }
             for each in message.reports

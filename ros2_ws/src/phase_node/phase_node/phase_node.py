@@ -10,11 +10,11 @@ from sensor_msgs.msg import Image
 from fringedic.figures.previews import phase_preview
 from fringedic.frames.collector import Stack
 from fringedic.patterns.pattern import PatternKind
-from fringedic.phase.sentences import describe
 from fringedic.steps.parameters import PhaseParameters
 from fringedic.steps.phase import phase_step
 from fringedic.steps.rehearsal import rehearse_phase
-from fringedic_msgs.msg import Exposure, NodeStatus
+from fringedic.steps.remarks import Remark
+from fringedic_msgs.msg import Exposure
 from fringedic_ros.frame_steps import FrameSteps
 from fringedic_ros.images import image_message
 from fringedic_ros.main import run
@@ -47,7 +47,7 @@ class PhaseNode(ProcessingNode[PhaseParameters]):
 
     def _take_other(self, exposure: Exposure) -> None:
         if exposure.kind == PatternKind.WHITE:  # there is no phase in a white step
-            self.answer(StepId.of(exposure), NodeStatus.NONE)
+            self.skip(StepId.of(exposure))
 
     def abandon(self, step: StepId) -> str:
         """Drop the frames of a step."""
@@ -68,11 +68,11 @@ class PhaseNode(ProcessingNode[PhaseParameters]):
             self._preview.publish(image_message(colours, stamp_ns=result.stamp, frame_id=self._frame))
         return Outcome(
             result.valid_fraction,
-            result.rms,
             len(stack.records),
-            "; ".join(map(describe, result.remarks)),
-            result.relative,
-            method=result.corrections,
+            phase_sigma=result.rms,
+            remarks=tuple(map(Remark.of_finding, result.remarks)),
+            corrections=result.corrections,
+            relative=result.relative,
         )
 
 

@@ -240,7 +240,7 @@ class PlayerNode(RigNode):
                 if ends
                 else "the recording ends within this step, no results"
             )
-            self._report_problem(step, Result.RECORDER_FAILED, f"{step_name(step.begin)}: {reason}")
+            self._report_problem(step, Result.RECORDER_FAILED, reason)
         if not complete:
             self._await_handled()
 
@@ -292,7 +292,7 @@ class PlayerNode(RigNode):
         self._ahead.clear()
 
     def _report_problem(self, step: RecordedStep, code: int, problem: str) -> None:
-        self.problems.append(problem)
+        self.problems.append(f"{step_name(step.begin)}: {problem}" if step.begin else problem)
         self._publish_status(step, StepStatus.ERROR, code, problem)
 
     def _publish_status(self, step: RecordedStep, stage: int, code: int = Result.NONE, message: str = "") -> None:

@@ -224,8 +224,8 @@ def test_a_recording_that_was_cut_off_is_reported(
         bag.frame(1, 0, 4)
     played = play(tmp_path / "bag")
     assert played.returncode == 0, played.stderr
-    message = "experiment 'test', step 1: the recording ends within this step, no results"
-    assert message in played.stdout
+    message = "the recording ends within this step, no results"
+    assert f"experiment 'test', step 1: {message}" in played.stdout
     assert [(each.step, each.stage, each.frame, each.frames) for each in statuses] == [
         (0, StepStatus.BEGIN, 0, 4),
         (0, StepStatus.END, 4, 4),

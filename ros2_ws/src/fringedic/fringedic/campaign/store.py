@@ -292,14 +292,19 @@ def join_parts(store: CampaignStore, parts: Sequence[str], target: GroupStore) -
     """Write the groups of the parts of a recording, in their order, as the group of the recording."""
     groups = [zarr.open_group(store.zarr_store(part, read_only=True), mode="r") for part in parts]
     arrays: list[dict[str, Any]] = [dict(group.arrays()) for group in groups]
-    sizes = {name: array.shape[0] for name, array in arrays[0].items() if name in MAP_DIMENSIONS[1:]}
+    sizes = {
+        dimension: length
+        for array in arrays[0].values()
+        for dimension, length in zip(array.metadata.dimension_names, array.shape, strict=True)
+        if dimension != MAP_DIMENSIONS[0]
+    }
     for name, array in arrays[0].items():
         dtype = TEXT if array.dtype.kind in "TOU" else array.dtype.str[1:]
         variable = Variable(name, array.metadata.dimension_names, dtype, dict(array.attrs))
         target.add_variable(variable, {"step": 0, **sizes})
-        if name in sizes:
+        if MAP_DIMENSIONS[0] not in array.metadata.dimension_names:  # those of the whole recording are in every part
             target.put(name, slice(None), array[:])
-    stepwise = arrays[0].keys() - sizes.keys()
+    stepwise = [name for name, array in arrays[0].items() if MAP_DIMENSIONS[0] in array.metadata.dimension_names]
     steps = [(part, index) for part in arrays for index in range(part["step"].shape[0])]
     for place, (part, index) in enumerate(steps):
         target.grow(place + 1)

@@ -91,9 +91,8 @@ class Collected:
         for topic in self._topics:
             node, name = topic.split("/")
             status = parts.get(f"{node}/status")
-            white = node != "dic" and status is not None and not _has_maps(status)
-            failed = status is not None and status.error_code != 0
-            if name == "status" or not (white or failed):
+            without_maps = status is not None and (status.skipped or status.error_code)
+            if name == "status" or not without_maps:
                 expected.add(topic)
         return expected
 
@@ -116,41 +115,34 @@ class Collected:
             self._reference = row.step if self._reference is None else self._reference
             announced = self._reference_of[stamp]
             row.reference_step = self._reference if announced is None else announced
-            # recordings of older versions lack it
-            row.correlated_step = getattr(parts.get("dic/status"), "correlated_step", None)
+            row.correlated_step = parts["dic/status"].correlated_step if "dic/status" in parts else None
             self._check(row, parts)
         if "coupling/shape" in parts:
             row.maps |= {f"shape_{name}": values for name, values in cloud_arrays(parts["coupling/shape"]).items()}
         if "coupling/displacement" in parts:
             row.maps |= cloud_arrays(parts["coupling/displacement"])
-            row.rms_displacement = parts["coupling/status"].rms if "coupling/status" in parts else float("nan")
+            row.rms_displacement = getattr(parts.get("coupling/status"), "rms_displacement", row.rms_displacement)
         return row
 
     def _check(self, row: Row, parts: Mapping[str, Any]) -> None:
         """Add the independent check of the displacement, if the recording contains all that it needs."""
         status, dic = parts.get("dic/status"), self._parameters.dic
-        window = getattr(status, "window", 0)  # recordings of older versions lack it
         if row.stamp is None or row.reference_step is None or row.correlated_step is None:
             return
-        if status is None or not window or "texture" not in row.maps:
+        if status is None or not status.window or "texture" not in row.maps:
             return
         field = displacement_field(
             image_array(parts["dic/displacement"]),
             image_array(parts["dic/sigma"]),
             origin=(0, 0),
             spacing=dic.spacing,
-            window=window,
+            window=status.window,
             method=status.method,
         )
         result = DicResult(status.experiment, row.step, row.stamp, row.reference_step, row.correlated_step, field)
         closures = self._checks.displacement(result, row.maps["texture"], dic.kept_steps)
         row.maps |= closures
         row.confirmed_fraction = confirmed_fraction(closures, dic.spacing)
-
-
-def _has_maps(status: Any) -> bool:
-    """Return whether a processing node published maps of a step: it does not for a white one."""
-    return not (np.isnan(status.valid_fraction) and status.error_code == 0)
 
 
 def _displacement_maps(parts: Mapping[str, Any]) -> dict[str, np.ndarray]:

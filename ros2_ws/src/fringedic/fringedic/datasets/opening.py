@@ -12,10 +12,11 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets.attributes import JSON_ATTRIBUTES
+from fringedic.datasets.earlier_versions import translate
 from fringedic.datasets.millimetres import with_millimetres
 from fringedic.datasets.quantities import (
     MAP_DIMENSIONS,
-    METADATA_ATTRIBUTE,
+    MISSING_PARTS,
     RECORDING,
     SOURCE_BYTES,
     STEP_NUMBERS,
@@ -24,9 +25,9 @@ from fringedic.datasets.quantities import (
 )
 from fringedic.datasets.stores import SUFFIXES, dataset_path
 from fringedic.errors import DatasetError, ErrorCode, RecordingError
-from fringedic.metadata import translate_metadata
 from fringedic.recording.bag_files import BAG, parts_of_run, recorded_bytes, recording_of
 from fringedic.recording.remote import file_system, is_remote, named_errors
+from fringedic.signals import FORCE, POSITION
 from fringedic.wording.arguments import check_arguments
 from fringedic.wording.arguments import path as file_path
 from fringedic.wording.optional_packages import optional_import
@@ -40,6 +41,7 @@ _VARIABLES: dict[str, tuple[tuple[str, ...], tuple[str, str]]] = {
     "row": (("row",), _NUMBER),
     "column": (("column",), _NUMBER),
     "time": (("step",), _TIME),
+    **dict.fromkeys((FORCE.name, POSITION.name), (("step",), _NUMBER)),
     **dict.fromkeys(("step", *STEP_NUMBERS), (("step",), _WHOLE)),
     **{name: (("step",), _NUMBER) for layout in _LAYOUTS for name in layout.scalars},
     **{name: (("step",), _TEXT) for layout in _LAYOUTS for name in layout.texts},
@@ -162,7 +164,8 @@ def _current(recording: Path, candidates: Iterable[Path]) -> Path | None:
 
 def _missing_part(recording: Path, attributes: Mapping[str, Any]) -> str:
     """Return why a dataset may lack steps of its recording; empty if it does not, or says so itself."""
-    parts = [part.name for part in parts_of_run(recording) if part.name not in attributes.get("damage", "")]
+    known = json.loads(attributes.get(MISSING_PARTS, "[]"))
+    parts = [part.name for part in parts_of_run(recording) if part.name not in known]
     if parts:
         return (
             f"lacks what {', '.join(parts)}, later parts of the same run, contain: 'fringedic run --continue' goes on "
@@ -204,9 +207,7 @@ def _open(file: Path | str, source: Any = None) -> xr.Dataset:
     if fault:
         dataset.close()
         raise DatasetError(f"{file}: {fault}")
-    if METADATA_ATTRIBUTE in dataset.attrs:
-        metadata = translate_metadata(json.loads(dataset.attrs[METADATA_ATTRIBUTE]))
-        dataset.attrs[METADATA_ATTRIBUTE] = json.dumps(metadata)
+    translate(dataset)
     return with_millimetres(dataset)
 
 

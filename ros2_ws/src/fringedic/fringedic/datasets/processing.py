@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fringedic.datasets.derived import Collected
-from fringedic.datasets.quantities import PHASE_TOPICS, SOURCE_BYTES
+from fringedic.datasets.quantities import MISSING_PARTS, PHASE_TOPICS, SOURCE_BYTES
 from fringedic.datasets.rows import Row, in_order_of_steps, row_of, with_lost_steps
 from fringedic.datasets.stores import Store, dataset_path
 from fringedic.datasets.timeline import Timeline
@@ -25,6 +26,7 @@ from fringedic.recording.reader import BagReader
 from fringedic.recording.remote import is_remote, local_copy
 from fringedic.rig.compatibility import check_calibration
 from fringedic.rig.model import RigModel
+from fringedic.signals import SIGNAL_TOPICS
 from fringedic.steps.pipeline import OfflinePipeline
 from fringedic.steps.recorded_parameters import StepSettings
 from fringedic.steps.recorded_rig import recorded_setup
@@ -38,7 +40,7 @@ PROCESSED_TOPICS = (
     "experiment/reference",
     "calibration",
     "node_parameters",
-    "load_frame/state",
+    *SIGNAL_TOPICS,
 )
 """Topics that processing reads; a recording needs the first two."""
 _LEAD_IN = 2  # steps before a segment
@@ -62,7 +64,7 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     With the recorded parameters the maps equal those of the nodes bit by bit; independent checks of phase and
     displacement are added, see docs/results.md. A step that fails has a row without maps, and the variable ``error``
     contains the reason. Of a recording that is cut off all complete steps are measured; the attribute ``damage``
-    describes the loss.
+    describes the loss, and ``missing_parts`` names later parts of the same run that were not joined with it.
 
     Parameters
     ----------
@@ -203,7 +205,7 @@ def process_into(
     steps = settings.steps if segment is None else segment.lead_in | segment.steps
     wanted = None if steps is None else steps | references
     timeline.require_steps(asked | (wanted or set()))
-    topics = {name: full for name, full in names.items() if name != "load_frame/state"}
+    topics = {name: full for name, full in names.items() if name not in SIGNAL_TOPICS}
 
     def passing(numbers: AbstractSet[int] | None) -> Iterator[Row]:
         for event in events(reader, topics, timeline.experiment):
@@ -236,7 +238,7 @@ def follow_into(
     """Measure a recorded experiment while it is recorded, each step as soon as it has ended.
 
     The results are those of `process_into` with the complete recording: steps pass through the same functions in the
-    same order, and values that depend on later messages (force, position) are entered at the end.
+    same order, and values that depend on later messages (signals) are entered at the end.
 
     Parameters
     ----------
@@ -256,7 +258,7 @@ def follow_into(
     experiment = _followed_experiment(recording)
     pipeline = OfflinePipeline(settings.overrides, experiment, calibration=settings.calibration)
     attributes = {"experiment": experiment, "source": recording.path.name}
-    topics = [name for name in PROCESSED_TOPICS if name != "load_frame/state"]
+    topics = [name for name in PROCESSED_TOPICS if name not in SIGNAL_TOPICS]
 
     def rows() -> Iterator[Row]:
         for event in paired(recording.published(topics), experiment):
@@ -273,6 +275,7 @@ def follow_into(
             kept.append(replace(row, maps={}))
         timeline = _final_timeline(recording, attributes, settings, [row.step for row in kept])
         writer.attributes[SOURCE_BYTES] = str(timeline.source_bytes)
+        writer.add_signals(timeline.signals.values())
         for index, row in enumerate(kept):
             timeline.complete(row)
             writer.enter_values(index, row)
@@ -339,7 +342,7 @@ def dataset_from_derived(
     )
     names |= derived
     names |= reader.find_optional("experiment/reference", "calibration", "node_parameters")
-    others = reader.find_optional("load_frame/state", "experiment/step")
+    others = reader.find_optional(*SIGNAL_TOPICS, "experiment/step")
     timeline = Timeline(reader, names | others, experiment)
     target = dataset_path(path, output, overwrite)
     collected = Collected(set(derived) | {"phase/status", "dic/status"})
@@ -368,7 +371,10 @@ def _write(
     attributes[SOURCE_BYTES] = str(timeline.source_bytes)
     if timeline.damage:
         attributes["damage"] = timeline.damage
+    if timeline.missing_parts:
+        attributes[MISSING_PARTS] = json.dumps(timeline.missing_parts)
     with DatasetWriter(target, attributes) as writer:
+        writer.add_signals(timeline.signals.values())
         for row in rows:
             timeline.complete(row)
             writer.add(row, row.settings or settings())

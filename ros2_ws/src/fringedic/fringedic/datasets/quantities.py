@@ -10,6 +10,7 @@ import xarray as xr
 MAP_DIMENSIONS = ("step", "row", "column")
 METADATA_ATTRIBUTE = "facts"  # name of the metadata in datasets
 SOURCE_BYTES = "source_bytes"  # attribute: size of the recording when the dataset was made, as digits
+MISSING_PARTS = "missing_parts"  # attribute: names of later parts of the run that the dataset lacks, as a JSON list
 TIME_ZERO = "time_zero"  # attribute of selected steps: time of the first step of the whole dataset
 
 
@@ -58,8 +59,6 @@ CLOSURES: dict[str, Quantity] = {  # of the desk, not of the nodes
     "displacement_closure_y": Quantity("standard deviations", "what an independent check leaves of displacement_y"),
 }
 SCALARS: dict[str, Quantity] = {
-    "force": Quantity("N", "mean force over the exposures"),
-    "position": Quantity("m", "mean crosshead position over the exposures"),
     "valid_fraction": Quantity("1", "part of the points with a result of the last processing step"),
     "rms_displacement": Quantity("m", "root mean square length of (u, v, w)"),
 }
@@ -133,10 +132,12 @@ def people_unit(variable: xr.DataArray) -> PeopleUnit:
     """Return the one unit of a map in pictures, curves, tables and exports.
 
     Positions are in mm, displacements in µm and strain in µstrain; a map without the attribute ``units`` has that of
-    `MAPS`.
+    `MAPS`. Signals have the unit of their dataset, lengths mm.
     """
     name = str(variable.name)
     units = variable.attrs.get("units") or MAPS.get(name, Quantity("", "")).units
+    if "quantity" in variable.attrs:
+        return _MILLIMETRE if units == "m" else PeopleUnit(units, units.replace("/", "_per_"), 1.0)
     if units == "m":
         return _MILLIMETRE if name in POSITIONS else _MICROMETRE
     if units == "1":

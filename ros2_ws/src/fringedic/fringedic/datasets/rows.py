@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets.confirmation import confirmed_fraction
+from fringedic.signals import SignalValue
 from fringedic.steps.pipeline import MeasuredStep
 from fringedic.steps.recorded_parameters import StepSettings
 
@@ -25,14 +26,13 @@ class Row:
     error: str = ""
     reference_step: int | None = None
     correlated_step: int | None = None
-    force: float = float("nan")
-    position: float = float("nan")
     valid_fraction: float = float("nan")
     rms_displacement: float = float("nan")
     maps: dict[str, np.ndarray] = field(default_factory=dict)
     image: str = ""
     confirmed_fraction: float = float("nan")
     settings: StepSettings | None = None
+    signals: dict[str, SignalValue] = field(default_factory=dict)
 
     def reject(self, error: str) -> None:
         """Take away the results of a step that failed when it was exposed."""

@@ -1,10 +1,10 @@
-"""The time of each step's exposures, and force and position of the load frame during them."""
+"""The time of each step's exposures, and the signals of the rig during them."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from collections.abc import Set as AbstractSet
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,42 +17,17 @@ from fringedic.metadata import FIRST_STEP, SpecimenMetadata
 from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.bag_files import recorded_bytes
 from fringedic.recording.frames import records, repeated_steps
-from fringedic.recording.load_samples import samples_over, summarise_load
 from fringedic.recording.reader import BagReader
+from fringedic.signals import FORCE, SIGNAL_TOPICS, Signal, SignalValue, signals_of
 from fringedic.steps.recorded_parameters import recorded_metadata
 
 # Stages of fringedic_msgs/StepStatus; at PROCESS the hold during the exposures is proven.
 _PROCESS, _END, _ERROR = 2, 3, 4
 _OF_PROCESSING = {108, 109, 110, 111, 115}  # errors of fringedic_msgs/MeasureStep that another processing may not have
-_NO_LOAD = (float("nan"), float("nan"))
-
-
-@dataclass(frozen=True)
-class _LoadSamples:
-    """Force [N] and position [m] of the load frame, shape (n, 2), with their stamps [ns], shape (n,)."""
-
-    stamps: np.ndarray
-    values: np.ndarray
-
-    @classmethod
-    def of(cls, messages: Iterable[Any]) -> _LoadSamples:
-        """Take the samples from ``fringedic_msgs/LoadState``."""
-        samples = [(stamp_of(message), message.force, message.position) for message in messages]
-        stamps = np.array([sample[0] for sample in samples], dtype=np.int64)
-        return cls(stamps, np.array([sample[1:] for sample in samples], dtype=float).reshape(-1, 2))
-
-    def mean_over(self, begin: float, end: float) -> tuple[float, float]:
-        """Return mean force and position over a time [ns], NaN without a sample near it."""
-        within = samples_over(self.stamps, begin, end)
-        if not within.any():
-            return _NO_LOAD
-        stamps = self.stamps[within].tolist()
-        force, position = (summarise_load(stamps, values).mean for values in self.values[within].T)
-        return force, position
 
 
 class Timeline:
-    """The exposures of the steps of one experiment, and its load frame meanwhile.
+    """The exposures of the steps of one experiment, and the signals of the rig meanwhile.
 
     Parameters
     ----------
@@ -69,10 +44,13 @@ class Timeline:
     ----------
     experiment
         Name of the experiment.
-    source, source_bytes, damage
-        Name of the recording, size of its files [byte], and the description of its damage.
+    source, source_bytes, damage, missing_parts
+        Name of the recording, size of its files [byte], the description of its damage, and the names of later parts of
+        the same run that were not joined with it.
     references
         Numbers of the reference steps.
+    signals
+        The signals of the rig by their name; sign and tare of the specimen's metadata apply to the force.
     rejected
         Step -> why it failed, of steps whose frames cannot be trusted: no hold was proven, or they are not complete.
 
@@ -99,11 +77,13 @@ class Timeline:
         self.experiment = _chosen_experiment(reader, exposed, experiment)
         self.source, self.source_bytes = reader.path.name, recorded_bytes(reader.path)
         self.damage = reader.lost
+        self.missing_parts = [part.name for part in reader.parts]
         exposed = [record for record in exposed if record.experiment == self.experiment]
         stages = [each for each in messages("experiment/step") if each.experiment == self.experiment]
         self._exposed = _exposure_times(exposed, [each for each in stages if each.stage == _END])
-        self._load = _LoadSamples.of(messages("load_frame/state"))
-        self.rejected = self._interrupted(stages) | {
+        recorded = signals_of((topic, message) for topic in SIGNAL_TOPICS for message in messages(topic))
+        observed = recorded[FORCE.name].stamps.size > 0
+        self.rejected = (_interrupted(stages) if observed else {}) | {
             each.step: each.error_message
             for each in stages
             if each.stage == _ERROR and each.error_code not in _OF_PROCESSING
@@ -113,23 +93,27 @@ class Timeline:
         self.references = (announced & self._exposed.keys()) | {min(self._exposed)}
         read = None if steps is None else steps | self.references
         refuse_repeated_steps((each for each in exposed if read is None or each.step in read), reader.path)
+        self._recorded = recorded
         specimen = recorded_metadata(messages("node_parameters")).specimen
-        self._force_sign = specimen.force_sign
-        self._force_tare = self._tare(specimen)
+        self._sign, self._tare = specimen.force_sign, self._force_tare(specimen)
+        self.signals = {name: self._corrected(signal) for name, signal in recorded.items()}
 
-    def _interrupted(self, stages: Iterable[Any]) -> dict[int, str]:
-        """Return the steps that were begun and not seen to hold, with the reason; none without a load frame."""
-        last: dict[int, int] = {}
-        for each in stages:
-            last[each.step] = max(each.stage, last.get(each.step, each.stage))
-        reason = "the step was interrupted before it was known that the machine held during its exposures"
-        return {step: reason for step, stage in last.items() if stage < _PROCESS and self._load.stamps.size}
-
-    def _tare(self, specimen: SpecimenMetadata) -> float:
+    def _force_tare(self, specimen: SpecimenMetadata) -> float:
         if specimen.force_tare_newton == FIRST_STEP:
             first = min(self._exposed.keys() - self.rejected.keys(), default=min(self._exposed))
-            return self._load.mean_over(*self._exposed[first])[0]
+            return self._recorded[FORCE.name].value_over(*self._exposed[first]).mean
         return float(specimen.force_tare_newton)
+
+    def _corrected(self, signal: Signal) -> Signal:
+        """Return a signal with the sign and the tare of the specimen's metadata, which are those of the force."""
+        if signal.channel.name != FORCE.name:
+            return signal
+        return replace(signal, values=self._sign * (signal.values - self._tare))
+
+    def _value_at(self, step: int, name: str) -> SignalValue:
+        """Return the value of a signal over the exposures of a step."""
+        value = self._recorded[name].value_over(*self._exposed[step])
+        return value._replace(mean=self._sign * (value.mean - self._tare)) if name == FORCE.name else value
 
     @property
     def exposed(self) -> list[int]:
@@ -152,7 +136,7 @@ class Timeline:
             )
 
     def complete(self, row: Row) -> None:
-        """Enter force and position, averaged over the exposures of a step, and the stamp of a step without frames.
+        """Enter the signals during the exposures of a step, and the stamp of a step without frames.
 
         A step that was rejected has its error and no maps.
         """
@@ -160,10 +144,18 @@ class Timeline:
             row.reject(self.rejected[row.step])
         if row.step not in self._exposed:
             return
-        force, row.position = self._load.mean_over(*self._exposed[row.step])
-        row.force = self._force_sign * (force - self._force_tare)
+        row.signals = {name: self._value_at(row.step, name) for name in self._recorded}
         if row.stamp is None:
             row.stamp = int(self._exposed[row.step][1])
+
+
+def _interrupted(stages: Iterable[Any]) -> dict[int, str]:
+    """Return the steps that were begun and not seen to hold, with the reason."""
+    last: dict[int, int] = {}
+    for each in stages:
+        last[each.step] = max(each.stage, last.get(each.step, each.stage))
+    reason = "the step was interrupted before it was known that the machine held during its exposures"
+    return {step: reason for step, stage in last.items() if stage < _PROCESS}
 
 
 def _chosen_experiment(reader: BagReader, exposed: Iterable[FrameRecord], name: str | None) -> str:

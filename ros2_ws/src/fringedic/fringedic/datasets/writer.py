@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +13,11 @@ import numpy as np
 
 from fringedic.datasets.quantities import MAP_DIMENSIONS, RECORDING, STEP_NUMBERS, Layout
 from fringedic.datasets.rows import Row
+from fringedic.datasets.signals import series_name, sigma_name, time_name
 from fringedic.datasets.stores import TEXT, Store, Variable, create_store, require_room
 from fringedic.errors import DatasetError
 from fringedic.provenance import git_commit, software
+from fringedic.signals import Signal, SignalValue
 from fringedic.steps.recorded_parameters import StepSettings
 
 
@@ -49,6 +52,7 @@ class DatasetWriter:
         }
         self._grid: tuple[int, int, int] | None = None
         self._count = 0
+        self._signals: dict[str, str] = {}  # name of a signal -> name of its variable
         self._last_error = ""
 
     def __enter__(self) -> DatasetWriter:
@@ -71,6 +75,34 @@ class DatasetWriter:
         self._store.discard()
         if kind is None:
             raise DatasetError(f"{self._store.name}: no step could be measured: {self._last_error or 'no frames'}")
+
+    def add_signals(self, signals: Iterable[Signal]) -> None:
+        """Make the variables of signals: their series over a time axis of their own, and their value at each step."""
+        for signal in signals:
+            channel, name = signal.channel, self._free_name(signal.channel.name)
+            self._signals[channel.name] = name
+            about = {"quantity": channel.quantity, "positive": channel.positive, "source": channel.source}
+            during = f"mean {channel.name} over the exposures"
+            self._variable(name, ("step",), "f8", channel.unit, during, more=about)
+            self._variable(sigma_name(name), ("step",), "f8", channel.unit, f"standard uncertainty of {name}")
+            if signal.stamps.size:
+                self._write_series(name, signal, about)
+
+    def _free_name(self, name: str) -> str:
+        """Return the name of the variables of a signal, which is not that of another variable."""
+        plain = re.sub(r"\W", "_", name)
+        taken = {*MAP_DIMENSIONS, *STEP_NUMBERS, "time", *self._layout.texts, *self._layout.scalars, *self._layout.maps}
+        return f"signal_{plain}" if plain in taken else plain
+
+    def _write_series(self, name: str, signal: Signal, about: Mapping[str, str]) -> None:
+        axis, series = time_name(name), series_name(name)
+        sizes, unit = {axis: signal.stamps.size}, signal.channel.unit
+        self._variable(axis, (axis,), "i8", "nanoseconds since 1970-01-01", f"time of the samples of {name}", sizes)
+        self._variable(series, (axis,), "f8", unit, signal.channel.name, sizes, about)
+        self._variable(sigma_name(series), (axis,), "f8", unit, f"standard uncertainty of {series}", sizes)
+        columns = {axis: signal.stamps, series: signal.values, sigma_name(series): signal.sigmas}
+        for column, values in columns.items():
+            self._store.put(column, slice(None), values)
 
     def add(self, row: Row, settings: StepSettings) -> None:
         """Append one step."""
@@ -97,6 +129,9 @@ class DatasetWriter:
         }
         values |= {name: -1 if values[name] is None else int(values[name]) for name in STEP_NUMBERS}
         values |= {name: getattr(row, name) for name in (*self._layout.texts, *self._layout.scalars)}
+        for signal, name in self._signals.items():
+            value = row.signals.get(signal, SignalValue())
+            values |= {name: value.mean, sigma_name(name): value.sigma}
         for name, value in values.items():
             self._store.put(name, index, value)
 
@@ -132,8 +167,9 @@ class DatasetWriter:
         units: str,
         long_name: str,
         sizes: Mapping[str, int] | None = None,
+        more: Mapping[str, str] | None = None,
     ) -> None:
-        attributes = {"long_name": long_name} | ({"units": units} if units else {})
+        attributes = {"long_name": long_name} | ({"units": units} if units else {}) | dict(more or {})
         variable = Variable(name, dimensions, dtype, attributes)
         self._store.add_variable(variable, {"step": self._count, **(sizes or {})})
 

@@ -17,12 +17,14 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets.quantities import MAP_DIMENSIONS
+from fringedic.datasets.signals import knows_sigma, sigma_name
 from fringedic.errors import DatasetError
 from fringedic.evaluation.correlated import correlated_points
 from fringedic.evaluation.force import force_curve
 from fringedic.evaluation.probes import points_in
 from fringedic.evaluation.step_maps import StepValues, maps_by_step, require_maps, values_by_step
 from fringedic.frames.region import Region
+from fringedic.signals import FORCE
 from fringedic.wording.arguments import check_arguments, number, of_type, optional, several
 from fringedic.wording.arguments import dataset as dataset_of
 
@@ -90,6 +92,8 @@ def strain_curve(dataset: xr.Dataset, region: Region | None = None) -> xr.Datase
     if "force" in dataset:
         loads = force_curve(dataset, readings[:, 0])
         curve = curve.assign({name: loads[name] for name in ("force", "stress") if name in loads})
+    if knows_sigma(dataset, FORCE.name):
+        curve = curve.assign(force_sigma=dataset[sigma_name(FORCE.name)].variable)
     if "reference_step" in dataset:
         curve = curve.assign(reference_step=dataset["reference_step"].variable)
     return curve
@@ -156,7 +160,7 @@ def elastic_constants(
         Smallest and largest axial strain of the regression [1], relative to the reference of each step; by default all
         steps.
     sigma_force
-        Standard uncertainty of a force, without its scale error [N].
+        Standard uncertainty of a force, without its scale error [N], beside that of the signal (``force_sigma``).
 
     Raises
     ------
@@ -188,8 +192,16 @@ def constants_of(curve: xr.Dataset, strain: Sequence[float], sigma_force: float)
     if "stress" in points and np.isfinite(points["stress"]).all():
         force, stress = points["force"].values, points["stress"].values
         scale = float(np.ptp(stress) / np.ptp(force)) if np.ptp(force) else math.nan
-        modulus, sigma_modulus = _slope(along, _Axis(stress, np.full(steps, scale * sigma_force)))
+        modulus, sigma_modulus = _slope(along, _Axis(stress, scale * _force_noise(points, sigma_force)))
     return ElasticConstants(axial, steps, modulus, sigma_modulus, -ratio, sigma_ratio, reference)
+
+
+def _force_noise(points: xr.Dataset, given: float) -> np.ndarray:
+    """Return the standard uncertainty of each force [N]: the given one, and that of its signal if it is known."""
+    if "force_sigma" not in points:
+        return np.full(points.sizes["step"], given)
+    known = points["force_sigma"].values
+    return np.where(np.isfinite(known), np.hypot(given, known), given)
 
 
 def _of_one_reference(points: xr.Dataset) -> tuple[xr.Dataset, int]:

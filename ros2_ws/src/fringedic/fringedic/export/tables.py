@@ -15,6 +15,7 @@ import xarray as xr
 
 from fringedic.datasets.attributes import map_names, origin_of, origin_text, seconds, step_numbers
 from fringedic.datasets.quantities import MAP_DIMENSIONS, STEP_NUMBERS, PeopleUnit, people_unit
+from fringedic.datasets.signals import knows_sigma, sigma_name, signal_names
 from fringedic.datasets.stores import save_netcdf
 from fringedic.errors import ExportError
 from fringedic.wording.optional_packages import optional_import
@@ -22,12 +23,15 @@ from fringedic.wording.optional_packages import optional_import
 MATLAB_LIMIT = 2**31 - 1  # bytes of one variable in a MATLAB 5 file
 _WITH_MARK = "utf-8-sig"  # spreadsheets take µ for another character without a byte-order mark
 _LIGHT = ("modulation", "texture")  # known of every pixel, measured or not
-_SCALARS = ("force", "position", "valid_fraction", "rms_displacement")
-_SCALAR_UNITS = {  # the others have that of `people_unit`
-    "force": PeopleUnit("N", "N", 1.0),
-    "position": PeopleUnit("mm", "mm", 1e-3),
-    "valid_fraction": PeopleUnit("1", "1", 1.0),
-}
+_SCALARS = ("valid_fraction", "rms_displacement")
+_SCALAR_UNITS = {"valid_fraction": PeopleUnit("1", "1", 1.0)}  # the others have that of `people_unit`
+
+
+def _scalars(dataset: xr.Dataset) -> list[str]:
+    """Return the values of each step: the signals, their uncertainty where it is known, and those of the results."""
+    signals = signal_names(dataset)
+    known = [sigma_name(name) for name in signals if knows_sigma(dataset, name)]
+    return [*signals, *known, *(name for name in _SCALARS if name in dataset)]
 
 
 def write_csv(dataset: xr.Dataset, folder: Path) -> list[str]:
@@ -58,7 +62,7 @@ def write_csv(dataset: xr.Dataset, folder: Path) -> list[str]:
 
 def _steps_table(dataset: xr.Dataset) -> list[list[Any]]:
     """Return heading and one line per step, in the units of people."""
-    scalars = [name for name in _SCALARS if name in dataset]
+    scalars = _scalars(dataset)
     heading = ["step"]
     columns: list[list[Any]] = [dataset["step"].values.tolist()]
     if "time" in dataset:
@@ -93,7 +97,7 @@ def write_matlab(dataset: xr.Dataset, file: Path) -> list[str]:
                 f"a .mat file cannot hold '{name}' of {size / 1e9:.1f} GB, its limit is {MATLAB_LIMIT / 1e9:.1f} GB "
                 "per variable; choose fewer steps, or NetCDF, which MATLAB reads too (ncread)"
             )
-    series = [name for name in (*_SCALARS, *STEP_NUMBERS) if name in dataset] + list(MAP_DIMENSIONS)
+    series = [*_scalars(dataset), *(name for name in STEP_NUMBERS if name in dataset), *MAP_DIMENSIONS]
     content: dict[str, Any] = {name: dataset[name].values.astype(float) for name in series}
     units = {name: dataset[name].attrs.get("units", "1") for name in (*names, *series)}
     if "time" in dataset:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import xarray as xr
 
+from fringedic.datasets.quantities import PeopleUnit, people_unit
 from fringedic.wording.optional_packages import optional_import
 
 with optional_import("figures"):
@@ -20,8 +21,9 @@ def load_curve_figure(comparison: xr.Dataset) -> Figure:
     """
     figure = Figure(figsize=(10.0, 3.6), layout="constrained")
     left, right = figure.subplots(1, 2)
-    force = comparison.attrs.get("load", "force") == "force"
-    loads = comparison["load_of_model"].values * (1.0 if force else 1e3)
+    load = comparison.attrs.get("load", "force")
+    unit = people_unit(comparison[load]) if load in comparison else PeopleUnit("N", "N", 1.0)
+    loads = comparison["load_of_model"].values / unit.factor
     for name in comparison["quantity"].values.tolist():
         found = comparison.sel(quantity=name)
         left.errorbar(loads, found["factor"], yerr=2 * found["sigma_factor"], marker="o", capsize=3, label=name)
@@ -29,7 +31,7 @@ def load_curve_figure(comparison: xr.Dataset) -> Figure:
     left.axhline(1.0, color="grey", linewidth=0.8)
     right.axhline(1.0, color="grey", linewidth=0.8)
     for axes, label in ((left, "factor on the model"), (right, "RMS difference over sigma")):
-        axes.set(xlabel="force [N]" if force else "crosshead position [mm]", ylabel=label)
+        axes.set(xlabel=f"{load} [{unit.text}]", ylabel=label)
     right.set_yscale("log")
     right.legend(fontsize="small")
     return figure

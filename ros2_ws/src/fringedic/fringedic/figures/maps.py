@@ -12,12 +12,14 @@ import xarray as xr
 
 from fringedic.datasets.attributes import origin_text
 from fringedic.datasets.quantities import people_unit
+from fringedic.datasets.signals import signal_names
 from fringedic.errors import DatasetError
 from fringedic.evaluation.step_maps import with_principal_strains
 from fringedic.evaluation.truth import truth_errors
 from fringedic.figures.panels import ERRORS, Panel, pictures_of
 from fringedic.figures.previews import NOT_MEASURED
 from fringedic.frames.region import Point
+from fringedic.signals import FORCE, POSITION
 from fringedic.wording.arguments import check_arguments, path
 from fringedic.wording.arguments import dataset as dataset_of
 from fringedic.wording.causes import cause_of
@@ -335,8 +337,10 @@ def _title(measured: xr.Dataset, step: int) -> str:
     words = [f"{measured.attrs.get('experiment', 'experiment')}, step {step}"]
     if "image" in measured:
         words.append(str(measured["image"].values))
-    if "position" in measured and np.isfinite(measured["position"]):
-        words.append(f"crosshead {float(measured['position']) * 1e3:.3f} mm")
-    if "force" in measured and np.isfinite(measured["force"]):
-        words.append(f"{number_text(float(measured['force']))} N")
+    for name in signal_names(measured):
+        value, unit = float(measured[name]), people_unit(measured[name])
+        if name == POSITION.name and np.isfinite(value):
+            words.append(f"crosshead {value / unit.factor:.3f} {unit.text}")
+        elif np.isfinite(value):
+            words.append(f"{'' if name == FORCE.name else f'{name} '}{number_text(value / unit.factor)} {unit.text}")
     return ", ".join(words)

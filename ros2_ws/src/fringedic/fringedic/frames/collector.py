@@ -122,11 +122,10 @@ class FrameCollector:
             not. The step has failed in these cases. FRAME_LATE: the step has ended already and its result is unchanged.
         """
         key = (record.experiment, record.step)
-        where = f"experiment '{record.experiment}', step {record.step}"
         identity: dict[str, Any] = {"experiment": record.experiment, "step": record.step, "index": record.index}
         if key in self._ended:
             raise StepError(
-                f"{where}: frame {record.index} arrived after the step had ended", **identity, code=ErrorCode.FRAME_LATE
+                f"frame {record.index} arrived after the step had ended", **identity, code=ErrorCode.FRAME_LATE
             )
         if key in self._failed:
             self.discarded += 1
@@ -136,13 +135,13 @@ class FrameCollector:
         problem = self._mismatch(record, image)
         if problem:
             self._fail(key, record)
-            raise StepError(f"{where}: frame {record.index} {problem}", **identity, code=ErrorCode.FRAME_MISMATCH)
+            raise StepError(f"frame {record.index} {problem}", **identity, code=ErrorCode.FRAME_MISMATCH)
         if key not in self._open:
             self._open[key] = _OpenStep(np.empty((record.count, *image.shape), image.dtype))
         step = self._open[key]
         if record.index in step.records:
             self._fail(key, record)
-            raise StepError(f"{where}: frame {record.index} arrived twice", **identity, code=ErrorCode.FRAME_DOUBLED)
+            raise StepError(f"frame {record.index} arrived twice", **identity, code=ErrorCode.FRAME_DOUBLED)
         step.records[record.index] = record
         step.frames[record.index] = image
         if record.index < record.count - 1:
@@ -152,11 +151,11 @@ class FrameCollector:
         self._ended.add(key)
         missing = [index for index in range(record.count) if index not in step.records]
         if missing:
-            raise _missing(where, missing, record.count, record.experiment, record.step)
+            raise _missing(missing, record.count, record.experiment, record.step)
         records = [step.records[index] for index in range(record.count)]
         incomplete = _incomplete(records)
         if incomplete:
-            raise StepError(f"{where}: {incomplete}", **identity, code=ErrorCode.FRAME_MISMATCH)
+            raise StepError(incomplete, **identity, code=ErrorCode.FRAME_MISMATCH)
         return Stack(record.experiment, record.step, records, step.frames, records[-1].stamp)
 
     def abandon(self, experiment: str, step: int) -> StepError | None:
@@ -175,7 +174,7 @@ class FrameCollector:
             return None
         count = next(iter(opened.records.values())).count
         missing = [index for index in range(count) if index not in opened.records]
-        return _missing(f"experiment '{experiment}', step {step}", missing, count, experiment, step)
+        return _missing(missing, count, experiment, step)
 
     def _mismatch(self, record: FrameRecord, image: np.ndarray) -> str:
         """Return how a frame contradicts itself or the others of its step; empty when it does not."""
@@ -217,10 +216,10 @@ def _kind_of_step(pattern: ProjectedPattern) -> PatternKind:
     return PatternKind.FRINGES if pattern.kind in PHASE_KINDS else pattern.kind
 
 
-def _missing(where: str, missing: list[int], count: int, experiment: str, step: int) -> StepError:
+def _missing(missing: list[int], count: int, experiment: str, step: int) -> StepError:
     names = ", ".join(map(str, missing))
     return StepError(
-        f"{where}: frame{'s' if len(missing) > 1 else ''} {names} of {count} never arrived",
+        f"frame{'s' if len(missing) > 1 else ''} {names} of {count} never arrived",
         experiment=experiment,
         step=step,
         index=missing[0],

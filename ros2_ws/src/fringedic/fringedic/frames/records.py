@@ -56,6 +56,7 @@ class ExposureMessage(StampedMessage, PatternMessage, Protocol):
     count: int
     exposure_time: float
     dropped: int
+    image_crc: int
 
 
 def stamp_of(message: StampedMessage) -> int:
@@ -93,5 +94,5 @@ def frame_record(exposure: ExposureMessage) -> FrameRecord:
         stamp=stamp_of(exposure),
         exposure_time=exposure.exposure_time,
         dropped=exposure.dropped,
-        image_crc=getattr(exposure, "image_crc", 0),
+        image_crc=exposure.image_crc,
     )

@@ -18,7 +18,7 @@ from fringedic.datasets.quantities import layout_of_images
 from fringedic.datasets.rows import Row, displacement_maps
 from fringedic.datasets.stores import dataset_path
 from fringedic.datasets.writer import DatasetWriter
-from fringedic.errors import DatasetError, FringedicError, ImageError
+from fringedic.errors import DatasetError, FringedicError, ImageError, reason_of
 from fringedic.frames.files import image_files, read_grey
 from fringedic.metadata import Metadata
 from fringedic.steps.closures import ClosureChecks
@@ -229,6 +229,7 @@ class _Measuring:
         """Return the row of an image; the reference raises its errors, the others have them in their row."""
         self._names[step] = file.name
         row = Row(step, image=file.name)
+        texture = None
         try:
             texture = read_grey(file)
             if step == 0 and self._mask is not None:
@@ -237,7 +238,9 @@ class _Measuring:
         except FringedicError as error:
             if step == 0:
                 raise
-            row.error = str(error) if str(file) in str(error) else f"{file}: {error}"
+            row.error = (
+                str(error) if texture is None else f"{file}: {reason_of(error)}"
+            )  # errors of reading name the file
             self._reason = self._reason or type(error)(row.error)
             return row, MeasuredImage(step, file.name, row.error)
         self._fill(row, result, texture)

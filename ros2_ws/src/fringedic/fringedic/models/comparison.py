@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 
 from fringedic.datasets.quantities import MAP_DIMENSIONS
+from fringedic.datasets.signals import signal_names
 from fringedic.errors import ModelError
 from fringedic.evaluation.motion import in_space
 from fringedic.models.agreement import AGREEMENT, Agreement, assess, assess_curve
@@ -31,9 +32,9 @@ from fringedic.wording.arguments import (
     dataset,
     number,
     of_type,
-    one_of,
     optional,
     several,
+    text,
     whole,
 )
 
@@ -65,7 +66,7 @@ def _load_of_each_step(value: object) -> dict[int, float]:
     reference_image=optional(array(2)),
     **FEATURE_CHECKS,
     steps=optional(several(whole(), least=1)),
-    load=one_of("force", "position"),
+    load=text,
     loads=optional(_load_of_each_step),
 )
 def compare_model(  # noqa: PLR0913 (options of a public function, all by keyword)
@@ -121,7 +122,8 @@ def compare_model(  # noqa: PLR0913 (options of a public function, all by keywor
     steps
         Numbers of the steps; by default all with a displacement and a load within those of the model.
     load
-        Which value of a step the loads of the model are: ``"force"`` [N] or ``"position"`` of the crosshead [m].
+        Which signal the loads of the model are values of, in its unit: ``"force"`` [N], ``"position"`` of the
+        crosshead [m], or another one of the dataset.
     loads
         Load of the model for each step by number, instead of the recorded value.
 
@@ -420,7 +422,7 @@ class _Comparison:
             fields[name] = ((), getattr(shift, name), {"units": "m", "long_name": long_name})
         fields["load_of_reference"] = ((), self._loads[0], {"long_name": "load of the model at the reference step"})
         fields["load_of_model"] = ((), self._loads[1], {"long_name": "load that the model was interpolated at"})
-        for name in ("force", "position", "reference_step", "time"):
+        for name in (*signal_names(self._step), "reference_step", "time"):
             if name in self._step:
                 fields[name] = self._step[name].variable
         coordinates = {

@@ -1,5 +1,3 @@
-from .load_samples import LoadSummary as LoadSummary
-from .load_samples import summarise_load as summarise_load
 from .reader import BagReader as BagReader
 from .repair import BagInfo as BagInfo
 from .repair import Content as Content

@@ -182,7 +182,7 @@ def open_file(path: Path, *, check: bool) -> McapFile:
     Returns
     -------
     McapFile
-        The damage of a file of another format is `FOREIGN`.
+        Of another format, the file is `foreign`.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def open_file(path: Path, *, check: bool) -> McapFile:
     if file is None:
         with opened(path) as data:
             if not begins and data[-len(MAGIC) :] != MAGIC and not has_chunk(path, data):
-                return McapFile(path, damage=[FOREIGN])
+                return McapFile(path, damage=[FOREIGN], foreign=True)
             file = scan_file(path, data)
     elif check:
         file = check_chunks(file)

@@ -64,6 +64,8 @@ class McapFile:
         Messages of each channel by the index of the file; empty without an index.
     damage
         Description of each kind of damage; empty for a complete file.
+    foreign
+        Whether it is a file of another format, without any chunk.
     """
 
     path: Path
@@ -73,6 +75,7 @@ class McapFile:
     counts: Counter[int] = field(default_factory=Counter)
     indexed: Counter[int] = field(default_factory=Counter)
     damage: list[str] = field(default_factory=list)
+    foreign: bool = False
 
     def add_chunk(self, offset: int, length: int, records: list[McapRecord]) -> int:
         """Add a chunk by its records; return the number of messages whose channel is not defined anywhere before.

@@ -18,6 +18,7 @@ from rosbags.typesys.store import Typestore
 
 from fringedic.errors import ErrorCode, RecordingError
 from fringedic.recording.bag_files import BagFiles, find_files, open_file, parts_of_run, recording_of
+from fringedic.recording.earlier_versions import translate
 from fringedic.recording.mcap_file import FOREIGN, McapFile, count_without_checksum, read_messages
 from fringedic.recording.topics import RawMessage, Topic, is_named
 
@@ -81,7 +82,7 @@ class BagReader:
         found = find_files(self.path)
         self.files, self.unlisted = tuple(found.present), tuple(found.unlisted)
         self._files = [open_file(file, check=check) for file in found.present]
-        if all(FOREIGN in file.damage for file in self._files):
+        if all(file.foreign for file in self._files):
             raise RecordingError(f"{self._files[0].path}: {FOREIGN}")
         self.topics: dict[str, Topic] = {}
         self.counts: dict[str, int] = {}
@@ -278,6 +279,8 @@ class BagReader:
 def decode(topic: Topic, data: bytes, path: Path) -> Any:
     """Return a message of a topic, decoded by its recorded definition; its arrays are NumPy arrays.
 
+    A message of an earlier version has the fields of the present one.
+
     Raises
     ------
     RecordingError
@@ -287,9 +290,11 @@ def decode(topic: Topic, data: bytes, path: Path) -> Any:
         raise RecordingError(f"{path}: {topic.name} is defined in {topic.encoding}, only ros2msg is supported")
     types = _types(topic.definition, topic.type_name)
     try:
-        return types.deserialize_cdr(data, topic.type_name)
+        message = types.deserialize_cdr(data, topic.type_name)
     except Exception as error:
         raise RecordingError(f"{path}: a message of {topic.name} is not a {topic.type_name}: {error}") from error
+    translate(topic.type_name, message)
+    return message
 
 
 @lru_cache(maxsize=256)

@@ -19,6 +19,7 @@ _TYPES = {
     "load_frame/clock": "fringedic_msgs/msg/ClockDrift",
     "load_frame/state": "fringedic_msgs/msg/LoadState",
     "programme/status": "fringedic_msgs/msg/StepStatus",
+    "signals": "fringedic_msgs/msg/Signal",
     "node_parameters": "fringedic_msgs/msg/NodeParameters",
 } | {f"{node}/status": "fringedic_msgs/msg/NodeStatus" for node in _NODES}
 

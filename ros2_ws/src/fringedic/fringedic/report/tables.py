@@ -11,6 +11,7 @@ import xarray as xr
 
 from fringedic.datasets.attributes import seconds
 from fringedic.datasets.quantities import people_unit
+from fringedic.datasets.signals import knows_sigma, sigma_name, signal_names
 from fringedic.evaluation.noise_floor import NoiseFloor
 from fringedic.evaluation.probes import region_statistics
 from fringedic.evaluation.truth import compare_with_truth
@@ -21,9 +22,7 @@ from fringedic.wording.numbers import number_text
 MILLI, MICRO = 1e-3, 1e-6
 REGION_MAPS = ("u", "v", "w", "displacement_x", "displacement_y", "e_11", "e_22", "e_12", "e_xx", "e_yy", "e_xy")
 REGION_STATISTICS = ("mean", "standard_deviation", "minimum", "maximum")
-_STEP_VALUES = (  # factor 0: in the unit of people
-    ("force", "force [N]", 1.0),
-    ("position", "position [mm]", MILLI),
+_STEP_VALUES = (  # after the signals; factor 0: in the unit of people
     ("valid_fraction", "measured [%]", 0.01),
     ("confirmed_fraction", "confirmed [%]", 0.01),
     ("rms_displacement", "RMS displacement", 0.0),
@@ -53,7 +52,11 @@ def step_columns(dataset: xr.Dataset) -> list[Column]:
         columns.append(Column("image", [str(name) for name in dataset["image"].values], False))
     if "time" in dataset:
         columns.append(Column("time [s]", [f"{value:.1f}" for value in seconds(dataset)]))
-    for name, heading, factor in _STEP_VALUES:
+    signals = [(name, name, 0.0) for name in signal_names(dataset)]
+    signals += [
+        (sigma_name(name), f"sigma of {name}", 0.0) for name in signal_names(dataset) if knows_sigma(dataset, name)
+    ]
+    for name, heading, factor in (*signals, *_STEP_VALUES):
         if name in dataset:
             unit, in_dataset = people_unit(dataset[name]), dataset[name].values.astype(float)
             factor, heading = (factor, heading) if factor else (unit.factor, f"{heading} [{unit.text}]")

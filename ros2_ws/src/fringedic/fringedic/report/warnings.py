@@ -49,7 +49,7 @@ def warnings(data: ReportData, static: Sequence[int], floors: Sequence[NoiseFloo
 def _failed_steps(dataset: xr.Dataset) -> Iterator[str]:
     for step, error in zip(dataset["step"].values, dataset["error"].values, strict=True):
         if error:
-            yield str(error) if f"step {int(step)}" in str(error) else f"step {int(step)}: {error}"
+            yield f"step {int(step)}: {error}"
 
 
 def _lost_data(data: ReportData) -> Iterator[str]:

@@ -14,6 +14,7 @@ from fringedic.phase.measure import measure_phase
 from fringedic.phase.settings import PhaseSettings
 from fringedic.steps.parameters import PhaseParameters
 from fringedic.steps.references import check_fraction
+from fringedic.steps.remarks import Correction, CorrectionKind
 from fringedic.steps.step_results import PhaseResult
 
 LIT_NEIGHBOURHOOD = 9  # [px], larger than a speckle
@@ -31,10 +32,9 @@ def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
     PhaseError
         Its frames give no phase, or a relative one that the parameters do not accept.
     """
-    where = f"experiment '{stack.experiment}', step {stack.step}"
     if stack.kind != PatternKind.FRINGES:
         raise StepError(
-            f"{where}: shows {stack.kind.name}, a phase needs fringes",
+            f"shows {stack.kind.name}, a phase needs fringes",
             experiment=stack.experiment,
             step=stack.step,
             code=ErrorCode.FRAME_MISMATCH,
@@ -45,7 +45,7 @@ def phase_step(stack: Stack, parameters: PhaseParameters) -> PhaseResult:
         )
     except StepError as error:
         raise StepError(
-            f"{where}: {error}",
+            error.reason,
             experiment=stack.experiment,
             step=stack.step,
             index=error.index,
@@ -86,9 +86,10 @@ def _settings(parameters: PhaseParameters) -> PhaseSettings:
     )
 
 
-def _corrections(parameters: PhaseParameters) -> str:
-    blur = f"lens blur {parameters.lens_blur_px:g} px" if parameters.lens_blur_px else ""
-    return ", ".join(filter(None, [blur, "harmonics" if parameters.correct_harmonics else ""]))
+def _corrections(parameters: PhaseParameters) -> tuple[Correction, ...]:
+    blur = [Correction(CorrectionKind.LENS_BLUR, parameters.lens_blur_px)] if parameters.lens_blur_px else []
+    harmonics = [Correction(CorrectionKind.HARMONICS)] if parameters.correct_harmonics else []
+    return (*blur, *harmonics)
 
 
 def _lit_region(valid: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from fringedic.errors import FringedicError
+from fringedic.errors import FringedicError, reason_of
 from fringedic.frames.collector import FrameCollector, Stack
 from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.frames import RecordedFrame, RecordedMessage
@@ -36,7 +36,7 @@ class MeasuredStep:
     stamp
         Stamp of its last exposure [ns]; None when its last frame is missing.
     error
-        Why it could not be measured to the end; empty when it could.
+        Why it could not be measured to the end, without the name of the step; empty when it could.
     phase, displacement, coupling
         The results; None for those that a white step does not have, and after an error.
     closures
@@ -139,7 +139,8 @@ class OfflinePipeline:
 
     def _abandoned(self, experiment: str, step: int) -> MeasuredStep:
         self._answered.add(step)
-        return MeasuredStep(step, error=str(self._collector.abandon(experiment, step)))
+        error = self._collector.abandon(experiment, step)
+        return MeasuredStep(step, error=error.reason if error is not None else "")
 
     def _take_frame(self, frame: RecordedFrame, wanted: AbstractSet[int] | None) -> list[MeasuredStep]:
         record = frame.record
@@ -155,7 +156,7 @@ class OfflinePipeline:
         except FringedicError as error:
             self._collector.abandon(record.experiment, record.step)
             self._answered.add(record.step)
-            return [*lost, MeasuredStep(record.step, record.stamp, error=str(error))]
+            return [*lost, MeasuredStep(record.step, record.stamp, error=reason_of(error))]
         if stack is None:
             return lost
         self._answered.add(record.step)
@@ -174,7 +175,7 @@ class OfflinePipeline:
             assert measured.displacement is not None
             measured.coupling = self._shape.step(measured.phase, measured.displacement)
         except FringedicError as error:
-            measured.error = str(error)
+            measured.error = reason_of(error)
         return measured
 
     def _displace(self, stack: Stack, texture: np.ndarray, measured: MeasuredStep) -> None:

@@ -56,8 +56,7 @@ def check_fraction(what: str, fraction: float, minimum: float, key: StepKey) -> 
     if fraction < minimum or fraction == 0:
         experiment, step = key
         raise StepError(
-            f"experiment '{experiment}', step {step}: only {fraction:.1%} of the image has {what}, "
-            f"minimum_valid_fraction requires {minimum:.1%}",
+            f"only {fraction:.1%} of the image has {what}, minimum_valid_fraction requires {minimum:.1%}",
             experiment=experiment,
             step=step,
             code=ErrorCode.TOO_FEW_VALID,
@@ -68,8 +67,8 @@ def no_reference(key: StepKey, reference: StepKey) -> StepError:
     """Return the error of a step whose reference is not available."""
     experiment, step = key
     return StepError(
-        f"experiment '{experiment}', step {step}: its reference, step {reference[1]}, was not measured or is no "
-        "longer kept; set another reference or raise kept_steps",
+        f"its reference, step {reference[1]}, was not measured or is no longer kept; set another reference or raise "
+        "kept_steps",
         experiment=experiment,
         step=step,
         code=ErrorCode.NO_REFERENCE,
@@ -93,8 +92,8 @@ def size_mismatch(
     experiment, step = key
     (rows, columns), (reference_rows, reference_columns) = shapes
     return StepError(
-        f"experiment '{experiment}', step {step}: the {what} is {columns}x{rows} px, "
-        f"its reference step {reference[1]} has {reference_columns}x{reference_rows} px",
+        f"the {what} is {columns}x{rows} px, its reference step {reference[1]} has "
+        f"{reference_columns}x{reference_rows} px",
         experiment=experiment,
         step=step,
         code=ErrorCode.FRAME_MISMATCH,

@@ -14,6 +14,7 @@ from fringedic.rig.model import RigModel
 from fringedic.steps.drift_marker import MarkerMotion, measure_drift
 from fringedic.steps.parameters import CouplingParameters
 from fringedic.steps.references import LatestSteps, StepKey, check_fraction, no_reference, size_mismatch
+from fringedic.steps.remarks import corrections_text
 from fringedic.steps.statistics import measured_part_and_rms
 from fringedic.steps.step_results import CouplingResult, DicResult, PhaseResult
 from fringedic.surface import PreparedShape, couple, surface_strain, to_local_frame
@@ -194,7 +195,7 @@ class ShapeTracker:
         if first is None:
             raise no_reference(key, reference_key)
         if first.corrections != phase.corrections:
-            now, then = (each.corrections or "nothing" for each in (phase, first))
+            now, then = (corrections_text(each.corrections) for each in (phase, first))
             raise _step_error(
                 phase,
                 f"its phase is corrected for {now}, and that of its reference step {first.step} for {then}: set a new "
@@ -271,7 +272,7 @@ def _require_heights(surface: StepSurface) -> None:
 
 def _step_error(phase: PhaseResult, message: str, code: ErrorCode | None) -> StepError:
     return StepError(
-        f"experiment '{phase.experiment}', step {phase.step}: {message}",
+        message,
         experiment=phase.experiment,
         step=phase.step,
         code=code,

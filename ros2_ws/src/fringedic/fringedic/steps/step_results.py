@@ -10,6 +10,7 @@ import xarray as xr
 from fringedic.patterns.pattern import Orientation
 from fringedic.phase.findings import Finding
 from fringedic.steps.drift_marker import MarkerMotion
+from fringedic.steps.remarks import Correction
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class PhaseResult:
         What needs attention although the phase is measured; `fringedic.phase.sentences.describe` puts it into
         words.
     corrections
-        What was corrected in the phase, in words: the same for all phases that are compared.
+        What was corrected in the phase: the same for all phases that are compared.
     """
 
     experiment: str
@@ -54,7 +55,7 @@ class PhaseResult:
     relative: bool = False
     harmonic_error: float = float("nan")
     remarks: tuple[Finding, ...] = ()
-    corrections: str = ""
+    corrections: tuple[Correction, ...] = ()
 
     @property
     def phase(self) -> np.ndarray:

@@ -26,6 +26,7 @@ from fringedic.datasets.derived import Collected
 from fringedic.datasets.quantities import SCALARS, STEP_NUMBERS
 from fringedic.datasets.rows import Row, with_lost_steps
 from fringedic.datasets.sentences import confirmation_sentence
+from fringedic.datasets.signals import signal_names, signal_series
 from fringedic.errors import ConfigurationError, DatasetError, RecordingError
 from fringedic.evaluation import compare_with_truth, truth_errors
 from fringedic.frames.collector import Stack
@@ -33,10 +34,13 @@ from fringedic.frames.records import FrameRecord, stamp_of
 from fringedic.metadata import Metadata
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.patterns.render import render_pattern
+from fringedic.recording.earlier_versions import translate
 from fringedic.recording.frames import records
 from fringedic.recording.reader import BagReader
 from fringedic.recording.topics import Topic
 from fringedic.recording.writer import BagWriter
+from fringedic.report.tables import step_columns
+from fringedic.signals import Channel
 from fringedic.steps.displacement_tracker import DisplacementTracker, white_texture
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.phase import phase_step
@@ -53,6 +57,7 @@ RAW = {
     "calibration": "fringedic_msgs/msg/RigCalibration",
     "node_parameters": "fringedic_msgs/msg/NodeParameters",
     "load_frame/state": "fringedic_msgs/msg/LoadState",
+    "signals": "fringedic_msgs/msg/Signal",
 }
 DERIVED = {
     **{f"phase/{name}": "sensor_msgs/msg/Image" for name in ("map", "sigma", "modulation", "texture")},
@@ -76,7 +81,8 @@ class ExperimentParameters(BaseModel):
 def interfaces():
     """The types of all messages, and the topics of a rig."""
     store = get_typestore(Stores.ROS2_JAZZY)
-    for type_name in sorted({each for each in (RAW | DERIVED).values() if each.startswith("fringedic_msgs")}):
+    own = {each for each in (RAW | DERIVED).values() if each.startswith("fringedic_msgs")}
+    for type_name in sorted(own | {"fringedic_msgs/msg/Correction", "fringedic_msgs/msg/Remark"}):
         definition = (MESSAGES / f"{type_name.rsplit('/', 1)[1]}.msg").read_text()
         store.register(get_types_from_msg(definition, type_name))
     topics = []
@@ -129,6 +135,12 @@ class Bench:
             else:
                 fields[name] = zeros[int(kind)]
         return types[type_name](**fields)
+
+    def thermocouple(self, stamp, temperature):
+        about = {"name": "temperature_grip", "quantity": "temperature", "unit": "K", "source": "thermocouple"}
+        time = self.store.types["builtin_interfaces/msg/Time"](*divmod(stamp, 1_000_000_000))
+        values = {"stamps": [time], "values": np.array([temperature]), "sigmas": np.array([0.5])}
+        self.write("signals", stamp, **about, **values)
 
     def write(self, topic, stamp=0, **values):
         type_name = (RAW | DERIVED)[topic]
@@ -209,6 +221,7 @@ class Bench:
                 continue
             force = 1e6 * position + index
             self.write("load_frame/state", stamp + 1000, mode=3, force=force, position=position)
+            self.thermocouple(stamp + 3000, 295.0 + number)
             if index == 1:  # the machine gave no readable reply
                 self.write("load_frame/state", stamp + 2000, mode=0, force=float("nan"), position=float("nan"))
             self.image("camera/image_raw", stamp, frame)
@@ -239,31 +252,31 @@ class Bench:
 
     def publish(self, stack):
         stamp, number = stack.stamp, stack.step
-        status = {"experiment": "plate", "step": number, "valid_fraction": float("nan"), "rms": float("nan")}
+        status = {"experiment": "plate", "step": number}
         if stack.kind == PatternKind.WHITE:
             texture = white_texture(stack.frames[-1])
-            self.write("phase/status", stamp, **status)
+            self.write("phase/status", stamp, **status, skipped=True, valid_fraction=float("nan"))
         else:
             phase = phase_step(stack, PhaseParameters())
             texture = phase.texture
             for name in ("sigma", "modulation", "texture"):
                 self.image(f"phase/{name}", stamp, getattr(phase, name))
             self.image("phase/map", stamp, phase.phase)
-            self.write("phase/status", stamp, **{**status, "valid_fraction": phase.valid_fraction, "rms": phase.rms})
+            self.write("phase/status", stamp, **status, valid_fraction=phase.valid_fraction, phase_sigma=phase.rms)
         dic = self.displacement.step("plate", number, stamp, texture)
         self.image("dic/displacement", stamp, dic.displacement)
         self.image("dic/sigma", stamp, dic.sigma)
-        found = {"valid_fraction": dic.valid_fraction, "rms": dic.rms, "correlated_step": dic.correlated_step}
+        found = {"valid_fraction": dic.valid_fraction, "rms_displacement_px": dic.rms}
+        found |= {"correlated_step": dic.correlated_step}
         found |= {"window": dic.field.attrs["window_px"], "method": dic.field.attrs["method"]}
         self.write("dic/status", stamp, **{**status, **found})
         if stack.kind == PatternKind.WHITE:
-            self.write("coupling/status", stamp, **status)
+            self.write("coupling/status", stamp, **status, skipped=True, valid_fraction=float("nan"))
             return
         coupling = self.shape.step(phase, dic)
         # a status may be recorded before the clouds it belongs to
-        self.write(
-            "coupling/status", stamp, **{**status, "valid_fraction": coupling.valid_fraction, "rms": coupling.rms}
-        )
+        found = {"valid_fraction": coupling.valid_fraction, "rms_displacement": coupling.rms}
+        self.write("coupling/status", stamp, **{**status, **found})
         self.cloud("coupling/shape", stamp, coupling.shape)
         self.cloud("coupling/displacement", stamp, coupling.displacement)
 
@@ -381,6 +394,8 @@ def test_recordings_of_versions_that_did_not_tell_say_so():
     image = {"height": 1, "width": 1, "encoding": "32FC2", "step": 8, "is_bigendian": 0, "data": np.zeros(8, np.uint8)}
     header = SimpleNamespace(stamp=SimpleNamespace(sec=1, nanosec=0))
     status = SimpleNamespace(header=header, step=3, error_code=0, error_message="", valid_fraction=1.0, frames=1)
+    vars(status).update(experiment="plate", node="dic", rms=0.5)
+    translate("fringedic_msgs/msg/NodeStatus", status)
     rows = []
     for topic in ("dic/displacement", "dic/sigma"):
         rows += collected.take(topic, SimpleNamespace(header=header, **image))
@@ -395,7 +410,8 @@ def test_a_step_without_its_last_status_keeps_its_place():
     rows = []
     for step in (4, 5, 6):
         header = SimpleNamespace(stamp=SimpleNamespace(sec=step, nanosec=0))
-        status = SimpleNamespace(header=header, step=step, error_code=0, error_message="", valid_fraction=1.0, rms=1.0)
+        status = SimpleNamespace(header=header, step=step, error_code=0, error_message="", valid_fraction=1.0)
+        status.skipped = False
         for topic in topics - ({"coupling/status"} if step == 5 else set()):
             rows += collected.take(topic, status)
     rows += collected.finish()
@@ -411,7 +427,13 @@ def test_a_failed_step_that_nodes_ended_with_different_stamps_is_one_row():
     rows = []
     for step, seconds, topic in ((1, 10, "phase/status"), (1, 11, "dic/status"), *((2, 20, each) for each in topics)):
         header = SimpleNamespace(stamp=SimpleNamespace(sec=seconds, nanosec=0))
-        status = {"header": header, "step": step, "valid_fraction": 1.0, "rms": 1.0, "error_message": f"{topic} failed"}
+        status = {
+            "header": header,
+            "step": step,
+            "valid_fraction": 1.0,
+            "skipped": False,
+            "error_message": f"{topic} failed",
+        }
         rows += collected.take(topic, SimpleNamespace(**status, error_code=int(step == 1)))
     rows += collected.finish()
     assert [(row.step, row.error) for row in rows] == [(1, "phase/status failed"), (2, "")]
@@ -691,9 +713,27 @@ def test_a_recording_that_is_cut_off_is_measured_as_far_as_it_goes(bench, proces
         assert "not closed" in cut.damage
         assert cut.step.values.tolist() == [0, 1, 2]
         assert identical(cut.w.values[:2], processed.w.values[:2])
-        assert "step 2: frames 4, 5, 6, 7 of 8 never arrived" in str(cut.error.values[2])
+        assert str(cut.error.values[2]) == "frames 4, 5, 6, 7 of 8 never arrived"
         assert np.isnan(cut.w[2]).all()
     assert "damage" not in processed.attrs
+
+
+def test_another_sensor_is_in_the_dataset_beside_force_and_position(processed):
+    """With its samples on their own time axis; no reader has to know it."""
+    assert signal_names(processed) == ["force", "position", "temperature_grip"]
+    steps = processed.step.values
+    np.testing.assert_allclose(processed.temperature_grip, 295.0 + steps)
+    np.testing.assert_allclose(processed.temperature_grip_sigma, 0.5)
+    assert np.isnan(processed.force_sigma).all(), "the load frame states none"
+    temperature, force = (signal_series(processed, name) for name in ("temperature_grip", "force"))
+    assert temperature.channel == Channel("temperature_grip", "temperature", "K", "", "thermocouple")
+    assert sorted(set(temperature.values)) == [295.0 + step for step in steps]
+    assert len(force.stamps) > len(temperature.stamps)
+    assert np.diff(temperature.stamps).min() >= 20_000_000
+    headings = [column.heading for column in step_columns(processed)]
+    assert {"force [N]", "position [mm]", "temperature_grip [K]", "sigma of temperature_grip [K]"} <= set(headings)
+    with pytest.raises(DatasetError, match="no samples of a signal 'voltage', only those of: force, position, temp"):
+        signal_series(processed, "voltage")
 
 
 def test_zarr_holds_the_same(bench, processed, tmp_path):

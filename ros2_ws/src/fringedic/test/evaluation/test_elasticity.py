@@ -71,6 +71,14 @@ def test_a_range_of_strain_leaves_the_other_steps_out() -> None:
     assert wrong.sigma_modulus > 5 * right.sigma_modulus  # the points scatter about the line
 
 
+def test_the_uncertainty_of_the_force_is_that_of_its_signal_where_the_sensor_states_it() -> None:
+    stated = plate(1).assign(force_sigma=("step", np.full(AXIAL.size, SIGMA_FORCE)))
+    stated["force"].attrs["quantity"] = "force"
+    assert elastic_constants(stated) == elastic_constants(plate(1), sigma_force=SIGMA_FORCE)
+    unknown = stated.assign(force_sigma=("step", np.full(AXIAL.size, np.nan)))
+    assert elastic_constants(unknown, sigma_force=SIGMA_FORCE) == elastic_constants(plate(1), sigma_force=SIGMA_FORCE)
+
+
 def test_constants_are_those_of_the_reference_of_most_steps() -> None:
     """From step 4 on the strain is that since step 4, and the force is still the whole one."""
     dataset = plate(1)

@@ -24,6 +24,7 @@ from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import ExportError
 from fringedic.export import FORMATS, export_dataset, tables
 from fringedic.metadata import Metadata
+from fringedic.signals import SignalValue, signals_of
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.recorded_parameters import StepSettings
 
@@ -71,14 +72,16 @@ def dataset(tmp_path_factory):
     parameters = {"phase": PhaseParameters(), "dic": DicParameters(spacing=SPACING), "coupling": CouplingParameters()}
     settings = StepSettings(parameters, RIG, {"camera": {"exposure_time_s": 0.01}}, METADATA)
     with DatasetWriter(path, {"experiment": "sheet", "source": "bag"}) as writer:
+        writer.add_signals(signals_of([]).values())
         for step in (0, 1, 2):
             stamp = START + step * 1_500_000_000
-            writer.add(
-                Row(step, stamp, "", 0, max(step - 1, 0), 10.0 * step, 1e-4 * step, 0.9, 1e-5 * step, maps(step)),
-                settings,
-            )
+            row = Row(step, stamp, "", 0, max(step - 1, 0), 0.9, 1e-5 * step, maps(step))
+            row.signals = {"force": SignalValue(10.0 * step), "position": SignalValue(1e-4 * step)}
+            writer.add(row, settings)
         white = {"displacement_x": maps(2)["displacement_x"], "displacement_y": maps(2)["displacement_y"]}
-        writer.add(Row(3, START + 4_000_000_000, "", 0, 0, 20.0, 2e-4, 0.9, float("nan"), white), settings)
+        row = Row(3, START + 4_000_000_000, "", 0, 0, 0.9, float("nan"), white)
+        row.signals = {"force": SignalValue(20.0), "position": SignalValue(2e-4)}
+        writer.add(row, settings)
         writer.add(Row(4, START + 5_000_000_000, "step 4: frames 2 of 8 never arrived"), settings)
     with open_experiment(path) as opened:
         yield opened

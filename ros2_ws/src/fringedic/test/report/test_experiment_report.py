@@ -27,6 +27,7 @@ from fringedic.report.data import ReportData
 from fringedic.report.entries import hardware_entries, specimen_entries
 from fringedic.report.processing_entries import analysis_entries, base_and_angle, fringe_entries
 from fringedic.report.warnings import warnings
+from fringedic.signals import SignalValue, signals_of
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.recorded_parameters import StepSettings
 
@@ -75,24 +76,14 @@ def path(tmp_path_factory):
     generator = np.random.default_rng(5)
     reference = {name: generator.normal(0, sigma, (ROWS, COLUMNS)) for name, sigma in NOISE.items()}
     with DatasetWriter(file, {"experiment": "sheet <4>", "source": "bag"}) as writer:
+        writer.add_signals(signals_of([]).values())
         for step, position in enumerate((0.0, 0.3e-6, 0.0, 1e-4, 2e-4)):
             stamp = START + step * 10**9
-            writer.add(
-                Row(
-                    step,
-                    stamp,
-                    "",
-                    0,
-                    3 if step == 4 else 0,
-                    20.0 * step,
-                    position,
-                    0.9,
-                    1e-5 * step,
-                    maps(step, generator, reference),
-                ),
-                settings,
-            )
-        writer.add(Row(5, START + 5 * 10**9, "step 5: frame 3 of 8 <never> arrived", position=0.0), settings)
+            row = Row(step, stamp, "", 0, 3 if step == 4 else 0, 0.9, 1e-5 * step, maps(step, generator, reference))
+            row.signals = {"force": SignalValue(20.0 * step), "position": SignalValue(position)}
+            writer.add(row, settings)
+        failed = Row(5, START + 5 * 10**9, "frame 3 of 8 <never> arrived", signals={"position": SignalValue(0.0)})
+        writer.add(failed, settings)
     return file
 
 

@@ -26,7 +26,7 @@ def test_the_noise_floor_from_before_the_test_is_shown(tmp_path: Path) -> None:
             displacement = {"u": load * column, "v": load * row, "w": load * row}
             fields = {"displacement_x": load * column, "displacement_y": load * row}
             maps = {name: values.astype(np.float32) for name, values in (shape | displacement | fields).items()}
-            writer.add(Row(step, 10**9 * (step + 1), "", 0, 0, 1.0, 1e-4 * step, 1.0, 0.0, maps), settings)
+            writer.add(Row(step, 10**9 * (step + 1), "", 0, 0, 1.0, 0.0, maps), settings)
     page = write_report(file).read_text("utf-8")
     assert "the noise floor is not measured" not in page
     assert "From 3 steps at rest before the experiment" in page

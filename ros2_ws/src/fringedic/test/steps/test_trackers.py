@@ -20,6 +20,7 @@ from fringedic.phase.findings import FindingKind
 from fringedic.steps.displacement_tracker import DisplacementTracker, moved_mask, white_texture
 from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 from fringedic.steps.phase import phase_step
+from fringedic.steps.remarks import Correction, CorrectionKind
 from fringedic.steps.shape_tracker import ShapeTracker
 from fringedic.steps.step_results import DicResult, PhaseResult, displacement_field
 from fringedic.virtual_rig import VirtualRig
@@ -506,7 +507,7 @@ def test_phases_that_were_corrected_otherwise_are_not_compared():
     tracker.set_calibration(RIG)
     couple_step(tracker, 0, 0.0)
     small, nothing = np.full((60, 72), 1e-3, np.float32), np.full((60, 72, 2), 1e-3, np.float32)
-    corrected = replace(phase_result(1, plane(0.0)[0], small), corrections="lens blur 0.8 px")
+    corrected = replace(phase_result(1, plane(0.0)[0], small), corrections=(Correction(CorrectionKind.LENS_BLUR, 0.8),))
     with pytest.raises(
         StepError, match=r"corrected for lens blur 0\.8 px, and that of its reference step 0 for nothing"
     ):

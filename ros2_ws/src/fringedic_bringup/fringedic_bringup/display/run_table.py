@@ -39,8 +39,8 @@ def report_table(report: RunReport) -> Table:
             table.add_row("–" if step.step < 0 else str(step.step), "failed")
             continue
         cells = [str(step.step), _figure(step.position * 1e3, 3), _figure(step.force, 2)]
-        displacement = step.rms_displacement
-        cells.append(f"{displacement:.3f} px" if step.white else f"{displacement * 1e6:.1f} µm")
+        length, in_image = step.rms_displacement, step.rms_displacement_px
+        cells.append(f"{in_image:.3f} px" if step.white else f"{length * 1e6:.1f} µm")
         if with_truth:
             cells += [_figure(step.errors.get(name, float("nan")), 2) for name in ("u", "v", "w", "z")]
         if with_exact:

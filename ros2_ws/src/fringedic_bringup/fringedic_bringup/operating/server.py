@@ -250,6 +250,7 @@ def _status_message(status: Status) -> ProcedureStatus:
             force=each.force,
             valid_fraction=each.valid_fraction,
             rms_displacement=each.rms_displacement,
+            rms_displacement_px=each.rms_displacement_px,
             processing_time=each.processing_time,
             error_message=each.error,
         )

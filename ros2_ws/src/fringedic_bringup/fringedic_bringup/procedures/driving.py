@@ -522,6 +522,7 @@ def _report(step: ProgrammeStep, result: MeasureStep.Result) -> StepReport:
         force=result.force_mean,
         force_range=result.force_range,
         rms_displacement=result.rms_displacement,
+        rms_displacement_px=result.rms_displacement_px,
         white=step.mode == "white",
         valid_fraction=result.valid_fraction,
         processing_time=result.processing_time,

@@ -18,8 +18,10 @@ class StepReport:
         Mean over the exposures [m], [N], and the range of the force [N].
     valid_fraction
         Measured points over all points.
-    rms_displacement, white
-        RMS of the displacement: [m], but [px] for a step in white light.
+    rms_displacement, rms_displacement_px
+        RMS of (u, v, w) [m], NaN for a step in white light, and of (d_x, d_y) [px].
+    white
+        A step in white light.
     processing_time
         From the last exposure to the last result [s].
     dropped, missing
@@ -36,6 +38,7 @@ class StepReport:
     force_range: float = float("nan")
     valid_fraction: float = float("nan")
     rms_displacement: float = float("nan")
+    rms_displacement_px: float = float("nan")
     white: bool = False
     processing_time: float = float("nan")
     dropped: int = 0

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from fringedic.datasets.quantities import MAPS
+from fringedic.datasets.signals import signal_names
 from fringedic.errors import OperatorError
 from fringedic.report.page_server.maps import RecordedMaps, described
 
@@ -55,6 +56,6 @@ class RecordedRig:
 
     def _step(self, index: int, mapped: int) -> dict[str, Any]:
         one = self.maps.experiment.isel(step=index)
-        names = ("force", "position", "valid_fraction", "rms_displacement")
+        names = (*signal_names(one), "valid_fraction", "rms_displacement")
         scalars = {name: float(one[name]) for name in names if name in one}
         return {"step": int(one.step), "mapped": mapped, "error": str(one.error.item()), **scalars}

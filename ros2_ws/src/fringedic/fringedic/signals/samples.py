@@ -1,4 +1,4 @@
-"""Summarises the samples of a testing machine during a step: mean, spread and drift."""
+"""Summarises the samples of a signal during a step: mean, spread and drift."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ FEWEST_FOR_A_LINE = 3  # with two samples the line is their difference, as the s
 NEAR_NS = 1_000_000_000  # a sample further from the exposure does not describe it; machines send 10 Hz or more
 
 
-class LoadSummary(NamedTuple):
-    """Summary of the force [N] or the position [m] during a step.
+class SampleSummary(NamedTuple):
+    """Summary of the samples of one signal during a step.
 
     Attributes
     ----------
@@ -63,26 +63,26 @@ def samples_over(stamps: Sequence[int] | np.ndarray, begin: float, end: float) -
     return chosen
 
 
-def summarise_load(stamps: Sequence[int], values: Sequence[float]) -> LoadSummary:
-    """Summarise the samples of one quantity.
+def summarise(stamps: Sequence[int], values: Sequence[float] | np.ndarray) -> SampleSummary:
+    """Summarise the samples of one signal.
 
     Parameters
     ----------
     stamps
         When they were acquired [ns], shape (n,), in any order.
     values
-        Force [N] or position [m], shape (n,); NaN is left out.
+        Shape (n,); NaN is left out.
 
     Examples
     --------
-    >>> summarise_load([0, 10**9, 2 * 10**9], [5.0, 6.0, 7.0])
-    LoadSummary(samples=3, mean=6.0, spread=2.0, drift=2.0)
+    >>> summarise([0, 10**9, 2 * 10**9], [5.0, 6.0, 7.0])
+    SampleSummary(samples=3, mean=6.0, spread=2.0, drift=2.0)
     """
     value = np.asarray(values, dtype=np.float64)
     measured = np.isfinite(value)
     value = value[measured]
     if not value.size:
-        return LoadSummary(0, np.nan, np.nan, np.nan)
+        return SampleSummary(0, np.nan, np.nan, np.nan)
     nanoseconds = np.asarray(stamps, dtype=np.int64)[measured]
     time = 1e-9 * (nanoseconds - nanoseconds.min())
     spread = float(np.ptp(value))
@@ -90,4 +90,20 @@ def summarise_load(stamps: Sequence[int], values: Sequence[float]) -> LoadSummar
     if value.size >= FEWEST_FOR_A_LINE and np.ptp(time) > 0:
         centred = time - time.mean()
         drift = float(centred @ value / (centred @ centred) * np.ptp(time))
-    return LoadSummary(int(value.size), float(value.mean()), spread, drift)
+    return SampleSummary(int(value.size), float(value.mean()), spread, drift)
+
+
+def residuals(stamps: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return the deviations of samples from their fitted straight line; NaN is left out.
+
+    Examples
+    --------
+    >>> residuals(np.array([0, 10**9, 2 * 10**9]), np.array([0.0, 3.0, 0.0])).round(6).tolist()
+    [-1.0, 2.0, -1.0]
+    """
+    measured = np.isfinite(values)
+    value, time = values[measured], 1e-9 * (stamps[measured] - stamps.min())
+    centred = time - time.mean()
+    level = value - value.mean()
+    moment = float(centred @ centred)
+    return np.asarray(level - (centred @ level / moment) * centred if moment > 0 else level)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fringedic.recording.load_samples import samples_over, summarise_load
+from fringedic.signals import samples_over, summarise
 from fringedic.virtual_rig import CrossheadState, SimulatedLoadFrame, VirtualRigConfiguration
 
 
@@ -13,7 +13,7 @@ def test_drift_is_that_of_the_line_and_not_the_noise() -> None:
     """10 N/s over 0.5 s under 2 N of noise: the line's end points are known to 2 sqrt(12 / n) N."""
     time = np.arange(500) * 1e-3
     values = 100 + 10 * time + np.random.default_rng(4).normal(0, 2, time.size)
-    summary = summarise_load([int(1e9 * each) for each in 5 + time], values)
+    summary = summarise([int(1e9 * each) for each in 5 + time], values)
     assert summary.samples == 500
     assert summary.drift == pytest.approx(4.99, abs=4 * 2 * np.sqrt(12 / 500))
     assert summary.mean == pytest.approx(102.5, abs=4 * 2 / np.sqrt(500))
@@ -22,10 +22,10 @@ def test_drift_is_that_of_the_line_and_not_the_noise() -> None:
 
 def test_order_of_the_samples_does_not_matter_and_nan_is_not_measured() -> None:
     stamps, values = [0, 10, 20, 30], [1.0, 2.0, np.nan, 4.0]
-    assert summarise_load(stamps, values) == pytest.approx((3, 7 / 3, 3.0, 3.0))
-    assert summarise_load(stamps[::-1], values[::-1]) == pytest.approx((3, 7 / 3, 3.0, 3.0))
-    assert summarise_load([0, 1], [3.0, 5.0]) == (2, 4.0, 2.0, 2.0)
-    nothing = summarise_load([], [])
+    assert summarise(stamps, values) == pytest.approx((3, 7 / 3, 3.0, 3.0))
+    assert summarise(stamps[::-1], values[::-1]) == pytest.approx((3, 7 / 3, 3.0, 3.0))
+    assert summarise([0, 1], [3.0, 5.0]) == (2, 4.0, 2.0, 2.0)
+    nothing = summarise([], [])
     assert nothing.samples == 0
     assert np.isnan([nothing.mean, nothing.spread, nothing.drift]).all()
 
@@ -46,7 +46,7 @@ def test_relaxation_of_the_simulated_specimen_against_its_truth() -> None:
     for _ in time:
         forces.append(machine.sample().force)
         machine.advance(2.5e-3)
-    summary = summarise_load([int(1e9 * each) for each in time], forces)
+    summary = summarise([int(1e9 * each) for each in time], forces)
     stiffness, ratio = 1e3 * configuration.stiffness_n_per_mm, configuration.relaxation
     settled = stiffness * (1 - ratio) * 0.4e-3
     true = settled + (start - settled) * np.exp(-time / 2.0)

@@ -1,0 +1,10 @@
+from .messages import SIGNAL_TOPICS as SIGNAL_TOPICS
+from .messages import signals_of as signals_of
+from .samples import SampleSummary as SampleSummary
+from .samples import samples_over as samples_over
+from .samples import summarise as summarise
+from .signal import FORCE as FORCE
+from .signal import POSITION as POSITION
+from .signal import Channel as Channel
+from .signal import Signal as Signal
+from .signal import SignalValue as SignalValue

@@ -1,0 +1,108 @@
+"""A signal: samples of one quantity with their stamps, unit, sign convention and standard uncertainty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from fringedic.signals.samples import FEWEST_FOR_A_LINE, residuals, samples_over, summarise
+
+
+class Channel(NamedTuple):
+    """What a signal measures.
+
+    Attributes
+    ----------
+    name
+        Of the signal, unique in a rig; the name of its variables in a dataset.
+    quantity, unit
+        ``force``, ``length``, ``temperature`` and its SI unit.
+    positive
+        Sign convention: direction or state of positive values; empty without one.
+    source
+        What measures it.
+    """
+
+    name: str
+    quantity: str
+    unit: str
+    positive: str = ""
+    source: str = ""
+
+
+FORCE = Channel("force", "force", "N", "tension", "load_frame")
+POSITION = Channel("position", "length", "m", "in the direction of tension", "load_frame")
+
+
+class SignalValue(NamedTuple):
+    """Value of a signal during the exposures of a step.
+
+    Attributes
+    ----------
+    mean
+        Of the samples; NaN without any.
+    sigma
+        Its standard uncertainty: that of the sensor, and the scatter of the samples about a straight line. NaN where
+        that of the sensor is not known.
+    """
+
+    mean: float = float("nan")
+    sigma: float = float("nan")
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Samples of a channel, in the order of their arrival.
+
+    Attributes
+    ----------
+    channel
+        What they measure.
+    stamps
+        When they were acquired [ns], int64 (n,).
+    values
+        In the unit of the channel, float64 (n,); NaN is not measured.
+    sigmas
+        Standard uncertainty of each value, float64 (n,); NaN is not known.
+
+    Examples
+    --------
+    >>> seconds = np.arange(4)
+    >>> force = Signal(FORCE, 10**9 * seconds, 5.0 + seconds, np.full(4, 0.5))
+    >>> force.value_over(1e9, 3e9)
+    SignalValue(mean=7.0, sigma=0.5)
+    """
+
+    channel: Channel
+    stamps: np.ndarray
+    values: np.ndarray
+    sigmas: np.ndarray
+
+    def value_over(self, begin: float, end: float) -> SignalValue:
+        """Return the value during a time [ns], NaN without a sample near it; see `samples_over`."""
+        within = samples_over(self.stamps, begin, end)
+        if not within.any():
+            return SignalValue()
+        stamps, values = self.stamps[within], self.values[within]
+        measured = np.isfinite(values)
+        variance = float(np.mean(self.sigmas[within][measured] ** 2)) if measured.any() else np.nan
+        count = int(measured.sum())
+        if count >= FEWEST_FOR_A_LINE:
+            variance += float(np.sum(residuals(stamps, values) ** 2)) / (count - 2) / count
+        return SignalValue(summarise(stamps.tolist(), values).mean, float(np.sqrt(variance)))
+
+    def on_the_clock_of_the_rig(self, offset: float, drift: float, since: int) -> Signal:
+        """Return the signal of a sensor that stamps with its own clock, with the stamps of the rig's clock.
+
+        Parameters
+        ----------
+        offset, drift
+            Clock of the sensor minus that of the rig [s] at the stamp `since` [ns] of the sensor's clock, and the
+            growth of this offset [s/s].
+        since
+            See `offset`.
+        """
+        late = 1e9 * offset + drift * (self.stamps - since)
+        return replace(self, stamps=self.stamps - np.rint(late).astype(np.int64))
