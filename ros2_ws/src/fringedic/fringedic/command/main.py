@@ -11,7 +11,7 @@ import typer
 
 from fringedic.command import calibration, campaign, images, models, recordings, rig_setup, view
 from fringedic.command.app import app
-from fringedic.command.plugins import ros_as_sentence
+from fringedic.command.plugins import load_commands, ros_as_sentence
 from fringedic.command.terminal import Terminal
 from fringedic.errors import FringedicError
 from fringedic.wording.causes import cause_of
@@ -30,6 +30,8 @@ def main() -> None:
     _interrupt_at_end_of_session()
     try:
         with ros_as_sentence():
+            if {"--help", *sys.argv[1:2]} == {"--help"}:  # lists all; loaded later, the commands would be made twice
+                load_commands()
             code = app(standalone_mode=False) or 0
     except FringedicError as error:
         _end(str(error), 1)
