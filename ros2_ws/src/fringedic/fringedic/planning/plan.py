@@ -129,7 +129,7 @@ def make_plan(planned: PlannedRig) -> Plan:
     Examples
     --------
     >>> from fringedic.configuration.rig_file import RigFile
-    >>> from fringedic.rig_setup import PlannedRig
+    >>> from fringedic.planning import PlannedRig
     >>> virtual = {"preset": "plate", "size": "small"}
     >>> rig = {"camera": {"source": "virtual"}, "projector": {"source": "virtual"}, "virtual_rig": virtual}
     >>> plan = make_plan(PlannedRig.of(RigFile.model_validate(rig)))
