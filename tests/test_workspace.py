@@ -24,6 +24,7 @@ OWN_KEYS = set(yaml.safe_load((SOURCES.parent.parent / "setup" / "rosdep.yaml").
 ROSDEP_KEYS = {
     "cv2": "python3-opencv",
     "PIL": "python3-pil",
+    "pydantic_core": "python3-pydantic",  # which is in two parts
     "rosbags": "python3-rosbags-pip",
     "skimage": "python3-skimage",
 }
@@ -114,6 +115,7 @@ def test_library_declares_what_it_imports() -> None:
         "cv2": "opencv-python-headless",
         "foxglove": "foxglove-sdk",
         "PIL": "pillow",
+        "pydantic_core": "pydantic",
         "pygame": "pygame-ce",
         "skimage": "scikit-image",
         "yaml": "pyyaml",

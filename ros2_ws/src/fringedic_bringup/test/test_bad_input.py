@@ -190,7 +190,7 @@ def test_results_of_images_are_exported_and_reported(
     [
         (None, "bench.yaml: no such rig file"),
         ("camera: [", "bench.yaml: is not YAML: line 1"),
-        ("camera: {source: webcam}", "bench.yaml: camera.source: Input should be 'virtual'"),
+        ("camera: {source: webcam}", "bench.yaml: camera: source 'webcam' is unknown; known are virtual, files"),
     ],
 )
 def test_page_of_a_rig_that_is_missing_or_wrong(
