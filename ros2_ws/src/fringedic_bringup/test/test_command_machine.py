@@ -68,7 +68,7 @@ def test_replies_that_do_not_fit_name_the_change(tmp_path: Path) -> None:
     assert done.exit_code == 1
     output = " ".join(done.output.split())
     assert "it has a decimal comma: add decimal: ',' to force" in output
-    assert "'Hold' is in no list of status: add it to idle, moving, hold or fault" in output
+    assert "'Hold' is in no list of status, and hold has 'HOLD': write 'Hold' in hold" in output
     assert "0.5000 mm" in output, "the other entries are shown"
     assert instrument.received == ["REMOTE", "F?", "P?", "S?"]
 
