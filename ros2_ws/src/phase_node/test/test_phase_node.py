@@ -154,7 +154,7 @@ def test_bad_frames_end_their_step_and_the_next_one_works(
     status = bench.status_of(name, 0)
     assert (status.error_code, status.frames) == (code, 0)
     assert words in status.error_message
-    assert "step 0" in status.error_message
+    assert status.step == 0
     assert not bench.published(to_nanoseconds(status.header.stamp))
     after = fringe_step(bench.rig, 0.0, name, 1)
     bench.send(after)
@@ -209,7 +209,7 @@ def test_faulty_stacks_are_named(bench: PhaseBench, name: str, fault: object, co
     status = bench.status_of(name, 0)
     assert status.error_code == code
     assert words in status.error_message
-    assert "step 0" in status.error_message
+    assert status.step == 0
 
 
 def test_coarsest_fringes_that_repeat_in_view_fail_the_step(bench: PhaseBench, name: str) -> None:
