@@ -125,7 +125,8 @@ class Rig:
             self._dead[end] = "was ended by SIGKILL"
             raise NodeDiedError(end)
         self.last_step = number
-        figures = ("force_mean", "position_mean", "force_range", "rms_displacement", "processing_time")
+        displacements = ("rms_displacement", "rms_displacement_px")
+        figures = ("force_mean", "position_mean", "force_range", *displacements, "processing_time")
         return SimpleNamespace(step=number, valid_fraction=1.0, **dict.fromkeys(figures, 0.0))
 
     def move(self, *_: object) -> None:
