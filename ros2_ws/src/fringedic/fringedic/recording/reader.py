@@ -6,9 +6,9 @@ import heapq
 import os
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from datetime import UTC, datetime
+from contextlib import suppress
 from functools import lru_cache
-from itertools import pairwise
+from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +20,9 @@ from fringedic.errors import ErrorCode, RecordingError
 from fringedic.recording.bag_files import BagFiles, find_files, open_file, parts_of_run, recording_of
 from fringedic.recording.earlier_versions import translate
 from fringedic.recording.mcap_file import FOREIGN, McapFile, count_without_checksum, read_messages
+from fringedic.recording.order import ClockCheck
 from fringedic.recording.topics import RawMessage, Topic, is_named
 
-_SET_BACK_NS = 1_000_000_000  # chunks of messages that were received one after the other overlap by less
 REORDER_WINDOW = 64  # messages by which topics may overtake each other on their way into the recording
 
 
@@ -48,7 +48,8 @@ class BagReader:
     missing
         Messages of each topic that an index or ``metadata.yaml`` counts and that are not in the files.
     set_back
-        Description of a clock that was set back during the recording, by the times of its chunks; empty if it was not.
+        Description of a clock that was set back during the recording; empty if it was not, or if it was set back within
+        a single chunk, which only `verify` reads.
     damage
         Description of damaged and missing files and of a clock that was set back; empty if there are none.
     parts
@@ -99,7 +100,7 @@ class BagReader:
                 indexed[channel.topic] += file.indexed[number]
         missing = (indexed | Counter(found.counts)) - Counter(self.counts)
         self.missing = dict(sorted(missing.items()))
-        self.set_back = describe_set_back(_spans(file for file in self._files if file.path.name not in self.unlisted))
+        self.set_back = self._set_back()
         self.damage = "; ".join(filter(None, (*_damage(self._files, found), self.set_back)))
         self.parts = parts_of_run(self.path)
         words = self.damage, _missing_words(self.missing), describe_parts(part.name for part in self.parts)
@@ -264,6 +265,22 @@ class BagReader:
         """
         return decode(self.topics[topic], data, self.path)
 
+    def _set_back(self) -> str:
+        """Return that the clock was set back; the messages are read only where the times of the chunks go back.
+
+        Files of other recordings have times of their own.
+        """
+        files = [file for file in self._files if file.path.name not in self.unlisted]
+        chunks = [(file, chunk) for file in files for chunk in sorted(file.chunks, key=lambda place: place.offset)]
+        ends = accumulate((chunk.end_time for _, chunk in chunks), max)
+        check = ClockCheck(self.topics.values())
+        if any(chunk.end_time and chunk.start_time < end for (_, chunk), end in zip(chunks[1:], ends, strict=False)):
+            for file, chunk in chunks:
+                with suppress(RecordingError):  # damage is reported where the chunk is needed
+                    for message in read_messages(file, chunk):
+                        check.add(_raw(file, message))
+        return check.description
+
     def _of_other_types(self, names: Iterable[str]) -> list[Topic]:
         """Return the topics that have one of these names and the type of another program."""
         return [topic for topic in self.topics.values() if any(is_named(topic.name, "", name) for name in names)]
@@ -331,39 +348,6 @@ def _damage(files: Iterable[McapFile], found: BagFiles) -> Iterator[str]:
         yield f"{name} is missing"
     if found.damage:
         yield found.damage
-
-
-def _spans(files: Iterable[McapFile]) -> Iterator[tuple[int, int]]:
-    """Yield the log times of the first and the last message of each chunk [ns], in the order of writing."""
-    for file in files:
-        for chunk in sorted(file.chunks, key=lambda place: place.offset):
-            if chunk.end_time:  # 0 for a chunk without messages
-                yield chunk.start_time, chunk.end_time
-
-
-def describe_set_back(spans: Iterable[tuple[int, int]]) -> str:
-    """Return that the clock was set back during a recording, and when; empty if it was not.
-
-    Parameters
-    ----------
-    spans
-        Log times of the first and the last message [ns] of each chunk or of each message, in the order of writing. A
-        clock that is set back within a single chunk is found by the times of the messages only.
-
-    Examples
-    --------
-    >>> describe_set_back([(0, 4_000_000_000), (3_900_000_000, 9_000_000_000), (6_000_000_000, 7_000_000_000)])
-    'the clock was set back by 3.0 s at 1970-01-01 00:00:09 UTC; order and times of later messages are wrong'
-    """
-    back, when = 0, 0
-    for (_, end), (start, _) in pairwise(spans):
-        if end - start > max(back, _SET_BACK_NS):
-            back, when = end - start, end
-    if not back:
-        return ""
-    time = datetime.fromtimestamp(1e-9 * when, UTC)
-    later = "order and times of later messages are wrong"
-    return f"the clock was set back by {1e-9 * back:.1f} s at {time:%Y-%m-%d %H:%M:%S} UTC; {later}"
 
 
 def describe_parts(names: Iterable[str]) -> str:

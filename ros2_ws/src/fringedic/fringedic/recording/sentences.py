@@ -91,8 +91,7 @@ def verification_sentences(verification: Verification) -> Iterator[str]:
     yield f"recording: {verification.path}, {messages} messages in {files} file{'s' if files != 1 else ''}"
     yield f"files: {_manifest(verification.manifest)}"
     yield f"chunks: {_chunks(verification)}"
-    gaps = ", ".join(f"{grouped(count)} of {name}" for name, count in sorted(verification.gaps.items()))
-    yield f"publishers' counts: {f'missing are {gaps}' if gaps else 'no message is missing'}"
+    yield f"publishers' counts: {_counts(verification)}"
     for (experiment, step), (recorded, frames) in verification.unfinished_steps.items():
         name = f"step {step} of {experiment or 'no experiment'}"
         yield f"{name}: no successful end recorded, {recorded} of {frames} frames"
@@ -102,6 +101,15 @@ def verification_sentences(verification: Verification) -> Iterator[str]:
         yield f"camera: dropped {grouped(verification.dropped)} frames before it published them"
     exposed = verification.frames + verification.lost_frames
     yield f"{grouped(verification.frames)} of {grouped(exposed)} frames, {grouped(verification.lost_frames)} lost"
+
+
+def _counts(verification: Verification) -> str:
+    gaps = ", ".join(f"{grouped(count)} of {name}" for name, count in sorted(verification.gaps.items()))
+    if not verification.uncounted:
+        return f"missing are {gaps}" if gaps else "no message is missing"
+    topics = ", ".join(verification.uncounted)
+    unknown = f"whether messages are missing cannot be known of {topics}, which have no sequence numbers"
+    return f"missing are {gaps}; {unknown}" if gaps else unknown
 
 
 def _chunks(verification: Verification) -> str:
