@@ -26,7 +26,7 @@ from experiment_node.step_runner import StepRunner
 from fringedic.errors import WaitTimeoutError
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.rig.model import RigModel
-from fringedic.signals import summarise
+from fringedic.signals import FORCE, POSITION
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import NodeParameters, RigCalibration
 from fringedic_msgs.srv import SetReference, StartExperiment
@@ -36,7 +36,7 @@ from fringedic_ros.parameters import declare, parameters_message
 from fringedic_ros.qos import LATCHED, LATCHED_BY_MANY
 from fringedic_ros.records import calibration_message
 from fringedic_ros.rig_node import RIG_FRAME, RigNode, frame_id
-from fringedic_ros.stamps import to_msg, to_nanoseconds
+from fringedic_ros.stamps import to_msg
 from fringedic_ros.topics import NODE_PARAMETERS
 from fringedic_ros.waiting import wait_for
 
@@ -226,10 +226,8 @@ def _fill_in(result: MeasureStep.Result, step: RunningStep) -> None:
     if "coupling" in step.statuses:
         result.rms_displacement = step.statuses["coupling"].rms_displacement
     result.processing_time = step.processing_time
-    samples = step.load_during_exposures()
-    stamps = [to_nanoseconds(sample.header.stamp) for sample in samples]
-    force = summarise(stamps, [sample.force for sample in samples])
-    position = summarise(stamps, [sample.position for sample in samples])
+    signals = step.signals.signals
+    force, position = (signals[each.name].summary_over(*step.exposed_over()) for each in (FORCE, POSITION))
     result.load_samples = force.samples
     result.recorded_frames, result.recorded_crc = step.recorded_frames, step.recorded_crc
     result.force_mean, result.force_range = force.mean, force.spread

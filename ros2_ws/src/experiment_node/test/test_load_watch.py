@@ -40,7 +40,7 @@ def measured_step(times: Sequence[float] | np.ndarray, forces: Any, positions: A
     for time, force, position in np.broadcast(times, forces, positions):
         sample = LoadState(mode=LoadState.HOLD, force=float(force), position=float(position))
         sample.header.stamp = to_msg(round(1e9 * time))
-        step.load.append(sample)
+        step.signals.add("load_frame/state", sample)
     return step
 
 

@@ -1,4 +1,6 @@
 from .messages import SIGNAL_TOPICS as SIGNAL_TOPICS
+from .messages import Sample as Sample
+from .messages import SignalCollector as SignalCollector
 from .messages import signals_of as signals_of
 from .samples import SampleSummary as SampleSummary
 from .samples import samples_over as samples_over
