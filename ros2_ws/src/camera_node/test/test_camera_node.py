@@ -363,7 +363,7 @@ for line in sys.stdin:
 
 def test_bad_parameters_end_the_start_in_words() -> None:
     refused: list[tuple[list[str], str]] = [
-        (["source:=files"], "camera: value error, source files needs the parameter files"),
+        (["source:=files"], "camera: value error, source: files needs the key files, the images that it reads"),
         (["source:=files", "files:=/nowhere"], "camera cannot configure: /nowhere: no such image or folder"),
         (["source:=v4l2", "camera:=/dev/video97"], "camera cannot configure: there is no device /dev/video97"),
         (["source:=topic", "topic:=camera/image_raw"], "/camera/image_raw is a topic of this node itself"),

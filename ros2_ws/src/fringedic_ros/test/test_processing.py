@@ -112,7 +112,7 @@ def test_one_status_per_step_and_a_bounded_queue(peer: Peer, node: ProcessingNod
     for step in range(steps):
         node.measure(StepId("experiment", step, step), work)
         node.measure(StepId("experiment", step, step), work)
-        node.answer(StepId("experiment", step, step), NodeStatus.STEP_ABORTED)
+        node.answer(StepId("experiment", step, step), NodeStatus.STEP_ABORTED, "")
     ended = peer.create_publisher(StepStatus, "experiment/step", EVENTS)
     peer.wait(ended.get_subscription_count, "the node")
     for step in range(steps):
