@@ -55,7 +55,7 @@ def data_summary(store: CampaignStore, status: Status) -> dict[str, Any]:
                 "DatesGenerated": _distinct(each.date for each in entries.values()),
                 "Rig": ", ".join(_distinct(each.rig for each in entries.values())),
                 "Software": status.plan.units[0].software if status.plan.units else {},
-                "Settings": status.plan.units[0].processing if status.plan.units else {},
+                "Settings": {unit.name: unit.processing for unit in status.plan.units},
             },
             "Samples": {
                 "Description": ", ".join(_distinct(each.receipt.labels["group"] for each in entries.values())),

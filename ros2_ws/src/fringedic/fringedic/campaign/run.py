@@ -165,15 +165,14 @@ def _fits(plan: Plan, campaign: Campaign) -> bool:
 
     A recording that was continued since then is another one; those in an object store are not looked at again.
     """
-    named = {each.name: (each.path, each.labels.model_dump()) for each in find_recordings(campaign)}
-    planned = {unit.name: (unit.path, unit.labels) for unit in plan.units}
+    named = {each.name: (each.path, each.labels, campaign.processing(each.entry)) for each in find_recordings(campaign)}
+    planned = {unit.name: (unit.path, unit.labels, unit.processing) for unit in plan.units}
     units = plan.units
     return (
         named.keys() == planned.keys() | plan.refused.keys()
         and planned.items() <= named.items()
         and bool(units)
         and all(is_remote(unit.path) or recorded_bytes(Path(unit.path)) == unit.size for unit in units)
-        and units[0].processing == campaign.processing
         and units[0].software == software_identity()
         and not any(unit.growing for unit in units)
         and plan.title == campaign.content.title

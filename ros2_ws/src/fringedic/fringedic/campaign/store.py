@@ -92,7 +92,7 @@ class CampaignStore:
                 self._files.pipe({self._path(name): data for name, data in objects.items()})
                 return
             for name, data in objects.items():
-                _replace(self.local / name, data)
+                _replace(self.local / _inside(name), data)
 
     def remove(self, name: str) -> None:
         """Remove an object or everything below a name, if there is something."""
@@ -131,13 +131,13 @@ class CampaignStore:
 
     def zarr_store(self, recording: str, *, read_only: bool = False) -> ZarrStore:
         """Return the Zarr store of a recording, whose root is its group."""
-        name = f"{RECORDINGS}/{recording}"
+        name = _inside(f"{RECORDINGS}/{recording}")
         if self.local is not None:
             return LocalStore(self.local / name, read_only=read_only)
         return FsspecStore.from_url(f"{self.address}/{name}", read_only=read_only)
 
     def _path(self, name: str) -> str:
-        return f"{self._root}/{name}"
+        return f"{self._root}/{_inside(name)}"
 
     @contextmanager
     def _named(self, what: str) -> Iterator[None]:
@@ -151,6 +151,19 @@ class CampaignStore:
                 f"the store {self.address} cannot be {what}: {reason}; check the address, the rights and the "
                 "credentials, and repeat the command: what is committed stays"
             ) from error
+
+
+def _inside(name: str) -> str:
+    """Return a name after a check that it stays inside the store, whatever a plan or another worker calls a recording.
+
+    Raises
+    ------
+    CampaignError
+        It does not.
+    """
+    if any(part in ("", ".", "..") for part in name.split("/")):
+        raise CampaignError(f"'{name}' is no name in a store; plan again with 'fringedic campaign plan --recompute'")
+    return name
 
 
 def _replace(file: Path, data: bytes) -> None:

@@ -359,11 +359,6 @@ def next_reading(source: Path) -> str:
     return f"next: `fringedic report {source}` shows the results, `fringedic export {source}` converts them"
 
 
-def title_of(bag: Path) -> str:
-    """Return the name of a recording: that of its run when it is the folder ``bag`` of a run."""
-    return bag.absolute().parent.name if bag.name == "bag" else bag.name.removesuffix(".mcap")
-
-
 @contextmanager
 def kept_if_filled(folder: Path) -> Iterator[None]:
     """Create a folder for results, and remove it when nothing was written into it."""

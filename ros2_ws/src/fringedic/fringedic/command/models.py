@@ -158,13 +158,13 @@ def compare(
     overwrite: Overwrite = False,
 ) -> None:
     """Compare two experiments, one recording processed with two settings, or a group of specimens; write a page."""
-    from fringedic.campaign.recordings import distinguishing_names
     from fringedic.campaign.settings import FILE as CAMPAIGN
     from fringedic.datasets import open_experiment
     from fringedic.evaluation import compare_experiments, compare_specimens
     from fringedic.evaluation.sentences import comparison_sentences, specimen_sentences
     from fringedic.report.specimens import write_specimens
     from fringedic.report.two_experiments import write_comparison
+    from fringedic.wording.path_names import recording_names
 
     if len(sources) < 2:
         raise ConfigurationError("compare takes two or more recordings or datasets; name another one")
@@ -183,8 +183,8 @@ def compare(
             say(f"page: {write_comparison(first, second, page, overwrite=overwrite)}")
             return
         say(*specimen_sentences(compare_specimens(found)))
-        names = distinguishing_names([str(each.absolute()) for each in sources])
-        specimens = {names[str(path.absolute())]: each for path, each in zip(sources, found, strict=True)}
+        names = recording_names(sources)
+        specimens = {names[str(path)]: each for path, each in zip(sources, found, strict=True)}
         say(f"page: {write_specimens(specimens, page, overwrite=overwrite)}")
 
 

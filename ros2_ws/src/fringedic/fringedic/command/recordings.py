@@ -34,10 +34,9 @@ from fringedic.command.app import (
     output_file,
     parameter_values,
     say,
-    title_of,
 )
 from fringedic.command.progress import LiveProgress
-from fringedic.errors import ConfigurationError, ExportError
+from fringedic.errors import ExportError
 
 
 @app.command(
@@ -110,28 +109,16 @@ def process(
 
 
 def _targets(places: list[str], output: Path | None) -> dict[str, Path | None]:
-    """Return the dataset of each recording, None for the one beside it.
-
-    Raises
-    ------
-    ConfigurationError
-        Two recordings have the same name, so that one dataset would replace the other.
-    """
+    """Return the dataset of each recording, None for the one beside it."""
     from fringedic.recording.remote import is_remote
+    from fringedic.wording.path_names import recording_names
 
     if output is not None and len(places) == 1:
         return {places[0]: output}
-    targets: dict[str, Path | None] = {}
-    for place in places:
-        beside = output is None and not is_remote(place)
-        target = None if beside else (output or Path()) / f"{title_of(Path(place))}.nc"
-        if target is not None and target in targets.values():
-            raise ConfigurationError(
-                f"{target}: would be the dataset of two recordings; process recordings of the same name one by one, "
-                "each with its own --output"
-            )
-        targets[place] = target
-    return targets
+    return {
+        place: None if output is None and not is_remote(place) else (output or Path()) / f"{name}.nc"
+        for place, name in recording_names(places).items()
+    }
 
 
 @app.command(rich_help_panel=RESULTS, epilog="Example: fringedic info recordings/plate-7/bag")

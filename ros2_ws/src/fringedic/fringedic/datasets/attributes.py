@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,7 @@ from fringedic.datasets.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE, MI
 from fringedic.errors import DatasetError
 from fringedic.metadata import Metadata
 from fringedic.provenance import git_commit, software
+from fringedic.wording.path_names import path_name
 
 JSON_ATTRIBUTES = {"calibration": dict, "parameters": list, "rig": dict, METADATA_ATTRIBUTE: dict, MISSING_PARTS: list}
 """The attributes that contain JSON, and the kind of its content."""
@@ -73,9 +73,9 @@ def file_stem(dataset: xr.Dataset) -> str:
     Examples
     --------
     >>> file_stem(xr.Dataset(attrs={"experiment": "../plate 7"}))
-    '.._plate_7'
+    'plate-7'
     """
-    return re.sub(r"[^\w.-]", "_", experiment_name(dataset)) or "experiment"
+    return path_name(experiment_name(dataset), "experiment")
 
 
 def map_names(dataset: xr.Dataset) -> list[str]:

@@ -26,6 +26,7 @@ from fringedic.errors import ConfigurationError, FringedicError, NodeDiedError, 
 from fringedic.frames.region import Region
 from fringedic.rig_setup.live_sentences import live_entries
 from fringedic.rig_setup.settings_sentences import noise_floor_text, settings_report
+from fringedic.wording.path_names import path_name
 from fringedic.wording.yaml_text import load_yaml
 from fringedic_bringup.launch.graph import exposing_graph, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
@@ -221,7 +222,7 @@ def _run(place: Place, job: Job, request: Request, options: RunOptions) -> Outco
     """Run a programme, or go on with one that ended early, as with ``--continue``."""
     rig, programme = _programme(place, request.text)
     name = options.continue_run
-    if name != Path(name).name:
+    if name and name != path_name(name):
         raise ConfigurationError(f"continue_run: {name} is no name of a folder in {rig.recording.folder}")
     if name:
         folder = place.folder / rig.recording.folder / name
