@@ -21,9 +21,9 @@ from served import free_port as free_port
 from typer.testing import CliRunner
 
 from fringedic.command.main import app
+from fringedic.command.outcome import RunReport
 from fringedic_bringup.launch.environment import node_environment, private_domain
 from fringedic_bringup.procedures import run
-from fringedic_bringup.procedures.outcome import RunReport
 from fringedic_ros.testing import command_lines, node_pids
 
 Result = TypeVar("Result")

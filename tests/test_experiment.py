@@ -14,8 +14,8 @@ from rewritten import copy_topics
 from running_system import CONFIG, WORKING, Progress, without_ros
 
 import fringedic
+from fringedic.command.outcome import RunReport
 from fringedic.recording.reader import BagReader
-from fringedic_bringup.procedures.outcome import RunReport
 from fringedic_bringup.procedures.replay import replay
 from fringedic_bringup.procedures.run import load_rig, run_experiment
 

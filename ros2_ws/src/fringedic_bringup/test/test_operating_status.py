@@ -9,12 +9,12 @@ from unittest.mock import MagicMock
 
 import pytest
 
+from fringedic.command.outcome import RunReport, StepReport
 from fringedic.errors import FringedicError, NodeDiedError, OperatorError, RecordingError
 from fringedic_bringup.operating import procedures
 from fringedic_bringup.operating.options import CheckOptions, TimingOptions
 from fringedic_bringup.operating.procedures import Place, Request, execute, requested
 from fringedic_bringup.operating.status import Job, Outcome, State, StoppedError
-from fringedic_bringup.procedures.outcome import RunReport, StepReport
 
 PROGRAMME = "{experiment: plate, steps: [{}]}"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import xarray as xr
 
@@ -17,6 +17,8 @@ from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import CalibrationError, ConfigurationError
 from fringedic.report.acceptance import ACCEPTANCE_PAGE, write_acceptance_page
 from fringedic.rig.model import RigModel
+
+Shape: TypeAlias = xr.Dataset  # the surface of an artefact, as of `RigModel.reconstruct`
 
 
 class MeasureShapes(Protocol):
@@ -33,7 +35,7 @@ class MeasureShapes(Protocol):
         places: list[Place],
         ask: Callable[[str], bool],
         domain: int | None,
-    ) -> Iterator[xr.Dataset]:
+    ) -> Iterator[Shape]:
         """Take the arguments of `accept`, the calibration and the places."""
 
 
@@ -99,7 +101,7 @@ def accept(
 
 def _virtual_shapes(
     rig: RigFile, model: RigModel, places: list[Place], artefacts: Artefacts, progress: Progress
-) -> Iterator[xr.Dataset]:
+) -> Iterator[Shape]:
     """Yield the surfaces of the artefacts before a virtual rig, rendered without nodes."""
     from fringedic.calibration.virtual_artefacts import measure_virtual_artefact
 

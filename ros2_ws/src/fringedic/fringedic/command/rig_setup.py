@@ -163,12 +163,12 @@ def region(
             raise ConfigurationError(f"--output {output}: would replace {source}; choose another --output")
         output_file(file, overwrite)
     is_rig = source.suffix in ("", ".yaml", ".yml")  # installed rig files are named without suffix
-    drawn = draw_region(rig_procedure("frame")(rig_path_of(source)) if is_rig else read_grey(source))
+    drawn = draw_region(rig_procedure("frame")(rig_path_of(source)).image if is_rig else read_grey(source))
     if drawn is None:
         say("no region was drawn")
         raise typer.Exit(1)
     picture, corners = drawn.save(output)
-    share = 100 * drawn.mask().mean()
+    share = 100 * drawn.share()
     say(
         f"mask: {picture}, {share:.0f} % of the image",
         f"polygons: {corners}; to use them, write their path into the rig file as region_file",

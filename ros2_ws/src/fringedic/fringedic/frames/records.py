@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
 
 from fringedic.patterns.pattern import PatternMessage, ProjectedPattern, pattern_of_message
 
@@ -39,6 +42,18 @@ class FrameRecord:
     exposure_time: float
     dropped: int = 0
     image_crc: int = 0
+
+
+class Frame(NamedTuple):
+    """One image, grey levels (row, column), with its exposure record."""
+
+    image: np.ndarray
+    record: FrameRecord
+
+
+def image_stack(frames: Iterable[Frame]) -> np.ndarray:
+    """Return the images of frames of one size, shape (frame, row, column)."""
+    return np.stack([each.image for each in frames])
 
 
 class StampedMessage(Protocol):

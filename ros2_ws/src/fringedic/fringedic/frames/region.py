@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from fringedic.errors import ImageError
-from fringedic.frames.files import read_grey
+from fringedic.frames.files import read_grey, write_grey
 from fringedic.wording.arguments import check_value, number, several
 from fringedic.wording.yaml_text import load_yaml
 
@@ -235,6 +235,10 @@ class Region:
         polygons = tuple(Polygon(tuple(polygon.points), polygon.hole) for polygon in found.polygons)
         return cls(polygons, found.width, found.height)
 
+    def share(self) -> float:
+        """Return the fraction of the image that is in the region."""
+        return float(self.mask().mean())
+
     def save(self, picture: str | os.PathLike[str]) -> tuple[Path, Path]:
         """Write the mask as an image (white inside), and beside it the polygons as YAML; return both paths.
 
@@ -247,12 +251,7 @@ class Region:
         """
         target = Path(picture)
         target.parent.mkdir(parents=True, exist_ok=True)
-        try:
-            written = cv2.imwrite(str(target), self.mask().astype(np.uint8) * 255)
-        except cv2.error as error:
-            raise ImageError(f"{target}: cannot be written as an image; take a name that ends in .png") from error
-        if not written:
-            raise ImageError(f"{target}: cannot be written")
+        write_grey(target, self.mask().astype(np.uint8) * 255)
         corners = target.with_suffix(".yaml")
         head = "# Region of interest: corners are [column, row] in pixels of the camera's image, holes are cut out\n"
         corners.write_text(head + yaml.safe_dump(self._content(), default_flow_style=None, sort_keys=False))

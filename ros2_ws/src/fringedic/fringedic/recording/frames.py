@@ -124,6 +124,26 @@ def with_losses(exposures: Iterable[FrameRecord]) -> Iterator[tuple[FrameRecord,
             yield record, lost
 
 
+def frame_losses(bag: BagReader) -> dict[int, tuple[int, int]]:
+    """Return (frames that the camera dropped, exposures without image in the recording) of each step.
+
+    Those of the free run belong to no step.
+    """
+    names = bag.find(IMAGE, EXPOSURE)
+    images, exposures = set(), []
+    for topic, message, _ in bag.messages(names.values()):
+        if topic == names[IMAGE]:
+            images.add(stamp_of(message))
+        else:
+            exposures.append(frame_record(message))
+    dropped: Counter[int] = Counter()
+    missing: Counter[int] = Counter()
+    for record, lost in with_losses(exposures):
+        dropped[record.step] += lost
+        missing[record.step] += record.stamp not in images
+    return {step: (dropped[step], missing[step]) for step in dropped}
+
+
 def repeated_steps(exposures: Iterable[tuple[str, int, int, int]]) -> list[tuple[str, int]]:
     """Return experiment and number of the steps of which a frame was exposed more than once.
 

@@ -31,12 +31,12 @@ from fringedic.command.app import (
     say,
 )
 from fringedic.command.folders import output_folder, unused_folder
+from fringedic.command.outcome import RunReport
 from fringedic.command.progress import LiveProgress
+from fringedic.command.run_table import report_table
 from fringedic.configuration.installed_rigs import rig_path_of
 from fringedic.errors import ConfigurationError, StepFailedError
 from fringedic.wording.path_names import recording_names
-from fringedic_bringup.display.run_table import report_table
-from fringedic_bringup.procedures.outcome import RunReport
 
 
 class Specimen(StrEnum):

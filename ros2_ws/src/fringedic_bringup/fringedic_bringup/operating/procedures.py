@@ -10,7 +10,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 from yaml import YAMLError
 
 from fringedic.calibration.acceptance_sentences import acceptance_text
@@ -18,12 +17,15 @@ from fringedic.calibration.sentences import check_sentence, check_warning_senten
 from fringedic.command.acceptance import accept
 from fringedic.command.advice import advise_on_images
 from fringedic.command.folders import unused_folder
+from fringedic.command.run_results import write_results
 from fringedic.configuration.changes import change_rig_file, with_angles
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.rig_file import RigFile, load_rig_file
 from fringedic.configuration.yaml_section import Section, validate
 from fringedic.errors import ConfigurationError, FringedicError, NodeDiedError, OperatorError, WaitTimeoutError
+from fringedic.frames.files import write_grey
 from fringedic.frames.region import Region
+from fringedic.patterns.pattern import WHITE
 from fringedic.rig_setup.live_sentences import live_entries
 from fringedic.rig_setup.settings_sentences import noise_floor_text, settings_report
 from fringedic.wording.path_names import path_name
@@ -43,13 +45,13 @@ from fringedic_bringup.operating.status import STOPPED, Job, Outcome, StoppedErr
 from fringedic_bringup.procedures.accept import shapes_by_nodes
 from fringedic_bringup.procedures.calibrate import calibrate
 from fringedic_bringup.procedures.check import check
-from fringedic_bringup.procedures.exposing import WHITE, ExposingClient
+from fringedic_bringup.procedures.exposing import ExposingClient
 from fringedic_bringup.procedures.live import part_of_image, watch
 from fringedic_bringup.procedures.noise import measure_noise
 from fringedic_bringup.procedures.region import SETTLING_S
 from fringedic_bringup.procedures.response import PICTURE as RESPONSE_PICTURE
 from fringedic_bringup.procedures.response import measure_rig_response
-from fringedic_bringup.procedures.run import load_rig, run_experiment, write_results
+from fringedic_bringup.procedures.run import load_rig, run_experiment
 from fringedic_bringup.procedures.setup_patterns import LivePattern
 from fringedic_bringup.procedures.timing import measure_rig_timing
 
@@ -167,7 +169,7 @@ def _check(place: Place, job: Job, _: Request, options: CheckOptions) -> Outcome
 
 def _region(place: Place, job: Job, request: Request, _: Section) -> Outcome:
     region = Region.from_text(request.text)
-    share = 100 * region.mask().mean()
+    share = 100 * region.share()
     if share == 0:
         raise ConfigurationError("the region is empty: draw a part of the image that is not a hole")
     picture = place.own_file("region.png")
@@ -201,7 +203,7 @@ def _advise(place: Place, job: Job, _: Request, options: AdviseOptions) -> Outco
             client.sleep(SETTLING_S)
         for number, file in enumerate(files, start=1):
             job.part(1, 1, "images at rest", number, len(files))
-            cv2.imwrite(str(file), client.expose()[0])
+            write_grey(file, client.expose().image)
     advice = advise_on_images(
         (files[0], files[1], files[2]),
         wanted_noise=options.wanted_noise_px,

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from fringedic.command.outcome import CalibrationReport, Progress
+from fringedic.command.outcome import CalibrationReport, Progress, RunReport
 from fringedic.errors import StepFailedError
 from fringedic_bringup.procedures.calibrate import calibrate
-from fringedic_bringup.procedures.outcome import RunReport
 from fringedic_bringup.procedures.run import load_rig, run_experiment
 
 

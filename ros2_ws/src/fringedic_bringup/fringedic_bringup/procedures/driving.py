@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from rclpy.duration import Duration
 
-from fringedic.command.outcome import Progress
+from fringedic.command.outcome import Progress, StepReport
 from fringedic.configuration.conditions import MetCondition, Reading
 from fringedic.configuration.programme import Programme, ProgrammeStep
 from fringedic.configuration.sentences import block_end_sentence, condition_sentence
@@ -37,7 +37,7 @@ from fringedic.signals import FORCE
 from fringedic_bringup.client import HEARTBEATS_S, RigClient
 from fringedic_bringup.launch.processes import RunningGraph
 from fringedic_bringup.procedures.continuing import STEPS_DONE, RecordedSteps, save_steps_done
-from fringedic_bringup.procedures.outcome import RunControl, StepReport
+from fringedic_bringup.procedures.outcome import RunControl
 from fringedic_bringup.procedures.recording_parts import next_part
 from fringedic_msgs.action import MeasureStep, MoveCrosshead
 from fringedic_msgs.msg import LoadState, StepStatus

@@ -10,10 +10,10 @@ from pathlib import Path
 
 from fringedic.configuration.rig_file import RigFile
 from fringedic.errors import ConfigurationError, WaitTimeoutError
-from fringedic.patterns.pattern import PatternKind, ProjectedPattern
+from fringedic.patterns.pattern import SETUP, WHITE, PatternKind, ProjectedPattern
 from fringedic_bringup.launch.graph import live_graph
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.procedures.exposing import CONNECTING_S, FRAME_TIMEOUT_S, SETUP, WHITE, ExposingClient
+from fringedic_bringup.procedures.exposing import CONNECTING_S, FRAME_TIMEOUT_S, ExposingClient
 from fringedic_bringup.procedures.setup_patterns import LivePattern
 from fringedic_msgs.msg import LiveView
 from fringedic_ros.arrivals import unconnected

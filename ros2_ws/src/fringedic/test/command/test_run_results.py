@@ -10,12 +10,12 @@ import pytest
 import xarray as xr
 from rich.console import Console
 
-from fringedic.command.progress import report_table
+from fringedic.command.outcome import RunReport, StepReport
+from fringedic.command.run_results import write_results
+from fringedic.command.run_table import report_table
 from fringedic.datasets import process_bag
-from fringedic_bringup.procedures.outcome import RunReport, StepReport
-from fringedic_bringup.procedures.run import write_results
 
-RECORDED = Path(__file__).parents[2] / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
+RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 STEPS = 3
 
 
