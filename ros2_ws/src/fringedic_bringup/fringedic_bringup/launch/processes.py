@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import signal
 import subprocess
 import sys
@@ -21,6 +20,7 @@ from fringedic.warm_up import require_kernels
 from fringedic_bringup.launch.environment import domain_of, node_environment, remove_stale_segments
 from fringedic_bringup.launch.graph import PROCESSING_NODES, Graph, NodeEntry
 from fringedic_bringup.launch.lease import RigLease
+from fringedic_ros.node_server import ForkedProcess, NodeServer, can_fork, die_with_parent
 from fringedic_ros.presence import is_announced
 
 RECORDER = "recorder"
@@ -70,7 +70,8 @@ class RunningGraph:
         self._owner = owner
         self._domain = domain_of(self.environment)
         self._lease = RigLease(self._domain, graph.namespace, self.logs.parent)
-        self._processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._server: NodeServer | None = None
+        self._processes: dict[str, subprocess.Popen[bytes] | ForkedProcess] = {}
         self._may_end: set[str] = set()
         self._ending_since: dict[str, float] = {}
 
@@ -101,6 +102,9 @@ class RunningGraph:
                 break
             except KeyboardInterrupt as another:  # the recorder needs its time to close the recording
                 interruption = another
+        if self._server is not None:
+            self._server.close()
+            self._server = None
         if self._owner:
             self._lease.__exit__(kind, error, traceback)
         if interruption is not None:
@@ -196,15 +200,22 @@ class RunningGraph:
         arguments = ["--ros-args", "-r", f"__node:={entry.name}", "--params-file", str(parameters)]
         if self.graph.namespace:
             arguments += ["-r", f"__ns:=/{self.graph.namespace}"]
-        with self.log(entry.name).open("ab") as log:
-            self._processes[entry.name] = subprocess.Popen(
-                [str(executable), *arguments],
+        self._processes[entry.name] = self._process([str(executable), *arguments], self.log(entry.name))
+
+    def _process(self, command: list[str], log: Path) -> subprocess.Popen[bytes] | ForkedProcess:
+        if can_fork(Path(command[0])):
+            if self._server is None or not self._server.runs:
+                self._server = NodeServer(self.environment, self.logs / "libraries.log")
+            return self._server.start(command, log)
+        with log.open("ab") as file:
+            return subprocess.Popen(
+                command,
                 stdin=subprocess.DEVNULL,
-                stdout=log,
+                stdout=file,
                 stderr=subprocess.STDOUT,
                 env=self.environment,
                 start_new_session=True,  # Ctrl-C reaches the command alone, which ends its nodes in order
-                preexec_fn=_die_with_parent,
+                preexec_fn=die_with_parent,
             )
 
 
@@ -244,13 +255,3 @@ def _ending(code: int) -> str:
     if code >= 0:
         return f"ended with exit code {code}"
     return f"was ended by {signal.Signals(-code).name}"
-
-
-_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
-_PR_SET_PDEATHSIG = 1
-
-
-def _die_with_parent() -> None:
-    """Request Linux to end this node when the command that started it ends for any reason."""
-    if _LIBC is not None:
-        _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
