@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml
 
+from fringedic.camera.camera_info import is_camera_info
 from fringedic.camera.distortion import DistortionMap
 from fringedic.errors import CalibrationError
 from fringedic.rig.geometry import ADDED, RigGeometry
@@ -92,6 +93,12 @@ def parse_rig(text: str) -> dict[str, Any]:
     """
     try:
         content = load_yaml(text)
+        if is_camera_info(content):
+            raise CalibrationError(
+                "this is the calibration of a camera alone, as ost.yaml or camera_info of ROS, without a projector. It "
+                "can replace the lens only: fringedic.camera.DistortionMap.load reads it; 'fringedic calibrate' "
+                "calibrates a rig"
+            )
         values: dict[str, Any] = {
             name: _from_people(content[section][key], unit)
             for section, entries in _SECTIONS.items()
