@@ -7,7 +7,6 @@ set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 export ROS_PYTHON_CHECK_FIELDS=1 ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST OPENBLAS_NUM_THREADS=1
-unset PYTHONDONTWRITEBYTECODE # pytest keeps the tests that it has rewritten
 ruff check .
 ruff format --check .
 lint-imports --no-logo

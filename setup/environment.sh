@@ -24,5 +24,6 @@ else
 fi
 PATH=$_fringedic_venv/bin:$_fringedic_install/bin:$PATH
 export PATH AMENT_PREFIX_PATH CMAKE_PREFIX_PATH LD_LIBRARY_PATH
+unset PYTHONDONTWRITEBYTECODE # containers set it; each node would compile all libraries again at every start
 export ROS_AUTOMATIC_DISCOVERY_RANGE=${ROS_AUTOMATIC_DISCOVERY_RANGE:-LOCALHOST}
 unset _fringedic_root _fringedic_venv _fringedic_install _fringedic_site

@@ -18,6 +18,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NoReturn
 
@@ -240,6 +241,10 @@ def main() -> None:
     channel = socket.socket(fileno=int(sys.argv[1]))
     for name in LIBRARIES:
         importlib.import_module(name)
+    with suppress(
+        ImportError
+    ):  # of an extra; where it is installed, xarray imports it with the first dataset of a process
+        importlib.import_module("dask.array")
     assert len(os.listdir("/proc/self/task")) == 1, "a fork copies one thread"
     command = _serve(channel)
     runpy.run_path(command[0], run_name="__main__")
