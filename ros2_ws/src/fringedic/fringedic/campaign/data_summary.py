@@ -15,9 +15,9 @@ import numpy as np
 import xarray as xr
 
 from fringedic.campaign.opening import open_group
+from fringedic.campaign.receipts import Receipt
 from fringedic.campaign.run import Status
 from fringedic.campaign.store import RECEIPTS, RECORDINGS, CampaignStore
-from fringedic.campaign.unit import Receipt
 from fringedic.datasets.attributes import origin_of, recorded_metadata
 
 FILE = "data-summary.json"

@@ -7,23 +7,22 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from fringedic.campaign.recordings import Found, Summary, is_growing, summarise, summarise_growing
 from fringedic.campaign.settings import Campaign, Elasticity
 from fringedic.campaign.software import software_identity
-from fringedic.datasets.processing import ProcessingSettings
 from fringedic.errors import FringedicError
-from fringedic.rig.model import RigModel
-from fringedic.steps.parameters import DicParameters
 from fringedic.wording.causes import cause_of
+
+if TYPE_CHECKING:
+    from fringedic.campaign.recordings import Found, Summary
+    from fringedic.datasets.processing import ProcessingSettings
 
 _SHARED = ("software", "store")  # by all units
 _LIBRARIES = 0.45e9  # [byte] of a worker before it processes anything
 _IMAGES = 3  # stacks of a step's frames in memory at the same time
 _MAPS = 150  # float32 images of a step in memory at the same time: 124 measured by benchmarks/campaign.py
 _MAPS_OF_A_KEPT_STEP = 5  # of a step that can become the reference
-_KEPT_STEPS = DicParameters().kept_steps
 
 
 @dataclass(frozen=True)
@@ -106,6 +105,9 @@ class Unit:
     @property
     def settings(self) -> ProcessingSettings:
         """What the recording is processed with."""
+        from fringedic.datasets.processing import ProcessingSettings  # not at the top: a state computes nothing
+        from fringedic.rig.model import RigModel
+
         calibration, reference = self.processing["calibration"], self.processing["reference"]
         return ProcessingSettings(
             overrides=self.processing["overrides"],
@@ -231,7 +233,10 @@ def predicted_memory(summary: Summary, overrides: Mapping[str, Any] | None = Non
     overrides
         Parameters that replace the recorded ones, of which ``kept_steps`` counts.
     """
-    kept: list[int] = [(overrides or {}).get(f"{node}.kept_steps", _KEPT_STEPS) for node in ("dic", "coupling")]
+    from fringedic.steps.parameters import DicParameters
+
+    usual = DicParameters().kept_steps
+    kept: list[int] = [(overrides or {}).get(f"{node}.kept_steps", usual) for node in ("dic", "coupling")]
     maps = _MAPS + _MAPS_OF_A_KEPT_STEP * min(max(kept), summary.steps)
     pixels = summary.image_shape[0] * summary.image_shape[1]
     itemsize = 2 if summary.image_type == "uint16" else 1
@@ -255,6 +260,8 @@ def _unit(store: str, found: Found, summary: Summary, processing: dict[str, Any]
 
 
 def _summary_or_reason(found: Found, campaign: Campaign, follow: bool) -> Summary | str:
+    from fringedic.campaign.recordings import is_growing, summarise, summarise_growing
+
     if found.missing:
         return found.missing
     try:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from fringedic.campaign.plan import Plan, Unit
+from fringedic.campaign.receipts import Failure, Receipt
 from fringedic.campaign.run import Status
-from fringedic.campaign.unit import Failure, Receipt
 from fringedic.wording.numbers import counted
 
 _SHOWN = 20  # failures, before the rest is counted

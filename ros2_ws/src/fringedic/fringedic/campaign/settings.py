@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
 from fringedic.configuration.yaml_section import Section, load_sections
 from fringedic.errors import CalibrationError, CampaignError
-from fringedic.frames.region import Region
-from fringedic.rig.model import RigModel
-from fringedic.steps.recorded_parameters import RecordedParameters
+
+if TYPE_CHECKING:
+    from fringedic.frames.region import Region
 
 FILE = "campaign.yaml"
 EXAMPLE = """\
@@ -77,6 +78,8 @@ class Elasticity(Section):
     @property
     def region(self) -> Region | None:
         """The region; None for all points."""
+        from fringedic.frames.region import Region  # not at the top: a state needs neither images nor rigs
+
         if not self.region_px:
             return None
         corners = [(column, row) for column, row in self.region_px]
@@ -150,6 +153,8 @@ def load_campaign(path: Path) -> Campaign:
     CampaignError
         The calibration cannot be read.
     """
+    from fringedic.steps.recorded_parameters import RecordedParameters
+
     file = path / FILE if path.is_dir() else path
     content = load_sections(file, CampaignFile)
     for each in (content, *content.recordings):
@@ -171,7 +176,20 @@ def address(store: str, folder: Path) -> str:
     return store if "://" in store else str((folder / store).absolute())
 
 
+def store_address(place: str | os.PathLike[str]) -> str:
+    """Return the address of the store of a campaign that is named by its folder, its file or the store itself."""
+    if "://" in str(place):
+        return str(place)
+    path = Path(place)
+    if path.is_file() or (path / FILE).is_file():
+        file = path / FILE if path.is_dir() else path
+        return address(load_sections(file, CampaignFile).store, file.parent)
+    return str(path.absolute())
+
+
 def _calibration_text(file: Path, calibration: str) -> str:
+    from fringedic.rig.model import RigModel
+
     path = file.parent / calibration
     try:
         text = path.read_text("utf-8")

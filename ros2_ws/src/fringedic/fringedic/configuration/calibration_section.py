@@ -9,8 +9,6 @@ from typing import Literal
 
 from pydantic import Field
 
-from fringedic.calibration.history import recorded_checks
-from fringedic.calibration.result import RigCalibration
 from fringedic.configuration.yaml_section import Section
 from fringedic.errors import CalibrationError
 from fringedic.metadata import CalibrationMetadata, CheckMetadata
@@ -118,6 +116,8 @@ class CalibrationSection(Section):
 
 def calibration_metadata(file: Path) -> CalibrationMetadata:
     """Return the metadata of a calibration from the files beside it; empty where there are none of its own."""
+    from fringedic.calibration.result import RigCalibration  # not at the top: a rig file is read without computing
+
     try:
         found = RigCalibration.load(file)
     except CalibrationError:
@@ -134,6 +134,8 @@ def calibration_metadata(file: Path) -> CalibrationMetadata:
 
 
 def _checks(folder: Path) -> list[CheckMetadata]:
+    from fringedic.calibration.history import recorded_checks
+
     try:
         return recorded_checks(folder)
     except CalibrationError:

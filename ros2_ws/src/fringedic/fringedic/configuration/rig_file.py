@@ -24,7 +24,6 @@ from fringedic.configuration.sections import (
     ReferencePlaneSection,
     SequenceSection,
 )
-from fringedic.configuration.virtual_calibration import calibration_of
 from fringedic.configuration.yaml_section import Section, load_sections
 from fringedic.errors import ConfigurationError, FringedicError
 from fringedic.metadata import CalibrationMetadata, HardwareMetadata, Metadata, NoiseFloorMetadata, SpecimenMetadata
@@ -299,6 +298,8 @@ def load_calibration(rig: RigFile, path: str | os.PathLike[str]) -> RigModel | N
     if isinstance(rig.calibration, CalibrationSection):
         return rig.calibration.rig_model(str(path))
     if rig.calibration == VIRTUAL_RIG:
+        from fringedic.configuration.virtual_calibration import calibration_of  # loads the virtual rig
+
         return calibration_of(rig.virtual_configuration())
     file = Path(path).parent / rig.calibration
     if not file.is_file():

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 
 from fringedic.errors import CalibrationError, ErrorCode, PatternError
 from fringedic.patterns.pattern import Orientation, PatternKind, ProjectedPattern
 from fringedic.rig.geometry import UNKNOWN_FIRST, RigGeometry
 from fringedic.wording.numbers import number_text
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 # Half width of the view over its distance: 0.2 to 120 degree of view. The limits differ by a factor of 1000, so that a
 # length in m or µm instead of mm is outside for every lens between them.

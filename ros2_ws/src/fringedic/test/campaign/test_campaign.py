@@ -33,12 +33,12 @@ from fringedic.campaign import (
     unit,
     update_plan,
 )
+from fringedic.campaign.group_store import GroupStore
 from fringedic.campaign.opening import open_group
 from fringedic.campaign.plan import plan_of, predicted_memory
 from fringedic.campaign.recordings import Found, summarise
 from fringedic.campaign.sentences import CampaignProgress, plan_sentences, status_sentences
 from fringedic.campaign.settings import RecordingEntry
-from fringedic.campaign.store import GroupStore
 from fringedic.datasets.processing import process_into
 from fringedic.datasets.rows import Row
 from fringedic.datasets.writer import DatasetWriter
