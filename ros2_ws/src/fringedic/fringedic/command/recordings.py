@@ -124,11 +124,11 @@ def _targets(places: list[str], output: Path | None) -> dict[str, Path | None]:
 @app.command(rich_help_panel=RESULTS, epilog="Example: fringedic info recordings/plate-7/bag")
 def info(bag: Place) -> None:
     """List the content of a recording and whether it is complete."""
-    from fringedic.recording.clocks import recorded_clocks
     from fringedic.recording.programme_end import programme_end
     from fringedic.recording.remote import is_remote
     from fringedic.recording.repair import info as bag_info
     from fringedic.recording.sentences import clock_sentences, content_sentences, next_command, programme_sentences
+    from fringedic.signals.clocks import recorded_clocks
 
     summary = bag_info(bag)
     start = datetime.fromtimestamp(summary.start_time * 1e-9, UTC)

@@ -143,7 +143,7 @@ def clock_sentences(clocks: Mapping[str, ClockEstimate]) -> list[str]:
     Parameters
     ----------
     clocks
-        Estimates by the name of the device, as `fringedic.recording.clocks.recorded_clocks` returns them.
+        Estimates by the name of the device, as `fringedic.signals.clocks.recorded_clocks` returns them.
 
     Examples
     --------

@@ -10,3 +10,4 @@ from .signal import POSITION as POSITION
 from .signal import Channel as Channel
 from .signal import Signal as Signal
 from .signal import SignalValue as SignalValue
+from .table import read_table as read_table
