@@ -19,7 +19,7 @@ from fringedic.wording.arguments import check_value, number, several
 from fringedic.wording.yaml_text import load_yaml
 
 POLYGON_SUFFIXES = (".yaml", ".yml")
-SUBPIXEL_BITS = 4  # of the corners, when they are drawn
+SUBPIXEL_BITS = 4  # OpenCV draws corners with this resolution
 _LARGEST_IMAGE = 32_768  # width or height [px]
 _position = number(-1e6, 1e6)  # [px]; OpenCV draws with 32 bits
 Point = tuple[float, float]
