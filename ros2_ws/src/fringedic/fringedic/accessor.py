@@ -36,10 +36,11 @@ class ExperimentAccessor:
     Examples
     --------
     >>> import fringedic
-    >>> experiment = fringedic.open_experiment("recordings/plate-7/bag")  # doctest: +SKIP
-    >>> experiment.fringedic.plot("w")  # doctest: +SKIP
-    >>> gauge = experiment.fringedic.extensometer((200, 480), (1000, 480), subset=21)  # doctest: +SKIP
-    >>> strain = experiment.fringedic.strain(window=41, measures=["von_mises"])  # doctest: +SKIP
+    >>> experiment = fringedic.open_experiment("recordings/plate-7/bag")
+    >>> axes = experiment.fringedic.plot("w")
+    >>> gauge = experiment.fringedic.extensometer((40, 60), (120, 60), subset=11)
+    >>> round(1e3 * float(gauge.strain[-1]), 1)  # [1e-3]
+    -2.0
     """
 
     def __init__(self, dataset: xr.Dataset) -> None:

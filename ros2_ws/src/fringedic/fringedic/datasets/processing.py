@@ -113,7 +113,7 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
 
     Examples
     --------
-    >>> process_bag("recordings/plate-7/bag", overrides={"dic.window": 24})  # doctest: +SKIP
+    >>> process_bag("recordings/plate-7/bag", overrides={"dic.window": 24})
     PosixPath('recordings/plate-7/bag.nc')
     """
     only = None if steps is None else frozenset(steps)

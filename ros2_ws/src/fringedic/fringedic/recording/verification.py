@@ -94,7 +94,7 @@ def verify(path: str | os.PathLike[str]) -> Verification:
 
     Examples
     --------
-    >>> verify("recordings/plate-7/bag").complete  # doctest: +SKIP
+    >>> verify("recordings/plate-7/bag").complete
     True
     """
     reader = BagReader(path, check=True)
