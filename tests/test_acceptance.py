@@ -41,9 +41,7 @@ def test_nodes_measure_what_the_operator_places(tmp_path: Path) -> None:
         asked.append(words)
         return True
 
-    first, second = shapes_by_nodes(
-        rig, path, tmp_path / "out", Progress(), model=model, places=[middle, front], ask=ask
-    )
+    first, second = shapes_by_nodes(rig, tmp_path / "out", Progress(), model=model, places=[middle, front], ask=ask)
     assert asked == [
         "Place 1 of 2: ball at x +0.0, y +0.0, z +0.0 mm",
         "Place 2 of 2: ball at x +0.0, y +0.0, z +3.0 mm",

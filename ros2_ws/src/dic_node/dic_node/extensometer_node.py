@@ -8,7 +8,6 @@ import time
 from collections import deque
 
 import numpy as np
-from pydantic import BaseModel, Field
 from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import Trigger
@@ -16,6 +15,7 @@ from std_srvs.srv import Trigger
 from fringedic.correlation.extensometer import StrainReading, VirtualExtensometer
 from fringedic.errors import CorrelationError, FringedicError
 from fringedic.patterns.pattern import PatternKind
+from fringedic.settings.extensometer import ExtensometerNodeSettings
 from fringedic_msgs.msg import Exposure, StepStatus
 from fringedic_ros.diagnostics import NodeDiagnostics
 from fringedic_ros.images import image_array
@@ -32,24 +32,6 @@ MEASURED = (PatternKind.OTHER, PatternKind.WHITE)  # frames of a free run, and o
 TAKING_FRAMES = (StepStatus.BEGIN, StepStatus.CAPTURE)  # stages in which a free run may show a pattern of the step
 
 
-class ExtensometerParameters(BaseModel):
-    """Parameters of the extensometer node."""
-
-    first_column_px: int = Field(
-        160, ge=0, le=32768, description="Centre of the first gauge subset in the reference [px]."
-    )
-    first_row_px: int = Field(
-        240, ge=0, le=32768, description="Centre of the first gauge subset in the reference [px]."
-    )
-    second_column_px: int = Field(480, ge=0, le=32768, description="Centre of the second gauge subset [px].")
-    second_row_px: int = Field(240, ge=0, le=32768, description="Centre of the second gauge subset [px].")
-    pad_px: int = Field(48, ge=16, le=256, description="Width of a gauge subset [px].")
-    largest_sigma: float = Field(1e-3, gt=0, le=1, description="Largest standard uncertainty of a valid strain [-].")
-    frame_timeout_s: float = Field(
-        0.1, gt=0, le=10, description="Time without a frame after which the strain is invalid [s]."
-    )
-
-
 class ExtensometerNode(RigNode):
     """Topics `extensometer/strain`, `extensometer/sigma`, `extensometer/valid`; service `extensometer/zero`.
 
@@ -61,7 +43,7 @@ class ExtensometerNode(RigNode):
 
     def __init__(self) -> None:
         super().__init__("extensometer")
-        self.parameters = declare(self, ExtensometerParameters, self._take_parameters)
+        self.parameters = declare(self, ExtensometerNodeSettings, self._take_parameters)
         self.diagnostics = NodeDiagnostics(self)
         self._worker = Worker(self, self._fail)
         self._measuring = threading.Lock()  # a reference is not replaced while a frame is measured and published
@@ -84,7 +66,7 @@ class ExtensometerNode(RigNode):
         self._worker.stop()
         super().destroy_node()
 
-    def _take_parameters(self, parameters: ExtensometerParameters) -> None:
+    def _take_parameters(self, parameters: ExtensometerNodeSettings) -> None:
         self._silence = Patience(parameters.frame_timeout_s)
         self._request_reference(time.time_ns())
 
@@ -139,9 +121,9 @@ class ExtensometerNode(RigNode):
             if not begin_s > 0:  # also an exposure time that is NaN
                 reason = f"the reference is awaited: the exposure of this frame began {-begin_s:.3f} s too early for it"
                 return StrainReading.invalid(reason)
-            first, second = (p.first_column_px, p.first_row_px), (p.second_column_px, p.second_row_px)
-            self._extensometer = VirtualExtensometer(image, first, second, subset=p.pad_px)
-        return self._extensometer.measure(image).limited(p.largest_sigma)
+            first, second = tuple(p.first_px), tuple(p.second_px)
+            self._extensometer = VirtualExtensometer(image, first, second, subset=p.subset_px)
+        return self._extensometer.measure(image).limited(1e-6 * p.largest_sigma_ustrain)
 
     def _check_frames(self) -> None:
         # the executor runs timers before subscriptions: after a standstill of this process frames may be queued

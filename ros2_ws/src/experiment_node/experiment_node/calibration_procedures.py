@@ -68,7 +68,7 @@ class CalibrationProcedures:
         with self._steps.collect({CAMERA_IMAGE: IMAGES}) as images:
             for run.feedback.plane, angle in enumerate(angles, start=1):
                 await self._measure_grid(run, angle, images)
-        orientation = self._steps.parameters.patterns()[-1].orientation
+        orientation = self._steps.parameters.step_patterns()[-1].orientation
         grid = await self._steps.compute(
             run, result.GRID_REJECTED, session.locate_pin_hole, request.sigma_angle, orientation
         )
@@ -108,7 +108,7 @@ class CalibrationProcedures:
         request, result, parameters = run.goal.goal.request, run.result, self._steps.parameters
         if not parameters.projector:
             raise StepFailure(result.INVALID_GOAL, "a rig without projector needs no calibration beside its distortion")
-        planes, patterns = plane_sequence(request), parameters.patterns()
+        planes, patterns = plane_sequence(request), parameters.step_patterns()
         result.experiment = result.identifier = run.experiment.name
         setting = Setting(
             run.experiment.name,

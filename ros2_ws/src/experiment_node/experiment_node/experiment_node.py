@@ -17,7 +17,6 @@ from std_srvs.srv import Trigger
 
 from experiment_node.active_goal import GoalSlot, StepFailure
 from experiment_node.calibration_server import CalibrationServer
-from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.experiments import Experiments
 from experiment_node.plane_steps import PlaneSteps
 from experiment_node.rig_transforms import RigTransforms
@@ -26,6 +25,7 @@ from experiment_node.step_runner import StepRunner
 from fringedic.errors import WaitTimeoutError
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.rig.model import RigModel
+from fringedic.settings.experiment import ExperimentNodeSettings
 from fringedic.signals import FORCE, POSITION
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import NodeParameters, RigCalibration
@@ -50,7 +50,7 @@ class ExperimentNode(RigNode):
     def __init__(self) -> None:
         super().__init__("experiment")
         self._settings = self.create_publisher(NodeParameters, NODE_PARAMETERS, LATCHED_BY_MANY)
-        self.parameters = declare(self, ExperimentParameters, self._publish_later)
+        self.parameters = declare(self, ExperimentNodeSettings, self._publish_later)
         parameters = self.parameters.value
         self._publish_later(parameters)
         self._diagnostics = NodeDiagnostics(self)
@@ -91,7 +91,7 @@ class ExperimentNode(RigNode):
         self._calibrations.publish(message)
         self._transforms.publish(model, message.header.stamp)
 
-    def _publish_later(self, parameters: ExperimentParameters) -> None:
+    def _publish_later(self, parameters: ExperimentNodeSettings) -> None:
         """Record what the frames are to be measured with later, as the processing nodes would if they ran."""
         for node, values in parameters.later().items():
             self._settings.publish(parameters_message(node, values))
@@ -160,7 +160,7 @@ class ExperimentNode(RigNode):
             goal.abort()
         return result
 
-    def _begin_step(self, goal: ServerGoalHandle, parameters: ExperimentParameters) -> RunningStep:
+    def _begin_step(self, goal: ServerGoalHandle, parameters: ExperimentNodeSettings) -> RunningStep:
         request, experiment = goal.request, self._experiment
         fringes = request.mode == MeasureStep.Goal.FRINGES
         number = experiment.take_number()
@@ -169,14 +169,14 @@ class ExperimentNode(RigNode):
             goal=self._slot.begin(goal, f"step {number} is being measured{client}"),
             experiment=experiment,
             number=number,
-            patterns=parameters.patterns() if fringes else (ProjectedPattern(PatternKind.WHITE),),
+            patterns=parameters.step_patterns() if fringes else (ProjectedPattern(PatternKind.WHITE),),
             nodes=() if parameters.record_only else parameters.nodes,
             is_reference=request.set_reference or experiment.next_is_reference,
             on_stage=_publish_feedback,
         )
         return self._step
 
-    def _reason_to_refuse(self, request: MeasureStep.Goal, parameters: ExperimentParameters) -> StepFailure | None:
+    def _reason_to_refuse(self, request: MeasureStep.Goal, parameters: ExperimentNodeSettings) -> StepFailure | None:
         if self._slot.activity:
             who = f"{request.controller} has to" if request.controller else "you have to"
             return StepFailure(Result.BUSY, f"{self._slot.activity}; {who} wait until it has ended")

@@ -14,9 +14,9 @@ from builtin_interfaces.msg import Time
 from rclpy.node import Node
 
 from experiment_node.active_goal import StepFailure
-from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.running_step import RunningStep
 from fringedic.errors import WaitTimeoutError
+from fringedic.settings.experiment import ExperimentNodeSettings
 from fringedic.signals import FORCE, POSITION, summarise
 from fringedic.wording.numbers import number_text
 from fringedic_msgs.action import MeasureStep
@@ -99,13 +99,13 @@ class LoadWatch:
             add_signals(self._node, self._step.signals, "signals", message)
             self._changed.notify()
 
-    def _is_expected(self, step: RunningStep, parameters: ExperimentParameters) -> bool:
+    def _is_expected(self, step: RunningStep, parameters: ExperimentNodeSettings) -> bool:
         """Return whether the rig has a load frame; one that published once in an experiment belongs to it."""
         if parameters.load_frame or self._node.count_publishers("load_frame/state"):
             step.experiment.has_load_frame = True
         return step.experiment.has_load_frame
 
-    async def await_hold(self, step: RunningStep, parameters: ExperimentParameters, begin: int) -> None:
+    async def await_hold(self, step: RunningStep, parameters: ExperimentNodeSettings, begin: int) -> None:
         """Check before the first frame that an expected load frame holds, by a sample acquired since `begin` [ns].
 
         Raises
@@ -140,7 +140,7 @@ class LoadWatch:
             lambda: (Result.LOAD_NOT_HELD, f"whether the machine holds is unknown: {self._arrivals}"),
         )
 
-    def check_latest(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+    def check_latest(self, step: RunningStep, parameters: ExperimentNodeSettings) -> None:
         """Check that the latest sample shows a hold, when one is required.
 
         Raises
@@ -164,7 +164,7 @@ class LoadWatch:
         if self._arrival - self._in_time > RECENT:
             raise _clock_failure(code, "load frame", self._ahead, MOST_BEHIND)
 
-    async def check_exposures(self, step: RunningStep, parameters: ExperimentParameters) -> None:
+    async def check_exposures(self, step: RunningStep, parameters: ExperimentNodeSettings) -> None:
         """Check hold and drift over the exposures of a step, whose records have arrived.
 
         Raises
@@ -233,7 +233,7 @@ class DriftLimit(NamedTuple):
         return self.signal in (FORCE.name, POSITION.name)
 
 
-def drift_limits(parameters: ExperimentParameters) -> list[DriftLimit]:
+def drift_limits(parameters: ExperimentNodeSettings) -> list[DriftLimit]:
     """Return the limits that the parameters set."""
     force, position = parameters.load_drift_n, parameters.position_drift_um
     limits = (

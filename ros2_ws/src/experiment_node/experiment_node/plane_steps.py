@@ -13,12 +13,12 @@ from sensor_msgs.msg import Image
 
 from experiment_node.active_goal import StepFailure
 from experiment_node.calibration_run import CalibrationRun
-from experiment_node.experiment_parameters import ExperimentParameters
 from experiment_node.running_step import RunningStep
 from experiment_node.step_runner import StepRunner
 from fringedic.calibration.sentences import place_in_words
 from fringedic.errors import FringedicError, WaitTimeoutError
 from fringedic.patterns.pattern import ProjectedPattern
+from fringedic.settings.experiment import ExperimentNodeSettings
 from fringedic_msgs.msg import ReferencePlane
 from fringedic_msgs.srv import PlaceReferencePlane
 from fringedic_ros.arrivals import unconnected
@@ -52,7 +52,7 @@ class PlaneSteps:
     """
 
     def __init__(
-        self, node: Node, changed: Condition, parameters: Parameters[ExperimentParameters], runner: StepRunner
+        self, node: Node, changed: Condition, parameters: Parameters[ExperimentNodeSettings], runner: StepRunner
     ) -> None:
         self._node = node
         self._changed = changed
@@ -63,7 +63,7 @@ class PlaneSteps:
         self._planes = node.create_publisher(ReferencePlane, "experiment/plane", LATCHED_BY_MANY)
 
     @property
-    def parameters(self) -> ExperimentParameters:
+    def parameters(self) -> ExperimentNodeSettings:
         """The present parameters of the experiment node."""
         return self._parameters.value
 

@@ -27,7 +27,6 @@ class MeasureShapes(Protocol):
     def __call__(
         self,
         rig: RigFile,
-        rig_path: Path,
         folder: Path,
         progress: Progress,
         *,
@@ -86,7 +85,7 @@ def accept(
     if rig.virtual_rig is not None:
         shapes = _virtual_shapes(rig, model, places, artefacts, progress)
     else:
-        shapes = measure()(rig, rig_path, folder, progress, model=model, places=places, ask=ask, domain=domain)
+        shapes = measure()(rig, folder, progress, model=model, places=places, ask=ask, domain=domain)
     results = []
     for number, (place, shape) in enumerate(zip(places, shapes, strict=True), start=1):
         try:

@@ -14,25 +14,24 @@ from fringedic.configuration.calibration_section import CalibrationSection, cali
 from fringedic.configuration.plan_section import PlanSection
 from fringedic.configuration.programme import Programme
 from fringedic.configuration.sections import (
-    FINEST_DEFAULT_PITCH_PX,
     VIRTUAL_RIG,
     ExtensometerSection,
-    LoadFrameSection,
     NodesSection,
-    ProjectorSection,
     RecordingSection,
     ReferencePlaneSection,
-    SequenceSection,
 )
 from fringedic.configuration.yaml_section import Section, load_sections
 from fringedic.errors import ConfigurationError, FringedicError
 from fringedic.metadata import CalibrationMetadata, HardwareMetadata, Metadata, NoiseFloorMetadata, SpecimenMetadata
 from fringedic.patterns.pattern import ProjectedPattern
-from fringedic.patterns.sequences import step_sequence
 from fringedic.rig.compatibility import RigSetup, check_calibration
 from fringedic.rig.model import RigModel
 from fringedic.settings.base import MILLI
-from fringedic.settings.camera import Camera, CameraSettings
+from fringedic.settings.camera import Camera
+from fringedic.settings.devices import ImageDeviceSettings
+from fringedic.settings.experiment import SequenceSettings
+from fringedic.settings.load_frame import LoadFrame, MachineSettings
+from fringedic.settings.projector import Projector
 from fringedic.virtual_rig import VirtualRigConfiguration
 from fringedic.wording.arguments import check_arguments
 from fringedic.wording.arguments import path as file_path
@@ -59,8 +58,8 @@ class RigFile(Section):
 
     namespace: str = Field("rig", pattern=NAMESPACE, description="ROS namespace of the rig.")
     camera: Camera = Field(description="The camera.")
-    projector: ProjectorSection | None = Field(None, description="The projector; without one only white frames.")
-    sequence: SequenceSection = Field(SequenceSection(), description="The fringe patterns of one step.")
+    projector: Projector | None = Field(None, description="The projector; without one only white frames.")
+    sequence: SequenceSettings = Field(SequenceSettings(), description="The fringe patterns of one step.")
     calibration: Calibration | None = Field(
         None,
         description="Parameters of the calibration, the path of a calibration file (relative to this file), or "
@@ -69,7 +68,7 @@ class RigFile(Section):
     reference_plane: ReferencePlaneSection = Field(
         ReferencePlaneSection(), description="The plane that calibrates the rig."
     )
-    load_frame: LoadFrameSection | None = Field(None, description="The testing machine.")
+    load_frame: LoadFrame | None = Field(None, description="The testing machine.")
     extensometer: ExtensometerSection | None = Field(None, description="The virtual extensometer between the steps.")
     nodes: NodesSection = Field(NodesSection(), description="Parameters of the processing nodes.")
     noise_floor_file: str | None = Field(
@@ -153,32 +152,17 @@ class RigFile(Section):
     def pitches(self) -> list[float]:
         """Return the fringe pitches, coarse to fine [projector pixel]; empty without a projector."""
         size = self.projector_size()
-        if size is None:
-            return []
-        if self.sequence.pitches_px is not None:
-            return list(self.sequence.pitches_px)
-        return [size[0] / part for part in (1, 5, 20, 80) if part == 1 or size[0] / part >= FINEST_DEFAULT_PITCH_PX]
+        return [] if size is None else self.sequence.pitches(size[0])
 
     def patterns(self) -> list[ProjectedPattern]:
-        """Return the patterns of the frames of one step, in their order."""
-        size, sequence = self.projector_size(), self.sequence
-        if size is None:
-            return []
-        pitches = self.pitches()
-        shown = step_sequence(
-            *size,
-            pitches,
-            [sequence.shifts] * len(pitches),
-            sequence.orientation,
-            sequence.fringe_order,
-            grey_frame=sequence.grey_frame,
-        )
-        return [pattern for pattern in shown.patterns for _ in sequence.exposures_ms or [0]]
+        """Return the patterns of the frames of one step, in their order; empty without a projector."""
+        size = self.projector_size()
+        return [] if size is None else list(self.sequence.patterns(*size))
 
     @property
     def has_load_frame_node(self) -> bool:
         """Whether a load frame node of this rig moves the machine."""
-        return self.load_frame is not None and self.load_frame.source != "external"
+        return isinstance(self.load_frame, MachineSettings)
 
     def setup(self) -> RigSetup:
         """Return the parts of the rig that its calibration has to fit."""
@@ -202,7 +186,7 @@ class RigFile(Section):
             noise = NoiseFloorMetadata.load(Path(path).parent / self.noise_floor_file)
         return Metadata(specimen=self.specimen, hardware=self.hardware, calibration=known, noise=noise)
 
-    def _size(self, section: CameraSettings | ProjectorSection, name: str) -> tuple[int, int] | None:
+    def _size(self, section: ImageDeviceSettings, name: str) -> tuple[int, int] | None:
         if section.source == "virtual":
             part = getattr(self.virtual_configuration(), name)
             size = (part.columns, part.rows)
@@ -213,9 +197,7 @@ class RigFile(Section):
                     "remove width and height to use those"
                 )
             return size
-        if not section.width or not section.height:
-            return None
-        return section.width, section.height
+        return section.size
 
 
 @check_arguments(ConfigurationError, path=file_path)

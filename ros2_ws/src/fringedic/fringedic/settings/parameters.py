@@ -53,7 +53,8 @@ def parameter_fields(model: type[BaseModel], device: type[DeviceSettings] | None
     fields: dict[str, FieldInfo] = {}
     for own, field in model.model_fields.items():
         if own == name:
-            fields |= (device or type(field.default)).model_fields
+            kind = device or type(field.default)
+            fields |= {each: its for each, its in kind.model_fields.items() if each not in kind.of_another_node}
             fields[SOURCE] = copy(fields[SOURCE])
             fields[SOURCE].description = devices.base.model_fields[SOURCE].description
         else:
@@ -81,7 +82,8 @@ def all_parameters(settings: BaseModel) -> dict[str, Any]:
     for name, field in type(settings).model_fields.items():
         value = getattr(settings, name)
         if found is not None and name == found[0]:
-            parameters |= all_parameters(value)
+            of_device = all_parameters(value)
+            parameters |= {each: of_device[each] for each in of_device if each not in value.of_another_node}
         else:
             parameters[name] = parameter_value(field, value)
     return parameters

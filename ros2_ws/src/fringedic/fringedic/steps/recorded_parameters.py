@@ -21,7 +21,13 @@ MODELS: dict[str, type[Parameters]] = {"phase": PhaseParameters, "dic": DicParam
 
 def _renamed(name: str, scale: float | None = None) -> Callable[[Any], dict[str, Any]]:
     """Return the conversion of a parameter that has another name, and with a scale another unit."""
-    return lambda value: {name: value if scale is None else round(scale * value, _DIGITS)}
+
+    def scaled(value: Any) -> Any:
+        if scale is None:
+            return value
+        return [scaled(each) for each in value] if isinstance(value, list) else round(scale * value, _DIGITS)
+
+    return lambda value: {name: scaled(value)}
 
 
 def _part_of_the_sensor(region: Sequence[int]) -> dict[str, Any]:
@@ -36,6 +42,16 @@ _REPLACED: dict[str, dict[str, Callable[[Any], dict[str, Any]]]] = {
         "region_px": _part_of_the_sensor,
     },
     "coupling": {"watch_region_px": _renamed("drift_marker_px")},
+    "experiment": {"exposure_times_s": _renamed("exposures_ms", 1e3)},
+    "extensometer": {"pad_px": _renamed("subset_px"), "largest_sigma": _renamed("largest_sigma_ustrain", 1e6)},
+    "load_frame": {"machine_file": _renamed("file")},
+    "projector": {
+        "screen": _renamed("source"),
+        "width_px": _renamed("width"),
+        "height_px": _renamed("height"),
+        "response_file": _renamed("response_curve"),
+    },
+    "recorder": {"split_s": _renamed("split_minutes", 1 / 60)},
 }
 
 

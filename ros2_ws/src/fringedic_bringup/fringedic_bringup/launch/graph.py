@@ -17,7 +17,12 @@ from fringedic.frames.region import Region
 from fringedic.metadata import Metadata
 from fringedic.recording.reader import BagReader
 from fringedic.settings.camera import CameraNodeSettings
+from fringedic.settings.experiment import ExperimentNodeSettings
+from fringedic.settings.extensometer import ExtensometerNodeSettings, ExtensometerSettings
+from fringedic.settings.load_frame import HoldSettings, LoadFrameNodeSettings
 from fringedic.settings.parameters import default_parameters, to_parameters
+from fringedic.settings.projector import ProjectorNodeSettings
+from fringedic.settings.recorder import RecorderNodeSettings, RecorderSettings
 from fringedic.steps.recorded_parameters import present_parameters
 from fringedic.wording.yaml_text import load_yaml
 
@@ -118,68 +123,70 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         "dic": rig.nodes.dic.model_dump() | region,
         "coupling": rig.nodes.coupling.model_dump(),
     }
-    nodes = [NodeEntry("recorder", "recorder_node", "recorder", _recorder(rig, folder))]
+    nodes = [_recorder(rig, folder)]
     if rig.recording.process:
         nodes += _processing_nodes(processing)
     if rig.has_load_frame_node:
         # the machine, which may be moving, is requested to hold as soon as it answers
-        again = {"machine_required": False}
-        nodes.append(NodeEntry("load_frame", "load_frame_node", "load_frame", _load_frame(rig, rig_path), again))
+        machine = LoadFrameNodeSettings(device=rig.load_frame, **_virtual(rig))
+        nodes.append(_node("load_frame", "load_frame_node", machine, machine_required=False))
     if rig.extensometer is not None:
-        nodes.append(NodeEntry("extensometer", "dic_node", "extensometer", _extensometer(rig.extensometer)))
-    settings = _experiment(rig, experiment) | {
-        "load_frame": rig.load_frame is not None,
-        "white_between_steps": rig.extensometer is not None,
-        "facts": rig.metadata(rig_path).to_text(),
-        "calibration_file": calibration_file,
-        "calibration_folder": str((folder / "calibrations").absolute()),
-        "record_only": not rig.recording.process,
-    }
-    if not rig.recording.process:
-        settings["later_parameters"] = yaml.safe_dump(processing)
+        nodes.append(_extensometer(rig.extensometer))
+    experiment_node = _experiment(
+        rig,
+        experiment=experiment,
+        load_frame=rig.load_frame is not None,
+        white_between_steps=rig.extensometer is not None,
+        facts=rig.metadata(rig_path).to_text(),
+        calibration_file=calibration_file,
+        calibration_folder=str((folder / "calibrations").absolute()),
+        record_only=not rig.recording.process,
+        later_parameters="" if rig.recording.process else yaml.safe_dump(processing),
+    )
     nodes += [
-        *_hardware(rig, rig_path, **_truth(rig, folder), **_free_run(rig)),
-        NodeEntry("experiment", "experiment_node", "experiment", settings),
+        *_hardware(rig, **_truth(rig, folder), **_free_run(rig)),
+        experiment_node,
     ]
     if calibration is not None:
         calibration.to_yaml(calibration_file)  # when nothing can fail any more: it may replace that of an earlier run
     return _graph(rig, nodes)
 
 
-def calibration_graph(rig: RigFile, rig_path: Path, folder: Path) -> Graph:
+def calibration_graph(rig: RigFile, folder: Path) -> Graph:
     """Return the nodes that calibrate a rig: projector, camera, phase, experiment and recorder.
 
     Parameters
     ----------
-    rig, rig_path
-        The rig file, and its path, to which the paths in it are relative.
+    rig
+        The content of the rig file.
     folder
         Where the recording ``bag`` is written.
     """
-    settings = _experiment(rig, "") | {
-        "nodes": ["phase"],
-        "calibration_folder": str(folder.absolute()),
-        "facts": Metadata(specimen=rig.specimen, hardware=rig.hardware).to_text(),
-    }
     phase = _phase(rig) | {"relative_phase": "refuse"}  # the positions of planes are absolute
-    if rig.sequence.fringe_order == "one_image":
-        settings["fringe_order"] = "pitches"
+    others = {"fringe_order": "pitches"} if rig.sequence.fringe_order == "one_image" else {}
+    experiment = _experiment(
+        rig,
+        nodes=["phase"],
+        calibration_folder=str(folder.absolute()),
+        facts=Metadata(specimen=rig.specimen, hardware=rig.hardware).to_text(),
+        **others,
+    )
     nodes = [
-        NodeEntry("recorder", "recorder_node", "recorder", _recorder(rig, folder)),
+        _recorder(rig, folder),
         NodeEntry("phase", PROCESSING_NODES["phase"], "phase", phase),
-        *_hardware(rig, rig_path),
-        NodeEntry("experiment", "experiment_node", "experiment", settings),
+        *_hardware(rig),
+        experiment,
     ]
     return _graph(rig, nodes)
 
 
-def live_graph(rig: RigFile, rig_path: Path, region: Sequence[int] = ()) -> Graph:
+def live_graph(rig: RigFile, region: Sequence[int] = ()) -> Graph:
     """Return the nodes of the live view for the set-up; nothing is recorded.
 
     Parameters
     ----------
-    rig, rig_path
-        The rig file, and its path.
+    rig
+        The content of the rig file.
     region
         First column, first row, width and height of the evaluated part of the image [px]; empty: the whole image.
     """
@@ -187,30 +194,30 @@ def live_graph(rig: RigFile, rig_path: Path, region: Sequence[int] = ()) -> Grap
     if region:
         view["region_px"] = list(region)
     live_view = NodeEntry("live_view", "camera_node", "live_view", view)
-    return _graph(rig, [live_view, *_hardware(rig, rig_path)])
+    return _graph(rig, [live_view, *_hardware(rig)])
 
 
-def exposing_graph(rig: RigFile, rig_path: Path) -> Graph:
+def exposing_graph(rig: RigFile) -> Graph:
     """Return projector and camera alone; the camera does not wait after a pattern.
 
     Parameters
     ----------
-    rig, rig_path
-        The rig file, and its path.
+    rig
+        The content of the rig file.
     """
     at_once = rig.model_copy(update={"camera": rig.camera.model_copy(update={"settle_ms": 0.0})})
-    return _graph(rig, _hardware(at_once, rig_path))
+    return _graph(rig, _hardware(at_once))
 
 
-def projecting_graph(rig: RigFile, rig_path: Path) -> Graph:
+def projecting_graph(rig: RigFile) -> Graph:
     """Return the projector alone.
 
     Parameters
     ----------
-    rig, rig_path
-        The rig file, and its path.
+    rig
+        The content of the rig file.
     """
-    return Graph(rig.namespace, tuple(node for node in exposing_graph(rig, rig_path).nodes if node.name == "projector"))
+    return Graph(rig.namespace, tuple(node for node in exposing_graph(rig).nodes if node.name == "projector"))
 
 
 def replay_graph(
@@ -280,28 +287,18 @@ def _processing_nodes(parameters: Mapping[str, Mapping[str, Any]]) -> list[NodeE
     return [NodeEntry(name, package, name, parameters.get(name, {})) for name, package in PROCESSING_NODES.items()]
 
 
-def _recorder(rig: RigFile, folder: Path) -> dict[str, Any]:
-    return {
-        "bag_path": str((folder / "bag").absolute()),
-        "derived": rig.recording.derived,
-        "compression": rig.recording.compression,
-        "split_gb": rig.recording.split_gb or 0.0,
-        "split_s": 60 * (rig.recording.split_minutes or 0.0),
-    }
+def _recorder(rig: RigFile, folder: Path) -> NodeEntry:
+    shared = rig.recording.model_dump(include=set(RecorderSettings.model_fields))
+    return _node("recorder", "recorder_node", RecorderNodeSettings(bag_path=str((folder / "bag").absolute()), **shared))
 
 
-def _hardware(rig: RigFile, rig_path: Path, **others: Any) -> list[NodeEntry]:
+def _hardware(rig: RigFile, **others: Any) -> list[NodeEntry]:
     """Return projector and camera, and the stage of a virtual rig; `others` are further settings of the camera node."""
     camera = CameraNodeSettings(device=rig.camera, **_virtual(rig), **others)
     nodes = []
-    size = rig.projector_size()
-    if rig.projector is not None and size is not None:
-        parameters: dict[str, Any] = {"width_px": size[0], "height_px": size[1]}
-        if rig.projector.source == "display":
-            parameters |= {"screen": "display", "display": rig.projector.display}
-        if rig.projector.response_curve is not None:
-            parameters["response_file"] = str((rig_path.parent / rig.projector.response_curve).absolute())
-        nodes.append(NodeEntry("projector", "fringe_projector_node", "projector", parameters))
+    if rig.projector is not None:
+        projector = ProjectorNodeSettings(device=rig.projector, **_virtual(rig))
+        nodes.append(_node("projector", "fringe_projector_node", projector))
     if rig.camera.source == "virtual":
         nodes.append(NodeEntry("stage", "load_frame_node", "stage"))
     return [*nodes, _node("camera", "camera_node", camera)]
@@ -343,70 +340,31 @@ def _free_run(rig: RigFile) -> dict[str, float]:
     return {} if rig.extensometer is None else {"frame_rate_hz": rig.extensometer.rate_hz}
 
 
-def _extensometer(section: ExtensometerSection) -> dict[str, Any]:
-    return {
-        "first_column_px": section.first_px[0],
-        "first_row_px": section.first_px[1],
-        "second_column_px": section.second_px[0],
-        "second_row_px": section.second_px[1],
-        "pad_px": section.subset_px,
-        "largest_sigma": 1e-6 * section.largest_sigma_ustrain,
-        "frame_timeout_s": max(FRAMES_MISSED / section.rate_hz, 0.1),
-    }
-
-
-def _load_frame(rig: RigFile, rig_path: Path) -> dict[str, Any]:
-    load_frame = rig.load_frame
-    assert load_frame is not None, "checked by the caller"
-    parameters: dict[str, Any] = {
-        "source": load_frame.source,
-        "rate_hz": load_frame.rate_hz,
-        "position_tolerance_mm": load_frame.position_tolerance_mm,
-    }
-    if load_frame.file is not None:
-        parameters["machine_file"] = str((rig_path.parent / load_frame.file).absolute())
-    if load_frame.source == "simulated":
-        parameters["virtual_rig"] = _virtual_rig(rig)
-    if load_frame.source == "controller":
-        topics = ("joint_states_topic", "joint", "wrench_topic", "force_axis", "force_sign")
-        names = (*topics, "slowest_mm_per_s", "motion_span_s")
-        parameters |= {name: getattr(load_frame, name) for name in names}
-    return parameters
+def _extensometer(section: ExtensometerSection) -> NodeEntry:
+    shared = section.model_dump(include=set(ExtensometerSettings.model_fields))
+    settings = ExtensometerNodeSettings(frame_timeout_s=max(FRAMES_MISSED / section.rate_hz, 0.1), **shared)
+    return _node("extensometer", "dic_node", settings)
 
 
 def _truth(rig: RigFile, folder: Path) -> dict[str, Any]:
     return {} if rig.virtual_rig is None else {"truth_folder": str(folder.absolute())}
 
 
-def _experiment(rig: RigFile, experiment: str) -> dict[str, Any]:
-    first_column, first_row = rig.camera_first()
-    parameters: dict[str, Any] = {
-        "experiment": experiment,
-        "projector": rig.projector is not None,
-        "recording_required": True,
-        "camera_timeout_s": rig.camera.timeout_s,
-        "camera_first_column_px": first_column,
-        "camera_first_row_px": first_row,
-    }
-    if rig.load_frame is not None:
-        names = ("hold_required", "load_drift_n", "position_drift_um")
-        parameters |= {name: getattr(rig.load_frame, name) for name in names}
-    size = rig.projector_size()
+def _experiment(rig: RigFile, **others: Any) -> NodeEntry:
+    """Return the experiment node of a rig; `others` are its settings that are no sections of the rig file."""
+    sequence, size = rig.sequence.model_dump(), rig.projector_size()
     if size is not None:
-        pitches = rig.pitches()
-        parameters |= {
-            "projector_width_px": size[0],
-            "projector_height_px": size[1],
-            "pitches_px": pitches,
-            "shifts": [rig.sequence.shifts] * len(pitches),
-            "orientation": rig.sequence.orientation,
-            "fringe_order": rig.sequence.fringe_order,
-            "grey_frame": rig.sequence.grey_frame,
-        }
-        if rig.sequence.exposure_times:  # an empty list in a parameter file has no type
-            parameters["exposure_times_s"] = rig.sequence.exposure_times
-    return parameters
-
-
-def _virtual_rig(rig: RigFile) -> str:
-    return yaml.safe_dump(rig.virtual_rig, default_flow_style=True, width=10_000).strip()
+        sequence["pitches_px"] = rig.pitches()
+        others |= {"projector_width_px": size[0], "projector_height_px": size[1]}
+    if rig.load_frame is not None:
+        others |= rig.load_frame.model_dump(include=set(HoldSettings.model_fields))
+    first_column, first_row = rig.camera_first()
+    settings = ExperimentNodeSettings(
+        projector=rig.projector is not None,
+        recording_required=True,
+        camera_timeout_s=rig.camera.timeout_s,
+        camera_first_column_px=first_column,
+        camera_first_row_px=first_row,
+        **{**sequence, **others},
+    )
+    return _node("experiment", "experiment_node", settings)

@@ -190,7 +190,7 @@ def _advise(place: Place, job: Job, _: Request, options: AdviseOptions) -> Outco
     """Take three images at rest, and recommend window and spacing."""
     folder = place.new_folder(job, "static")
     folder.mkdir(parents=True)
-    graph = exposing_graph(place.rig, place.rig_path)
+    graph = exposing_graph(place.rig)
     files = [folder / f"static_{number}.png" for number in range(1, IMAGES_AT_REST + 1)]
     job.stage("taking images")
     with (

@@ -19,7 +19,6 @@ from fringedic_ros.stamps import to_nanoseconds
 
 def shapes_by_nodes(
     rig: RigFile,
-    rig_path: Path,
     folder: Path,
     progress: Progress,
     *,
@@ -34,7 +33,7 @@ def shapes_by_nodes(
     """
     rig = rig.model_copy(update={"recording": rig.recording.model_copy(update={"derived": True})})
     stamps = []
-    with calibration_client(rig, rig_path, folder, progress, ask=ask, domain=domain) as client:
+    with calibration_client(rig, folder, progress, ask=ask, domain=domain) as client:
         for number, place in enumerate(places, start=1):
             words = place_in_words(place)
             progress.part(number, len(places), words)

@@ -70,7 +70,7 @@ def check(
     rig = rig.model_copy(update={"recording": rig.recording.model_copy(update={"derived": True})})
     heights = [0.0, distance, 0.0]
     stamps, reached = [], []
-    with calibration_client(rig, rig_path, folder, progress, ask=ask, watch=watch, domain=domain) as client:
+    with calibration_client(rig, folder, progress, ask=ask, watch=watch, domain=domain) as client:
         for number, height in enumerate(heights, start=1):
             progress.part(number, len(heights), f"plane {1e3 * height:g} mm above its place")
             reached.append(client.place(PLANE, height=height).height)

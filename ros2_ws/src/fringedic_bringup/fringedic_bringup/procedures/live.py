@@ -54,7 +54,7 @@ def watch(
     """
     if rig.projector is None and pattern is not LivePattern.WHITE:
         raise ConfigurationError(f"{rig_path}: has no projector that could show {pattern}")
-    graph = live_graph(rig, rig_path, region)
+    graph = live_graph(rig, region)
     with (
         tempfile.TemporaryDirectory(prefix="fringedic-live-") as folder,
         RunningGraph(graph, Path(folder), domain=domain) as running,

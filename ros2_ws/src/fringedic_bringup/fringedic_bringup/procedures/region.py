@@ -31,7 +31,7 @@ def frame_of_rig(rig_path: Path, *, domain: int | None = None) -> Frame:
         The rig file is not valid, or the camera of the rig takes no frame.
     """
     rig = load_rig_file(rig_path)
-    graph = exposing_graph(rig, rig_path)
+    graph = exposing_graph(rig)
     with (
         tempfile.TemporaryDirectory(prefix="fringedic-region-") as folder,
         RunningGraph(graph, Path(folder), domain=domain) as running,

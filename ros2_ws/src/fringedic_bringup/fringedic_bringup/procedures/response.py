@@ -94,7 +94,9 @@ def measure_rig_response(
     setting = ""
     if assess_correction(before, after) is Correction.USEFUL:
         setting = f"projector:\n  response_curve: {_relative(file, rig_path)}"
-    return ResponseReport(curve, before, after, response_sentences(curve, before, after, rig.sequence.shifts), setting)
+    return ResponseReport(
+        curve, before, after, response_sentences(curve, before, after, min(rig.sequence.shifts)), setting
+    )
 
 
 @dataclass(frozen=True)
@@ -126,9 +128,9 @@ class _RigFrames:
 
     def _graph(self, curve_file: Path | None) -> Graph:
         assert self.rig.projector is not None, "checked by the caller"
-        file = None if curve_file is None else str(curve_file.absolute())
+        file = "" if curve_file is None else str(curve_file.absolute())
         projector = self.rig.projector.model_copy(update={"response_curve": file})
-        graph = exposing_graph(self.rig.model_copy(update={"projector": projector}), self.rig_path)
+        graph = exposing_graph(self.rig.model_copy(update={"projector": projector}))
         return replace(graph, nodes=tuple(map(self._with_settle_time, graph.nodes)))
 
     def _with_settle_time(self, node: NodeEntry) -> NodeEntry:

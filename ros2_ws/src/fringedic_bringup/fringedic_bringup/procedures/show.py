@@ -45,7 +45,7 @@ def hold_pattern(
     """
     if rig.projector is None:
         raise ConfigurationError(f"{rig_path}: has no projector that could show {pattern}")
-    graph = projecting_graph(rig, rig_path)
+    graph = projecting_graph(rig)
     with (
         tempfile.TemporaryDirectory(prefix="fringedic-show-") as folder,
         RunningGraph(graph, Path(folder), domain=domain) as running,

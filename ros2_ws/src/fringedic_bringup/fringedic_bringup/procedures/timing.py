@@ -80,7 +80,7 @@ def measure_rig_timing(
     """
     if rig.projector is None or rig.camera.source == "files":
         raise ConfigurationError(f"{rig_path}: timing needs a projector and a camera that sees its light")
-    graph = exposing_graph(rig, rig_path)
+    graph = exposing_graph(rig)
     progress.stage(f"starting {len(graph.nodes)} nodes")
     with (
         RunningGraph(graph, folder / "logs", domain=domain) as running,

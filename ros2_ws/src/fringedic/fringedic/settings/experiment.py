@@ -1,22 +1,98 @@
-"""Parameters of the experiment node: patterns of a step, conditions and time-outs."""
+"""Settings of the experiment node: patterns of a step, conditions and time-outs."""
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from itertools import pairwise
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, BeforeValidator, Field, model_validator
 from yaml import YAMLError
 
 from fringedic.patterns.pattern import PHASE_KINDS, ProjectedPattern
 from fringedic.patterns.sequences import FringeOrder, step_sequence
+from fringedic.settings.base import MILLI, Settings
+from fringedic.settings.load_frame import HoldSettings
 from fringedic.steps.recorded_parameters import MODELS
 from fringedic.wording.yaml_text import load_yaml
 
+FINEST_DEFAULT_PITCH_PX = 8.0  # finer fringes lose their modulation in most projector lenses
 
-class ExperimentParameters(BaseModel):
-    """Parameters of the experiment node."""
 
-    model_config = ConfigDict(frozen=True)
+def _listed(value: Any) -> Any:
+    return [value] if isinstance(value, int) else value
+
+
+class SequenceSettings(Settings):
+    """The fringe patterns of one step."""
+
+    pitches_px: list[Annotated[float, Field(ge=2)]] = Field(
+        [],
+        max_length=8,
+        description="Fringe pitches, coarse to fine [projector pixel]; the coarsest covers the visible width. Empty: "
+        "the projector's width, a fifth, a twentieth and an eightieth of it, none below 8 px.",
+    )
+    shifts: Annotated[list[Annotated[int, Field(ge=3, le=64)]], BeforeValidator(_listed)] = Field(
+        [4], min_length=1, max_length=8, description="Phase shifts of each pitch; one number for all pitches."
+    )
+    orientation: Literal["vertical", "horizontal"] = Field(
+        "vertical", description="vertical: fringes along y, projector left or right; horizontal: projector above."
+    )
+    fringe_order: FringeOrder = Field(
+        "pitches",
+        description="Source of the fringe orders. pitches: each coarser pitch for the next finer one; gray_code: a "
+        "Gray code of the finest pitch; one_image: none, a single image of the finest pitch, for fast events.",
+    )
+    grey_frame: bool = Field(
+        False, description="With one_image: a frame in grey light before it, which removes the texture of the surface."
+    )
+    exposures_ms: list[Annotated[float, Field(gt=0, le=60e3)]] = Field(
+        [],
+        max_length=8,
+        description="Exposure times of every pattern [ms], for surfaces with glare and dark parts; empty: the one of "
+        "the camera.",
+    )
+
+    @model_validator(mode="after")
+    def _lists_are_possible(self) -> Self:
+        if any(fine >= coarse for coarse, fine in pairwise(self.pitches_px)):
+            raise ValueError("pitches_px must become smaller from one to the next")
+        if len(set(self.exposures_ms)) < len(self.exposures_ms):
+            raise ValueError("exposures_ms must differ from each other")
+        return self
+
+    @property
+    def exposure_times(self) -> list[float]:
+        """Exposure times of every pattern [s]; empty: the camera's own."""
+        return [time * MILLI for time in self.exposures_ms]
+
+    def pitches(self, width: int) -> list[float]:
+        """Return the fringe pitches for a projector of `width` columns, coarse to fine [projector pixel]."""
+        parts = [part for part in (1, 5, 20, 80) if part == 1 or width / part >= FINEST_DEFAULT_PITCH_PX]
+        return list(self.pitches_px) or [width / part for part in parts]
+
+    def patterns(self, width: int, height: int) -> tuple[ProjectedPattern, ...]:
+        """Return the patterns of a FRINGES step in their order, each once for each exposure time.
+
+        Parameters
+        ----------
+        width, height
+            Size of the projector [px].
+
+        Raises
+        ------
+        PatternError
+            No sequence has these pitches, shifts and size.
+        """
+        pitches = self.pitches(width)
+        shifts = self.shifts * len(pitches) if len(self.shifts) == 1 else self.shifts
+        sequence = step_sequence(
+            width, height, pitches, shifts, self.orientation, self.fringe_order, grey_frame=self.grey_frame
+        )
+        return tuple(pattern for pattern in sequence.patterns for _ in self.exposures_ms or [0.0])
+
+
+class ExperimentNodeSettings(SequenceSettings, HoldSettings):
+    """Settings of the experiment node."""
 
     experiment: str = Field("", description="Name of the first experiment; empty: the time of its start.")
     first_step: int = Field(
@@ -43,24 +119,6 @@ class ExperimentParameters(BaseModel):
     camera_first_row_px: int = Field(
         -1, ge=-1, le=32768, description="Row of the sensor with which it begins [px]; -1: not known."
     )
-    pitches_px: list[float] = Field(
-        [800.0, 160.0, 40.0, 10.0], description="Fringe pitches, coarse to fine [projector pixel]."
-    )
-    shifts: list[int] = Field([4, 4, 4, 8], description="Phase-shifted frames of each pitch, at least 3.")
-    fringe_order: FringeOrder = Field(
-        "pitches",
-        description="Source of the fringe orders. pitches: the next coarser pitch; gray_code: a code of the finest "
-        "pitch, which is then the only one; one_image: none, one image of the finest pitch is taken.",
-    )
-    grey_frame: bool = Field(False, description="With one_image: a frame in grey light before it, for the texture.")
-    exposure_times_s: list[float] = Field(
-        [],
-        max_length=8,
-        description="Exposure times of each pattern of a step [s]; empty: the one of the camera.",
-    )
-    orientation: Literal["vertical", "horizontal"] = Field(
-        "vertical", description="vertical: fringes along y, projector left or right; horizontal: projector above."
-    )
     white_between_steps: bool = Field(
         False,
         description="The projector is white after the frames of a step, also of one that fails, for a free run of the "
@@ -78,18 +136,6 @@ class ExperimentParameters(BaseModel):
     recording_required: bool = Field(False, description="Refuse a step unless a recorder is recording.")
     load_frame: bool = Field(
         False, description="The rig has a load frame; otherwise it has one from its first sample in an experiment on."
-    )
-    hold_required: bool = Field(
-        True, description="Refuse a step unless samples of the load frame show a hold before, during and after it."
-    )
-    load_drift_n: float = Field(
-        0.0, ge=0, le=1e6, description="Largest change of the force during the exposures of a step [N]; 0: no limit."
-    )
-    position_drift_um: float = Field(
-        0.0,
-        ge=0,
-        le=1e6,
-        description="Largest change of the crosshead position during the exposures [µm]; 0: no limit.",
     )
     settle_time_s: float = Field(
         0.0, ge=0, le=3600, description="Pause between the start of a step and its first pattern [s]."
@@ -121,14 +167,7 @@ class ExperimentParameters(BaseModel):
 
     @model_validator(mode="after")
     def _showable(self) -> Self:
-        self.patterns()
-        return self
-
-    @model_validator(mode="after")
-    def _exposures_differ(self) -> Self:
-        times = self.exposure_times_s
-        if len(set(times)) < len(times) or not all(0 < time <= 60 for time in times):
-            raise ValueError("exposure_times_s must be above 0, 60 s at most, and differ from each other")
+        self.step_patterns()
         return self
 
     @model_validator(mode="after")
@@ -158,24 +197,9 @@ class ExperimentParameters(BaseModel):
             raise ValueError(f"later_parameters has to contain one mapping for each of {', '.join(MODELS)}")
         return {node: MODELS[node].model_validate(values) for node, values in given.items()}
 
-    def patterns(self) -> tuple[ProjectedPattern, ...]:
-        """Return the patterns of a FRINGES step, each pattern once for each exposure time.
-
-        Raises
-        ------
-        PatternError
-            No sequence has these pitches, shifts and size.
-        """
-        sequence = step_sequence(
-            self.projector_width_px,
-            self.projector_height_px,
-            self.pitches_px,
-            self.shifts,
-            self.orientation,
-            self.fringe_order,
-            grey_frame=self.grey_frame,
-        )
-        return tuple(pattern for pattern in sequence.patterns for _ in self.exposure_times_s or [0.0])
+    def step_patterns(self) -> tuple[ProjectedPattern, ...]:
+        """Return the patterns of a FRINGES step on the projector of the rig."""
+        return self.patterns(self.projector_width_px, self.projector_height_px)
 
     def exposure_time(self, index: int, pattern: ProjectedPattern) -> float:
         """Return the exposure time of a frame [s]; 0: the one of the camera.
@@ -187,5 +211,5 @@ class ExperimentParameters(BaseModel):
         pattern
             Its pattern; only those of a FRINGES step are taken at several exposure times.
         """
-        times = self.exposure_times_s if pattern.kind in PHASE_KINDS else ()
+        times = self.exposure_times if pattern.kind in PHASE_KINDS else ()
         return times[index % len(times)] if times else 0.0
