@@ -27,6 +27,7 @@ from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.rig.model import RigModel
 from fringedic.settings.experiment import ExperimentNodeSettings
 from fringedic.signals import FORCE, POSITION
+from fringedic.steps.recorded_parameters import MODELS
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import NodeParameters, RigCalibration
 from fringedic_msgs.srv import SetReference, StartExperiment
@@ -93,8 +94,9 @@ class ExperimentNode(RigNode):
 
     def _publish_later(self, parameters: ExperimentNodeSettings) -> None:
         """Record what the frames are to be measured with later, as the processing nodes would if they ran."""
-        for node, values in parameters.later().items():
-            self._settings.publish(parameters_message(node, values))
+        if parameters.record_only:
+            for node in MODELS:
+                self._settings.publish(parameters_message(node, getattr(parameters.later_parameters, node)))
 
     def _start_experiment(
         self, request: StartExperiment.Request, response: StartExperiment.Response

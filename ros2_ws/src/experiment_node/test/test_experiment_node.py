@@ -29,6 +29,7 @@ from std_srvs.srv import Trigger
 from fringedic.patterns.pattern import PatternKind, ProjectedPattern
 from fringedic.rig.model import RigModel
 from fringedic.settings.experiment import ExperimentNodeSettings
+from fringedic.settings.parameters import from_parameters
 from fringedic.virtual_rig import VirtualRig
 from fringedic_msgs.action import MeasureStep
 from fringedic_msgs.msg import (
@@ -1015,13 +1016,13 @@ def test_unreadable_calibration_ends_the_start(tmp_path: Path) -> None:
         ({"first_step": 3, "reference_step": 3}, "reference_step 3 is not before first_step 3"),
         ({"exposures_ms": [4.0, 4.0]}, "exposures_ms must differ"),
         ({"record_only": True, "later_parameters": "{dic: {window: 3}}"}, "window"),
-        ({"record_only": True, "later_parameters": "{camera: {}}"}, "one mapping for each of phase, dic, coupling"),
-        ({"record_only": True, "later_parameters": "{dic: ["}, "later_parameters: line 1"),
+        ({"record_only": True, "later_parameters": "{camera: {}}"}, "Extra inputs"),
+        ({"record_only": True, "later_parameters": "{dic: ["}, "later_parameters is not valid YAML: line 1"),
     ],
 )
 def test_impossible_parameters_are_refused(parameters: dict[str, Any], words: str) -> None:
     with pytest.raises(ValueError, match=words):
-        ExperimentNodeSettings.model_validate(parameters)
+        from_parameters(ExperimentNodeSettings, parameters)
 
 
 def test_every_pattern_is_asked_for_at_every_exposure_time() -> None:

@@ -5,17 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field, ValidationInfo
 
 from fringedic.configuration.yaml_section import Section
 from fringedic.errors import CalibrationError
 from fringedic.metadata import CalibrationMetadata, CheckMetadata
 from fringedic.rig.model import RigModel
-from fringedic.settings.base import MILLI
+from fringedic.settings.base import FILE, MILLI
 
 LATEST_CHECKS = 5  # of the calibration in the metadata of a recording
+
+
+def _or_the_file(source: str, info: ValidationInfo) -> str:
+    return source or (info.context or {}).get(FILE, "")
 
 
 class CalibratedCamera(Section):
@@ -74,18 +78,20 @@ class CalibrationSection(Section):
     model: Literal["six_parameter", "general", "paper"] = Field(
         "general", description="six_parameter: no angles and no distortion; paper: its name in older files."
     )
-    source: str = Field("", description="Origin of the calibration; by default the rig file.")
+    source: Annotated[str, AfterValidator(_or_the_file)] = Field(
+        "", validate_default=True, description="Origin of the calibration; by default the rig file."
+    )
     camera: CalibratedCamera = Field(description="Pin-hole model of the camera.")
     projector: CalibratedProjector = Field(description="Pin-hole model of the projector.")
     covariance_si: CovarianceSection = Field(CovarianceSection(), description="Covariance of the parameters.")
 
-    def rig_model(self, rig_file: str) -> RigModel:
+    def rig_model(self) -> RigModel:
         """Return the model in SI units."""
         camera, projector = self.camera, self.projector
         return RigModel(
             identifier=self.identifier,
             model=self.model,
-            source=self.source or rig_file,
+            source=self.source,
             camera_width=camera.width_px,
             camera_height=camera.height_px,
             camera_first_column=camera.first_column_px,

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
@@ -16,7 +17,6 @@ from fringedic.configuration.programme import Programme
 from fringedic.configuration.sections import (
     VIRTUAL_RIG,
     ExtensometerSection,
-    NodesSection,
     RecordingSection,
     ReferencePlaneSection,
 )
@@ -26,19 +26,28 @@ from fringedic.metadata import CalibrationMetadata, HardwareMetadata, Metadata, 
 from fringedic.patterns.pattern import ProjectedPattern
 from fringedic.rig.compatibility import RigSetup, check_calibration
 from fringedic.rig.model import RigModel
-from fringedic.settings.base import MILLI
+from fringedic.settings.base import MILLI, FilePath
 from fringedic.settings.camera import Camera
 from fringedic.settings.devices import ImageDeviceSettings
-from fringedic.settings.experiment import SequenceSettings
+from fringedic.settings.experiment import ProcessingSettings, SequenceSettings
 from fringedic.settings.load_frame import LoadFrame, MachineSettings
 from fringedic.settings.projector import Projector
 from fringedic.virtual_rig import VirtualRigConfiguration
 from fringedic.wording.arguments import check_arguments
 from fringedic.wording.arguments import path as file_path
 
+
+def _kind_of_calibration(value: Any) -> str:
+    if isinstance(value, (Mapping, CalibrationSection)):
+        return "a section"
+    return "a name" if value == VIRTUAL_RIG else "a file"
+
+
 Calibration = Annotated[
-    Annotated[str, Tag("file")] | Annotated[CalibrationSection, Tag("values")],
-    Discriminator(lambda value: "values" if isinstance(value, (Mapping, CalibrationSection)) else "file"),
+    Annotated[Literal["virtual_rig"], Tag("a name")]
+    | Annotated[FilePath, Tag("a file")]
+    | Annotated[CalibrationSection, Tag("a section")],
+    Discriminator(_kind_of_calibration),
 ]
 
 
@@ -70,11 +79,11 @@ class RigFile(Section):
     )
     load_frame: LoadFrame | None = Field(None, description="The testing machine.")
     extensometer: ExtensometerSection | None = Field(None, description="The virtual extensometer between the steps.")
-    nodes: NodesSection = Field(NodesSection(), description="Parameters of the processing nodes.")
-    noise_floor_file: str | None = Field(
+    nodes: ProcessingSettings = Field(ProcessingSettings(), description="Parameters of the processing nodes.")
+    noise_floor_file: FilePath | None = Field(
         None, description="Noise floor from `fringedic noise`, relative to this file; it is part of every recording."
     )
-    region_file: str | None = Field(
+    region_file: FilePath | None = Field(
         None,
         description="Polygons from `fringedic region`, relative to this file: where the frames are checked and the "
         "displacement is measured.",
@@ -171,19 +180,34 @@ class RigFile(Section):
             self.camera_size(), self.projector_size(), self.patterns() if absolute else (), self.camera_first()
         )
 
-    def calibration_file(self, path: str | os.PathLike[str]) -> Path | None:
-        """Return the file of the calibration that this file, at `path`, names; None when it names no file."""
-        if not isinstance(self.calibration, str) or self.calibration == VIRTUAL_RIG:
-            return None
-        return Path(path).parent / self.calibration
+    @property
+    def calibration_file(self) -> Path | None:
+        """File of the calibration; None when this file names none."""
+        names_a_file = isinstance(self.calibration, str) and self.calibration != VIRTUAL_RIG
+        return Path(str(self.calibration)) if names_a_file else None
 
-    def metadata(self, path: str | os.PathLike[str]) -> Metadata:
-        """Return the metadata of specimen, hardware, calibration and noise floor; `path` is that of this file."""
-        file = self.calibration_file(path)
+    @cached_property
+    def rig_model(self) -> RigModel | None:
+        """Calibration that this file contains or names, whose file is read once; None without one."""
+        if self.calibration is None:
+            return None
+        if isinstance(self.calibration, CalibrationSection):
+            return self.calibration.rig_model()
+        if (file := self.calibration_file) is None:
+            from fringedic.configuration.virtual_calibration import calibration_of  # loads the virtual rig
+
+            return calibration_of(self.virtual_configuration())
+        if not file.is_file():
+            raise ConfigurationError(f"calibration: there is no file {file}")
+        return RigModel.from_yaml(file)
+
+    def metadata(self) -> Metadata:
+        """Return the metadata of specimen, hardware, calibration and noise floor."""
+        file = self.calibration_file
         known = CalibrationMetadata() if file is None else calibration_metadata(file)
         noise = NoiseFloorMetadata()
         if self.noise_floor_file is not None:
-            noise = NoiseFloorMetadata.load(Path(path).parent / self.noise_floor_file)
+            noise = NoiseFloorMetadata.load(Path(self.noise_floor_file))
         return Metadata(specimen=self.specimen, hardware=self.hardware, calibration=known, noise=noise)
 
     def _size(self, section: ImageDeviceSettings, name: str) -> tuple[int, int] | None:
@@ -229,7 +253,7 @@ def load_rig_file(path: str | os.PathLike[str]) -> RigFile:
         rig.projector_size()
         if rig.virtual_rig is not None:
             rig.virtual_configuration()
-        load_calibration(rig, path)
+        rig.rig_model  # noqa: B018 (its file is read at the door)
     except FringedicError as error:
         raise ConfigurationError(f"{path}: {error}") from error
     return rig
@@ -260,50 +284,21 @@ def load_programme(path: str | os.PathLike[str]) -> Programme:
     return load_sections(Path(path), Programme)
 
 
-def load_calibration(rig: RigFile, path: str | os.PathLike[str]) -> RigModel | None:
-    """Return the calibration that a rig file contains or names, None when it has none.
-
-    Parameters
-    ----------
-    rig
-        The content of the rig file.
-    path
-        The rig file; the path of a calibration file is relative to it.
-
-    Raises
-    ------
-    ConfigurationError
-        The calibration file cannot be read.
-    """
-    if rig.calibration is None:
-        return None
-    if isinstance(rig.calibration, CalibrationSection):
-        return rig.calibration.rig_model(str(path))
-    if rig.calibration == VIRTUAL_RIG:
-        from fringedic.configuration.virtual_calibration import calibration_of  # loads the virtual rig
-
-        return calibration_of(rig.virtual_configuration())
-    file = Path(path).parent / rig.calibration
-    if not file.is_file():
-        raise ConfigurationError(f"calibration: there is no file {file}")
-    return RigModel.from_yaml(file)
-
-
-def load_fitting_calibration(rig: RigFile, path: str | os.PathLike[str]) -> RigModel | None:
+def fitting_calibration(rig: RigFile, path: str | os.PathLike[str]) -> RigModel | None:
     """Return the calibration that a rig file contains or names, after a check that it is that of this rig.
 
     Parameters
     ----------
     rig, path
-        As of `load_calibration`.
+        The content of the rig file, and its path for messages.
 
     Raises
     ------
     ConfigurationError
-        The calibration file cannot be read, belongs to another rig, or has lengths that contradict each other; or the
+        The calibration belongs to another rig, or has lengths that contradict each other; or the
         coarsest fringes of the sequence repeat in the camera's view.
     """
-    calibration = load_calibration(rig, path)
+    calibration = rig.rig_model
     if calibration is not None:
         try:
             check_calibration(calibration, rig.setup())

@@ -1,4 +1,4 @@
-"""Sections of a rig file: reference plane, extensometer, nodes, recording.
+"""Sections of a rig file: reference plane, extensometer, recording.
 
 Positions in an image are (column, row).
 """
@@ -14,7 +14,6 @@ from fringedic.configuration.yaml_section import Section
 from fringedic.settings.base import MILLI
 from fringedic.settings.extensometer import ExtensometerSettings
 from fringedic.settings.recorder import RecorderSettings
-from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 
 # Angles [degree] of the plane for another image of its grid: below the first the perspective hides in the noise of the
 # grid (benchmarks/distortion.py), at the second it is clear and the grid is still in focus
@@ -99,14 +98,6 @@ class ExtensometerSection(ExtensometerSettings):
     """Two points of the surface whose distance is measured in a free run of the camera between the steps."""
 
     rate_hz: float = Field(30.0, gt=0, le=1000, description="Rate of the frames of the free run [Hz].")
-
-
-class NodesSection(Section):
-    """Parameters of the processing nodes."""
-
-    phase: PhaseParameters = Field(PhaseParameters(), description="Parameters of the phase node.")
-    dic: DicParameters = Field(DicParameters(), description="Parameters of the dic node.")
-    coupling: CouplingParameters = Field(CouplingParameters(), description="Parameters of the coupling node.")
 
 
 class RecordingSection(RecorderSettings):

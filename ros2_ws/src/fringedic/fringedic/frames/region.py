@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -226,9 +227,21 @@ class Region:
             The text is no region.
         """
         try:
-            found = _RegionFile.model_validate(load_yaml(text))
+            return cls.from_content(load_yaml(text))
         except yaml.YAMLError as error:
             raise ImageError(f"region: no YAML: {error}") from error
+
+    @classmethod
+    def from_content(cls, content: Any) -> Region:
+        """Return the region whose polygons and size a mapping contains.
+
+        Raises
+        ------
+        ImageError
+            The content is no region.
+        """
+        try:
+            found = _RegionFile.model_validate(content)
         except ValidationError as error:
             problems = "; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors())
             raise ImageError(f"region: {problems}") from error

@@ -5,15 +5,14 @@ from __future__ import annotations
 from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, BeforeValidator, Field, model_validator
-from yaml import YAMLError
+from pydantic import BeforeValidator, Field, model_validator
 
+from fringedic.metadata import Metadata
 from fringedic.patterns.pattern import PHASE_KINDS, ProjectedPattern
 from fringedic.patterns.sequences import FringeOrder, step_sequence
 from fringedic.settings.base import MILLI, Settings
 from fringedic.settings.load_frame import HoldSettings
-from fringedic.steps.recorded_parameters import MODELS
-from fringedic.wording.yaml_text import load_yaml
+from fringedic.steps.parameters import CouplingParameters, DicParameters, PhaseParameters
 
 FINEST_DEFAULT_PITCH_PX = 8.0  # finer fringes lose their modulation in most projector lenses
 
@@ -91,6 +90,17 @@ class SequenceSettings(Settings):
         return tuple(pattern for pattern in sequence.patterns for _ in self.exposures_ms or [0.0])
 
 
+_OR_EMPTY = BeforeValidator(lambda value: value or {})
+
+
+class ProcessingSettings(Settings):
+    """Parameters of the processing nodes."""
+
+    phase: PhaseParameters = Field(PhaseParameters(), description="Parameters of the phase node.")
+    dic: DicParameters = Field(DicParameters(), description="Parameters of the dic node.")
+    coupling: CouplingParameters = Field(CouplingParameters(), description="Parameters of the coupling node.")
+
+
 class ExperimentNodeSettings(SequenceSettings, HoldSettings):
     """Settings of the experiment node."""
 
@@ -128,10 +138,10 @@ class ExperimentNodeSettings(SequenceSettings, HoldSettings):
         ["phase", "dic", "coupling"], description="Processing nodes whose results end a step."
     )
     record_only: bool = Field(False, description="A step ends without results: frames are recorded and measured later.")
-    later_parameters: str = Field(
-        "",
-        description="With record_only: the parameters of phase, dic and coupling node for the later measurement as "
-        "YAML; they are recorded as if these nodes ran.",
+    later_parameters: Annotated[ProcessingSettings, _OR_EMPTY] = Field(
+        ProcessingSettings(),
+        description="With record_only: the parameters of phase, dic and coupling node for the later measurement; they "
+        "are recorded as if these nodes ran.",
     )
     recording_required: bool = Field(False, description="Refuse a step unless a recorder is recording.")
     load_frame: bool = Field(
@@ -163,7 +173,9 @@ class ExperimentNodeSettings(SequenceSettings, HoldSettings):
         description="Time after the last exposure, or the result of the node before, within which a processing node "
         "has to have received what it needs for a step [s].",
     )
-    facts: str = Field("", description="Metadata of specimen and hardware as YAML, for the recording only.")
+    metadata: Annotated[Metadata, _OR_EMPTY] = Field(
+        Metadata(), description="Metadata of specimen and hardware, for the recording only."
+    )
 
     @model_validator(mode="after")
     def _showable(self) -> Self:
@@ -175,27 +187,6 @@ class ExperimentNodeSettings(SequenceSettings, HoldSettings):
         if self.reference_step >= self.first_step:
             raise ValueError(f"reference_step {self.reference_step} is not before first_step {self.first_step}")
         return self
-
-    @model_validator(mode="after")
-    def _measurable_later(self) -> Self:
-        self.later()
-        return self
-
-    def later(self) -> dict[str, BaseModel]:
-        """Return the parameters of the processing nodes for the later measurement, by node; empty without.
-
-        Raises
-        ------
-        ValueError
-            The text is no YAML, there is no such node, or it does not have such parameters.
-        """
-        try:
-            given = load_yaml(self.later_parameters) if self.record_only and self.later_parameters else {}
-        except YAMLError as error:
-            raise ValueError(f"later_parameters: {error}") from None
-        if not isinstance(given, dict) or not given.keys() <= MODELS.keys():
-            raise ValueError(f"later_parameters has to contain one mapping for each of {', '.join(MODELS)}")
-        return {node: MODELS[node].model_validate(values) for node, values in given.items()}
 
     def step_patterns(self) -> tuple[ProjectedPattern, ...]:
         """Return the patterns of a FRINGES step on the projector of the rig."""

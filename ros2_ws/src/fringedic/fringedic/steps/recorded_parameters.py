@@ -14,7 +14,8 @@ from fringedic.metadata import Metadata
 from fringedic.rig.model import RigModel
 from fringedic.steps.parameters import CouplingParameters, DicParameters, Parameters, PhaseParameters
 
-METADATA_PARAMETER = "facts"  # its name in recordings
+METADATA_PARAMETER = "metadata"
+_OLD_METADATA_PARAMETER = "facts"  # in recordings of earlier versions
 _DIGITS = 9  # of a converted value, which does not show the rounding of its conversion
 MODELS: dict[str, type[Parameters]] = {"phase": PhaseParameters, "dic": DicParameters, "coupling": CouplingParameters}
 
@@ -42,7 +43,10 @@ _REPLACED: dict[str, dict[str, Callable[[Any], dict[str, Any]]]] = {
         "region_px": _part_of_the_sensor,
     },
     "coupling": {"watch_region_px": _renamed("drift_marker_px")},
-    "experiment": {"exposure_times_s": _renamed("exposures_ms", 1e3)},
+    "experiment": {
+        "exposure_times_s": _renamed("exposures_ms", 1e3),
+        _OLD_METADATA_PARAMETER: _renamed(METADATA_PARAMETER),
+    },
     "extensometer": {"pad_px": _renamed("subset_px"), "largest_sigma": _renamed("largest_sigma_ustrain", 1e6)},
     "load_frame": {"machine_file": _renamed("file")},
     "projector": {
@@ -188,6 +192,6 @@ def recorded_metadata(messages: Iterable[Any]) -> Metadata:
     metadata = Metadata()
     for message in messages:
         for each in message.parameters:
-            if each.name == METADATA_PARAMETER and each.value.string_value:
+            if each.name in (METADATA_PARAMETER, _OLD_METADATA_PARAMETER) and each.value.string_value:
                 metadata = Metadata.from_text(each.value.string_value)
     return metadata

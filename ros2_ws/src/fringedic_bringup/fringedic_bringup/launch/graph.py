@@ -10,19 +10,20 @@ from typing import Any
 import yaml
 from pydantic import BaseModel
 
-from fringedic.configuration.rig_file import RigFile, load_fitting_calibration
+from fringedic.configuration.rig_file import RigFile, fitting_calibration
 from fringedic.configuration.sections import ExtensometerSection
 from fringedic.errors import ConfigurationError, ImageError
 from fringedic.frames.region import Region
 from fringedic.metadata import Metadata
 from fringedic.recording.reader import BagReader
 from fringedic.settings.camera import CameraNodeSettings
-from fringedic.settings.experiment import ExperimentNodeSettings
+from fringedic.settings.experiment import ExperimentNodeSettings, ProcessingSettings
 from fringedic.settings.extensometer import ExtensometerNodeSettings, ExtensometerSettings
 from fringedic.settings.load_frame import HoldSettings, LoadFrameNodeSettings
 from fringedic.settings.parameters import default_parameters, to_parameters
 from fringedic.settings.projector import ProjectorNodeSettings
 from fringedic.settings.recorder import RecorderNodeSettings, RecorderSettings
+from fringedic.steps.parameters import PhaseParameters
 from fringedic.steps.recorded_parameters import present_parameters
 from fringedic.wording.yaml_text import load_yaml
 
@@ -114,18 +115,17 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         The calibration file cannot be read or belongs to another rig, the coarsest fringes repeat in the view, or the
         region was drawn in an image of another size.
     """
-    calibration = load_fitting_calibration(rig, rig_path)
+    calibration = fitting_calibration(rig, rig_path)
     folder.mkdir(parents=True, exist_ok=True)
     calibration_file = "" if calibration is None else str((folder / "calibration.yaml").absolute())
-    region = _region(rig, rig_path)
-    processing = {
-        "phase": _phase(rig) | region,
-        "dic": rig.nodes.dic.model_dump() | region,
-        "coupling": rig.nodes.coupling.model_dump(),
-    }
+    region = {"region": _region(rig.region_file, rig.camera_size())} if rig.region_file else {}
+    parts = {"phase": _phase(rig), "dic": rig.nodes.dic}
+    processing = rig.nodes.model_copy(
+        update={name: parameters.model_copy(update=region) for name, parameters in parts.items()}
+    )
     nodes = [_recorder(rig, folder)]
     if rig.recording.process:
-        nodes += _processing_nodes(processing)
+        nodes += [_node(name, package, getattr(processing, name)) for name, package in PROCESSING_NODES.items()]
     if rig.has_load_frame_node:
         # the machine, which may be moving, is requested to hold as soon as it answers
         machine = LoadFrameNodeSettings(device=rig.load_frame, **_virtual(rig))
@@ -137,11 +137,11 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
         experiment=experiment,
         load_frame=rig.load_frame is not None,
         white_between_steps=rig.extensometer is not None,
-        facts=rig.metadata(rig_path).to_text(),
+        metadata=rig.metadata(),
         calibration_file=calibration_file,
         calibration_folder=str((folder / "calibrations").absolute()),
         record_only=not rig.recording.process,
-        later_parameters="" if rig.recording.process else yaml.safe_dump(processing),
+        later_parameters=ProcessingSettings() if rig.recording.process else processing,
     )
     nodes += [
         *_hardware(rig, **_truth(rig, folder), **_free_run(rig)),
@@ -162,18 +162,18 @@ def calibration_graph(rig: RigFile, folder: Path) -> Graph:
     folder
         Where the recording ``bag`` is written.
     """
-    phase = _phase(rig) | {"relative_phase": "refuse"}  # the positions of planes are absolute
+    phase = _phase(rig).model_copy(update={"relative_phase": "refuse"})  # the positions of planes are absolute
     others = {"fringe_order": "pitches"} if rig.sequence.fringe_order == "one_image" else {}
     experiment = _experiment(
         rig,
         nodes=["phase"],
         calibration_folder=str(folder.absolute()),
-        facts=Metadata(specimen=rig.specimen, hardware=rig.hardware).to_text(),
+        metadata=Metadata(specimen=rig.specimen, hardware=rig.hardware),
         **others,
     )
     nodes = [
         _recorder(rig, folder),
-        NodeEntry("phase", PROCESSING_NODES["phase"], "phase", phase),
+        _node("phase", PROCESSING_NODES["phase"], phase),
         *_hardware(rig),
         experiment,
     ]
@@ -266,7 +266,7 @@ def replay_graph(
         step_topic.removesuffix(STEP_TOPIC).strip("/"),
         (
             NodeEntry("recorder", "recorder_node", "recorder", {"bag_path": str(output.absolute()), "derived": True}),
-            *_processing_nodes(overrides),
+            *(NodeEntry(name, package, name, overrides.get(name, {})) for name, package in PROCESSING_NODES.items()),
             NodeEntry("player", "player_node", "player", player),
         ),
     )
@@ -281,10 +281,6 @@ def _graph(rig: RigFile, nodes: Sequence[NodeEntry]) -> Graph:
 def _node(name: str, package: str, settings: BaseModel, **again: Any) -> NodeEntry:
     """Return a node with all of its settings; `again` are those that differ when it is started again."""
     return NodeEntry(name, package, name, to_parameters(settings), again, default_parameters(settings))
-
-
-def _processing_nodes(parameters: Mapping[str, Mapping[str, Any]]) -> list[NodeEntry]:
-    return [NodeEntry(name, package, name, parameters.get(name, {})) for name, package in PROCESSING_NODES.items()]
 
 
 def _recorder(rig: RigFile, folder: Path) -> NodeEntry:
@@ -308,26 +304,23 @@ def _virtual(rig: RigFile) -> dict[str, Any]:
     return {} if rig.virtual_rig is None else {"virtual_rig": rig.virtual_rig}
 
 
-def _region(rig: RigFile, rig_path: Path) -> dict[str, str]:
-    """Return the region of interest as a parameter, so that a replay needs no other file."""
-    if rig.region_file is None:
-        return {}
-    path, size = rig_path.parent / rig.region_file, rig.camera_size()
+def _region(path: str, size: tuple[int, int] | None) -> Region:
+    """Return the region of interest of images of a size [px], which is a setting, so that a replay needs no file."""
     region = Region.load(path)
     if size is not None:
         try:
             region.mask_for(size[::-1])
         except ImageError as error:
             raise ConfigurationError(f"{path}: {error}") from error
-    return {"region": region.to_text()}
+    return region
 
 
-def _phase(rig: RigFile) -> dict[str, Any]:
+def _phase(rig: RigFile) -> PhaseParameters:
     """Return the parameters of the phase node, with the level of saturation when it does not follow from the images."""
-    parameters = rig.nodes.phase.model_dump()
-    if not parameters["saturation_grey_level"] and (level := full_scale(rig)) not in _FULL_SCALES:
-        parameters["saturation_grey_level"] = level
-    return parameters
+    parameters, level = rig.nodes.phase, full_scale(rig)
+    if parameters.saturation_grey_level or level in _FULL_SCALES:
+        return parameters
+    return parameters.model_copy(update={"saturation_grey_level": level})
 
 
 def full_scale(rig: RigFile) -> float:

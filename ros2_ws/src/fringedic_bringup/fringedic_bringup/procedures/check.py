@@ -89,7 +89,7 @@ def check(
             f"the stage did not put the plane back: it reports {1e3 * reached[2]:.3f} mm instead of "
             f"{1e3 * reached[0]:.3f} mm; check its play and its driver"
         )
-    file = rig.calibration_file(rig_path)
+    file = rig.calibration_file
     known = None if file is None else _calibration_in(file)
     first, lifted, last = recorded_phases(folder / "bag", stamps)
     finest = rig.patterns()[-1]

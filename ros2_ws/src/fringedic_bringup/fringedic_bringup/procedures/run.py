@@ -142,7 +142,7 @@ def run_experiment(
             progress.note(f"{programme.experiment}: {len(before.measured)} steps are measured already")
             _announce(forecast(rig, programme, before.done), programme, folder, progress)
             graph = continued(graph, bag, before)
-        if (calibration_file := rig.calibration_file(rig_path)) is not None:
+        if (calibration_file := rig.calibration_file) is not None:
             for words in in_force_words(calibration_file, datetime.now(UTC)):
                 progress.note(words)
         progress.stage(f"{programme.experiment}: starting {len(graph.nodes)} nodes")
