@@ -157,9 +157,10 @@ def load_campaign(path: Path) -> Campaign:
 
     file = path / FILE if path.is_dir() else path
     content = load_sections(file, CampaignFile)
-    for each in (content, *content.recordings):
+    entries: tuple[CampaignFile | RecordingEntry, ...] = (content, *content.recordings)
+    for each in entries:
         RecordedParameters(each.settings)
-    named = {each.calibration for each in (content, *content.recordings) if each.calibration}
+    named = {each.calibration for each in entries if each.calibration}
     return Campaign(file.parent, content, {name: _calibration_text(file, name) for name in sorted(named)})
 
 

@@ -115,11 +115,8 @@ def compare_model(  # noqa: PLR0913 (options of a command)
         raise ConfigurationError(f"--unit {unit}: give one of {', '.join(UNITS)}")
     scale = _MILLI if by == "position" else 1.0
     loads = None if load_table is None else _load_table(load_table, scale)
-    given = {
-        "pairs": _pairs("pair", pair or [], UNITS[unit]),
-        "holes": _pairs("hole", hole or [], UNITS[unit]),
-        "edges": _edges(edge or [], UNITS[unit]),
-    }
+    pairs, holes = (_pairs(name, texts or [], UNITS[unit]) for name, texts in (("pair", pair), ("hole", hole)))
+    edges = _edges(edge or [], UNITS[unit])
     only = _only(steps) if shape else None
     require_readable(model)
     from fringedic.datasets import open_experiment
@@ -140,7 +137,9 @@ def compare_model(  # noqa: PLR0913 (options of a command)
     if shape and of_mesh is None:
         of_mesh = [1.0]  # a displacement of the mesh is not used, whatever its load
     features = Features(
-        **given,
+        pairs=pairs,
+        holes=holes,
+        edges=edges,
         pair_sigma=None if pair_sigma_mm is None else _MILLI * pair_sigma_mm,
         principal_axes=principal_axes,
     )._asdict()

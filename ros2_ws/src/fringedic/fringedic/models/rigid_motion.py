@@ -43,7 +43,8 @@ class RigidMotion:
     @property
     def parts(self) -> list[float]:
         """Values of `RIGID_MOTION`; NaN for a motion that no compared map shows."""
-        return np.where(self.seen, [*self.translation, *self.rotation], math.nan).tolist()
+        values = (*self.translation, *self.rotation)
+        return [float(value) if seen else math.nan for value, seen in zip(values, self.seen, strict=True)]
 
     def removed(self, positions: np.ndarray, displacement: np.ndarray) -> np.ndarray:
         """Return a displacement without the motion (3, row, column) [m]; the rotation may be large."""
@@ -74,7 +75,7 @@ def fit_rigid_motion(
     >>> turn = Rotation.from_rotvec([0, 0, 0.02]).as_matrix()
     >>> moved = np.einsum("ij,jrc->irc", turn, positions + strain) - positions + 1e-4
     >>> found = fit_rigid_motion(positions, [0, 1, 2], moved, strain, np.full(strain.shape, 1e-7))
-    >>> [round(float(part), 6) for part in found.parts]
+    >>> [round(part, 6) + 0.0 for part in found.parts]
     [0.0001, 0.0001, 0.0001, 0.0, 0.0, 0.02]
     >>> bool(np.abs(found.removed(positions, moved) - strain).max() < 1e-9)
     True

@@ -9,7 +9,7 @@ from numba.core import event
 SENTENCE = "fringedic compiles its functions for this processor, once per installation: this takes up to a minute"
 
 
-class Announcement(event.Listener):  # type: ignore[misc]
+class Announcement(event.Listener):
     """Logs one sentence when Numba compiles the first function of this library in a process."""
 
     def __init__(self) -> None:
@@ -27,4 +27,4 @@ class Announcement(event.Listener):  # type: ignore[misc]
 
 
 ANNOUNCEMENT = Announcement()
-event.register("numba:compile", ANNOUNCEMENT)
+event.register("numba:compile", ANNOUNCEMENT)  # type: ignore[no-untyped-call]
