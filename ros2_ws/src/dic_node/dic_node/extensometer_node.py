@@ -121,8 +121,10 @@ class ExtensometerNode(RigNode):
             if not begin_s > 0:  # also an exposure time that is NaN
                 reason = f"the reference is awaited: the exposure of this frame began {-begin_s:.3f} s too early for it"
                 return StrainReading.invalid(reason)
-            first, second = tuple(p.first_px), tuple(p.second_px)
-            self._extensometer = VirtualExtensometer(image, first, second, subset=p.subset_px)
+            (column, row), (other_column, other_row) = p.first_px, p.second_px
+            self._extensometer = VirtualExtensometer(
+                image, (column, row), (other_column, other_row), subset=p.subset_px
+            )
         return self._extensometer.measure(image).limited(1e-6 * p.largest_sigma_ustrain)
 
     def _check_frames(self) -> None:

@@ -132,9 +132,7 @@ class RigClient:
         self._strain = _Followed()
         self.node.create_subscription(LoadState, "load_frame/state", self._take_load, STATE)
         self.node.create_subscription(Signal, "signals", lambda message: self._take_signals("signals", message), STATE)
-        self.node.create_subscription(
-            Float64, "extensometer/strain", lambda message: self._strain.take(message.data), STATE
-        )
+        self.node.create_subscription(Float64, "extensometer/strain", self._take_strain, STATE)
         self._sent: RepeatedGoal | None = None  # goal whose acceptance is pending; a server may run it already
         self._cancels_sent = False  # it is cancelled when its acceptance arrives
         self._running: RepeatedGoal | None = None  # goal whose result is pending
@@ -749,6 +747,9 @@ class RigClient:
         self._load = message
         self._load_arrivals.take_stamped(to_nanoseconds(message.header.stamp))
         self._take_signals("load_frame/state", message)
+
+    def _take_strain(self, message: Float64) -> None:
+        self._strain.take(message.data)
 
     def _take_signals(self, topic: str, message: Any) -> None:
         for name in add_signals(self.node, self._signals, topic, message):

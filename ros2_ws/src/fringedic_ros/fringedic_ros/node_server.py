@@ -186,11 +186,11 @@ def _serve(channel: socket.socket) -> list[str]:
     signal.signal(signal.SIGCHLD, lambda *_: None)
     signal.set_wakeup_fd(wakes)
     while True:
-        ready, _, _ = select.select([channel, ended], [], [])
+        ready, _, _ = select.select([channel.fileno(), ended], [], [])
         if ended in ready:
             os.read(ended, 4096)
             _report_ends(channel)
-        if channel in ready:
+        if channel.fileno() in ready:
             data, descriptors, *_ = socket.recv_fds(channel, _MESSAGE_BYTES, 1)
             if not data:
                 sys.exit(0)

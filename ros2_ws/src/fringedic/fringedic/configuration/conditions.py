@@ -132,7 +132,7 @@ class Until(Section):
         for of_signals, rising in ((self.above, True), (self.below, False)):
             for name, limit in (of_signals or {}).items():
                 limits.append((name, reading.signals.get(name, math.nan), "", limit, rising))
-        for quantity, value, unit, limit, rising in limits:
-            if limit is not None and (math.isnan(value) or (value >= limit if rising else value <= limit)):
-                return MetCondition(quantity, value, limit, rising, unit)
+        for quantity, value, unit, bound, rising in limits:
+            if bound is not None and (math.isnan(value) or (value >= bound if rising else value <= bound)):
+                return MetCondition(quantity, value, bound, rising, unit)
         return None

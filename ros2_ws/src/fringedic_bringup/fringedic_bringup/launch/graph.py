@@ -19,7 +19,7 @@ from fringedic.recording.reader import BagReader
 from fringedic.settings.camera import CameraNodeSettings
 from fringedic.settings.experiment import ExperimentNodeSettings, ProcessingSettings
 from fringedic.settings.extensometer import ExtensometerNodeSettings, ExtensometerSettings
-from fringedic.settings.load_frame import HoldSettings, LoadFrameNodeSettings
+from fringedic.settings.load_frame import HoldSettings, LoadFrameNodeSettings, MachineSettings
 from fringedic.settings.parameters import default_parameters, to_parameters
 from fringedic.settings.projector import ProjectorNodeSettings
 from fringedic.settings.recorder import RecorderNodeSettings, RecorderSettings
@@ -126,7 +126,7 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
     nodes = [_recorder(rig, folder)]
     if rig.recording.process:
         nodes += [_node(name, package, getattr(processing, name)) for name, package in PROCESSING_NODES.items()]
-    if rig.has_load_frame_node:
+    if isinstance(rig.load_frame, MachineSettings):
         # the machine, which may be moving, is requested to hold as soon as it answers
         machine = LoadFrameNodeSettings(device=rig.load_frame, **_virtual(rig))
         nodes.append(_node("load_frame", "load_frame_node", machine, machine_required=False))
