@@ -236,7 +236,17 @@ class CalibrationSession:
             identifier=setting.identifier,
             created=created,
         )
-        self.drift, noise = _drift(fitted, planes[0], planes[-1])
+        first = planes[0]
+        last = planes[-1]
+        surface = fitted.reconstruct(first.phase, first.sigma)
+        slope = np.abs(surface.dz_dphi.values.astype(float))
+        noise = float(np.nanmedian(slope * first.sigma))
+        if first is last or apart(last.angle - first.angle, last.height - first.height):
+            self.drift = math.nan
+        else:
+            change = slope * (last.phase.astype(float) - first.phase)
+            variance = slope**2 * (first.sigma.astype(float) ** 2 + last.sigma.astype(float) ** 2)
+            self.drift = math.sqrt(max(float(np.nanmean(change**2 - variance)), 0.0))
         warnings = [*grid.warnings, *fitted.warnings]
         if math.isnan(self.drift):
             warnings.append(Finding(CalibrationWarning.DRIFT_UNKNOWN))
@@ -272,15 +282,3 @@ class CalibrationSession:
             raise CalibrationError("there is no calibration: calibrate comes first")
         if self.result.go:
             self.result.save(folder, summary)
-
-
-def _drift(fitted: RigCalibration, first: Plane, last: Plane) -> tuple[float, float]:
-    """Return the change of the first plane until its last measurement, RMS, and the noise of one pixel [m]."""
-    surface = fitted.reconstruct(first.phase, first.sigma)
-    slope = np.abs(surface.dz_dphi.values.astype(float))
-    noise = float(np.nanmedian(slope * first.sigma))
-    if first is last or apart(last.angle - first.angle, last.height - first.height):
-        return math.nan, noise
-    change = slope * (last.phase.astype(float) - first.phase)
-    variance = slope**2 * (first.sigma.astype(float) ** 2 + last.sigma.astype(float) ** 2)
-    return math.sqrt(max(float(np.nanmean(change**2 - variance)), 0.0)), noise
