@@ -117,12 +117,18 @@ class ExperimentAccessor:
         return remove_rigid_motion(self._dataset, region)
 
     def force_curve(
-        self, strain: ArrayLike, *, section: float | None = None, tare: float = 0.0, sign: int = 1
+        self,
+        strain: ArrayLike,
+        *,
+        section: float | None = None,
+        tare: float = 0.0,
+        sign: int = 1,
+        load: str = "force",
     ) -> xr.Dataset:
         """Return force and stress against a strain; see `fringedic.evaluation.force_curve`."""
         from fringedic.evaluation.force import force_curve
 
-        return force_curve(self._dataset, strain, section=section, tare=tare, sign=sign)
+        return force_curve(self._dataset, strain, section=section, tare=tare, sign=sign, load=load)
 
     def compare_with_truth(self, truth: str | os.PathLike[str]) -> xr.Dataset:
         """Return the errors against the truth of a virtual rig; see `fringedic.evaluation.compare_with_truth`."""
