@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 from collections import Counter
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,8 @@ from running_system import CONFIG, WORKING, Progress, without_ros
 import fringedic
 from fringedic.command.outcome import RunReport
 from fringedic.recording.reader import BagReader
-from fringedic_bringup.procedures.replay import replay
+from fringedic_bringup.launch.graph import replay_graph
+from fringedic_bringup.procedures import replay as replaying
 from fringedic_bringup.procedures.run import load_rig, run_experiment
 
 NAMESPACE = "/rig/"
@@ -166,9 +168,13 @@ def test_process_without_ros_gives_the_arrays_of_the_nodes(experiment: RunReport
             )
 
 
-def test_replay_is_bit_identical(experiment: RunReport, raw_bag: Path, tmp_path: Path) -> None:
-    """From the raw topics alone, by new processes, with another number of threads."""
-    again = replay(raw_bag, tmp_path / "again", Progress(), environment={"NUMBA_NUM_THREADS": "1"})
+@pytest.mark.parametrize("composed", [False, True])
+def test_replay_is_bit_identical(
+    experiment: RunReport, raw_bag: Path, tmp_path: Path, composed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the raw topics alone, by new processes or by nodes in one process, with another number of threads."""
+    monkeypatch.setattr(replaying, "replay_graph", partial(replay_graph, composed=composed))
+    again = replaying.replay(raw_bag, tmp_path / "again", Progress(), environment={"NUMBA_NUM_THREADS": "1"})
     recorded, replayed = derived(experiment.folder / "bag"), derived(again)
     for name in MAPS:
         assert len(recorded[name]) == STEPS, name

@@ -8,7 +8,6 @@ import time
 from collections import deque
 
 import numpy as np
-from sensor_msgs.msg import Image
 from std_msgs.msg import Bool, Float64
 from std_srvs.srv import Trigger
 
@@ -24,6 +23,7 @@ from fringedic_ros.pairing import ImageExposurePairs
 from fringedic_ros.parameters import declare
 from fringedic_ros.qos import EVENTS, STATE
 from fringedic_ros.rig_node import RigNode
+from fringedic_ros.serialized import image_view
 from fringedic_ros.stamps import to_nanoseconds
 from fringedic_ros.waiting import Patience
 from fringedic_ros.work import Worker
@@ -49,7 +49,7 @@ class ExtensometerNode(RigNode):
         self._measuring = threading.Lock()  # a reference is not replaced while a frame is measured and published
         self._extensometer: VirtualExtensometer | None = None
         self._reference_after_ns = -math.inf  # stamp after which the exposure of the reference begins
-        self._newest: deque[tuple[Image, Exposure]] = deque(maxlen=1)
+        self._newest: deque[tuple[bytes, Exposure]] = deque(maxlen=1)
         self._step_takes_frames = False
         self._silence = Patience(self.parameters.value.frame_timeout_s)
         self._published_invalid = False
@@ -90,28 +90,28 @@ class ExtensometerNode(RigNode):
         with self._measuring:
             self._extensometer, self._reference_after_ns = None, after_ns
 
-    def _take_frame(self, message: Image, exposure: Exposure) -> None:
+    def _take_frame(self, image: bytes, exposure: Exposure) -> None:
         if exposure.kind not in MEASURED or (exposure.kind == PatternKind.OTHER and self._step_takes_frames):
             return
         self._silence.renew()
         if self._newest:
             self.diagnostics.drop()  # replaced before it was measured
-        self._newest.append((message, exposure))
+        self._newest.append((image, exposure))
         self._worker.submit(self._measure_newest)
 
     def _measure_newest(self) -> None:
         """Measure the frame that waits; in the thread of the worker."""
         if not self._newest:
             return  # it was replaced, and its successor is measured
-        message, exposure = self._newest.popleft()
+        image, exposure = self._newest.popleft()
         with self._measuring:
             try:
-                reading = self._measure(image_array(message), exposure)
+                reading = self._measure(image_array(image_view(image)), exposure)
             except FringedicError as error:
                 reading = StrainReading.invalid(str(error))
             self._publish(reading)
         if reading.valid:
-            self.diagnostics.success(1e-9 * (time.time_ns() - to_nanoseconds(message.header.stamp)))
+            self.diagnostics.success(1e-9 * (time.time_ns() - to_nanoseconds(exposure.header.stamp)))
 
     def _measure(self, image: np.ndarray, exposure: Exposure) -> StrainReading:
         p = self.parameters.value

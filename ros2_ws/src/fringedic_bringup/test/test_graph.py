@@ -6,9 +6,12 @@ import math
 from pathlib import Path
 
 import pytest
+import yaml
 
 from fringedic.configuration.rig_file import load_rig_file
+from fringedic.errors import ConfigurationError
 from fringedic_bringup.launch.graph import calibration_graph, exposing_graph, live_graph, rig_graph
+from fringedic_bringup.launch.launch_arguments import LaunchArguments, launched_rig
 
 REAL_RIG = """
 namespace: bench
@@ -73,6 +76,25 @@ def test_stored_and_foreign_images_saturate_at_the_stated_bits(
     rig = load_rig_file(path)
     [phase] = [node.parameters for node in rig_graph(rig, path, tmp_path / "out").nodes if node.name == "phase"]
     assert phase["saturation_grey_level"] == level
+
+
+def test_processing_nodes_share_a_process_when_the_rig_file_composes_them(tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    path.write_text(REAL_RIG + "nodes: {composed: true, dic: {window: 24}}\n")
+    graph = rig_graph(load_rig_file(path), path, tmp_path / "out")
+    assert [node.name for node in graph.processes["processing"]] == ["phase", "dic", "coupling"]
+    assert [name for name, nodes in graph.processes.items() if len(nodes) == 1] == [
+        name for name in graph.names if name not in ("phase", "dic", "coupling")
+    ]
+    dic = next(node for node in graph.nodes if node.name == "dic")
+    assert yaml.safe_load(dic.write_parameters(tmp_path).read_text())["/**/dic"]["ros__parameters"]["window"] == 24
+    assert dic.changed_parameters(tmp_path) == set()
+
+
+def test_a_part_of_a_shared_process_is_refused(tmp_path: Path) -> None:
+    arguments = LaunchArguments(rig="tiny", folder=str(tmp_path / "run"), composed=True, nodes="camera,dic")
+    with pytest.raises(ConfigurationError, match="phase, dic, coupling share the process processing; name all of them"):
+        launched_rig(arguments)
 
 
 def test_a_calibration_needs_absolute_phases(tmp_path: Path) -> None:

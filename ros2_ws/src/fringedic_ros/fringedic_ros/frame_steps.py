@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from sensor_msgs.msg import Image
-
 from fringedic.frames.collector import FrameCollector, Stack
 from fringedic.frames.records import frame_record
 from fringedic.patterns.pattern import PHASE_KINDS, PatternKind
@@ -14,6 +12,7 @@ from fringedic_msgs.msg import Exposure
 from fringedic_ros.images import image_array
 from fringedic_ros.pairing import ImageExposurePairs
 from fringedic_ros.processing import JOINED_STEPS, ProcessingNode, StepId
+from fringedic_ros.serialized import image_view
 from fringedic_ros.stamps import to_nanoseconds
 
 
@@ -56,7 +55,7 @@ class FrameSteps:
         missing = self._collector.abandon(experiment, step)
         return str(missing) if missing else ""
 
-    def _take(self, image: Image, exposure: Exposure) -> None:
+    def _take(self, image: bytes, exposure: Exposure) -> None:
         if exposure.kind not in self._kinds:
             self._on_other(exposure)
             return
@@ -64,7 +63,7 @@ class FrameSteps:
             self._node.diagnostics.drop()
             return
         try:
-            stack = self._collector.add(frame_record(exposure), image_array(image))
+            stack = self._collector.add(frame_record(exposure), image_array(image_view(image)))
         except Exception as error:
             self.abandon(exposure.experiment, exposure.step)
             self._node.fail(StepId.of(exposure), error)

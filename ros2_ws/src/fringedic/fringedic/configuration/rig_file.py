@@ -17,6 +17,7 @@ from fringedic.configuration.programme import Programme
 from fringedic.configuration.sections import (
     VIRTUAL_RIG,
     ExtensometerSection,
+    NodesSection,
     RecordingSection,
     ReferencePlaneSection,
 )
@@ -29,7 +30,7 @@ from fringedic.rig.model import RigModel
 from fringedic.settings.base import MILLI, FilePath
 from fringedic.settings.camera import Camera
 from fringedic.settings.devices import ImageDeviceSettings
-from fringedic.settings.experiment import ProcessingSettings, SequenceSettings
+from fringedic.settings.experiment import SequenceSettings
 from fringedic.settings.load_frame import LoadFrame, MachineSettings
 from fringedic.settings.projector import Projector
 from fringedic.virtual_rig import VirtualRigConfiguration
@@ -79,7 +80,7 @@ class RigFile(Section):
     )
     load_frame: LoadFrame | None = Field(None, description="The testing machine.")
     extensometer: ExtensometerSection | None = Field(None, description="The virtual extensometer between the steps.")
-    nodes: ProcessingSettings = Field(ProcessingSettings(), description="Parameters of the processing nodes.")
+    nodes: NodesSection = Field(NodesSection(), description="Parameters of the processing nodes.")
     noise_floor_file: FilePath | None = Field(
         None, description="Noise floor from `fringedic noise`, relative to this file; it is part of every recording."
     )

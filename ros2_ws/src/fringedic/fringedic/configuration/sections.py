@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from fringedic.configuration.yaml_section import Section
 from fringedic.settings.base import MILLI
+from fringedic.settings.experiment import ProcessingSettings
 from fringedic.settings.extensometer import ExtensometerSettings
 from fringedic.settings.recorder import RecorderSettings
 
@@ -98,6 +99,14 @@ class ExtensometerSection(ExtensometerSettings):
     """Two points of the surface whose distance is measured in a free run of the camera between the steps."""
 
     rate_hz: float = Field(30.0, gt=0, le=1000, description="Rate of the frames of the free run [Hz].")
+
+
+class NodesSection(ProcessingSettings):
+    """Settings of the processing nodes, and whether they share a process."""
+
+    composed: bool = Field(
+        False, description="Whether these nodes run in one process, in which they pass results on without messages."
+    )
 
 
 class RecordingSection(RecorderSettings):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from fringedic.steps.recorded_parameters import present_parameters
 from fringedic.wording.yaml_text import load_yaml
 
 PROCESSING_NODES = {"phase": "phase_node", "dic": "dic_node", "coupling": "coupling_node"}
+COMPOSED = "processing"  # the process, and the executable, of all processing nodes together
 STEP_TOPIC = "experiment/step"
 _FULL_SCALES = (0.0, 255.0, 65535.0)  # unknown, or that of the pixel type
 FRAMES_MISSED = 3  # in a row, after which the extensometer reports that it has no image
@@ -35,10 +36,12 @@ FRAMES_MISSED = 3  # in a row, after which the extensometer reports that it has 
 
 @dataclass(frozen=True)
 class NodeEntry:
-    """One node process, as of ``ros2 run package executable``, with its name and parameters.
+    """One node, started as by ``ros2 run package executable``, with its name and parameters.
 
     Attributes
     ----------
+    process
+        Name of the process that it shares with other nodes; empty: it has its own.
     changes_at_restart
         Parameters that differ when the node is started again after it has ended.
     defaults
@@ -51,11 +54,13 @@ class NodeEntry:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     changes_at_restart: Mapping[str, Any] = field(default_factory=dict)
     defaults: Mapping[str, Any] = field(default_factory=dict)
+    process: str = ""
 
     def write_parameters(self, folder: Path, **others: Any) -> Path:
         """Write all parameters and some others into ``<name>.yaml`` of a folder, and return its path."""
         file = folder / f"{self.name}.yaml"
-        file.write_text(yaml.safe_dump({"/**": {"ros__parameters": {**self.parameters, **others}}}))
+        nodes = f"/**/{self.name}" if self.process else "/**"  # the process reads the files of all its nodes
+        file.write_text(yaml.safe_dump({nodes: {"ros__parameters": {**self.parameters, **others}}}))
         return file
 
     def changed_parameters(self, folder: Path) -> set[str]:
@@ -72,7 +77,8 @@ class NodeEntry:
         if not file.exists():
             return set()
         try:
-            written = present_parameters(self.name, load_yaml(file.read_text())["/**"]["ros__parameters"])
+            (content,) = load_yaml(file.read_text()).values()
+            written = present_parameters(self.name, content["ros__parameters"])
             before = {**self.defaults, **written}
             # with lists and texts, as in the file
             now = {**self.defaults, **load_yaml(yaml.safe_dump(dict(self.parameters)))}
@@ -92,6 +98,12 @@ class Graph:
     def names(self) -> list[str]:
         """Names of the nodes."""
         return [node.name for node in self.nodes]
+
+    @property
+    def processes(self) -> dict[str, tuple[NodeEntry, ...]]:
+        """Nodes of each process, by the name of the process, in the order of their start."""
+        names = dict.fromkeys(node.process or node.name for node in self.nodes)
+        return {name: tuple(node for node in self.nodes if name in (node.process, node.name)) for name in names}
 
 
 def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "") -> Graph:
@@ -120,12 +132,14 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
     calibration_file = "" if calibration is None else str((folder / "calibration.yaml").absolute())
     region = {"region": _region(rig.region_file, rig.camera_size())} if rig.region_file else {}
     parts = {"phase": _phase(rig), "dic": rig.nodes.dic}
-    processing = rig.nodes.model_copy(
-        update={name: parameters.model_copy(update=region) for name, parameters in parts.items()}
+    processing = ProcessingSettings(
+        coupling=rig.nodes.coupling,
+        **{name: parameters.model_copy(update=region) for name, parameters in parts.items()},
     )
     nodes = [_recorder(rig, folder)]
     if rig.recording.process:
-        nodes += [_node(name, package, getattr(processing, name)) for name, package in PROCESSING_NODES.items()]
+        entries = (_node(name, package, getattr(processing, name)) for name, package in PROCESSING_NODES.items())
+        nodes += _processing_nodes(entries, composed=rig.nodes.composed)
     if isinstance(rig.load_frame, MachineSettings):
         # the machine, which may be moving, is requested to hold as soon as it answers
         machine = LoadFrameNodeSettings(device=rig.load_frame, **_virtual(rig))
@@ -228,6 +242,7 @@ def replay_graph(
     steps: Sequence[int] = (),
     reference: int | None = None,
     calibration: Path | None = None,
+    composed: bool = False,
 ) -> Graph:
     """Return the nodes that process a recording again and record the results.
 
@@ -245,6 +260,8 @@ def replay_graph(
         A step that all others are measured against; by default as recorded.
     calibration
         File that replaces the recorded calibration of the rig.
+    composed
+        Whether the processing nodes share a process.
 
     Raises
     ------
@@ -266,7 +283,10 @@ def replay_graph(
         step_topic.removesuffix(STEP_TOPIC).strip("/"),
         (
             NodeEntry("recorder", "recorder_node", "recorder", {"bag_path": str(output.absolute()), "derived": True}),
-            *(NodeEntry(name, package, name, overrides.get(name, {})) for name, package in PROCESSING_NODES.items()),
+            *_processing_nodes(
+                (NodeEntry(name, package, name, overrides.get(name, {})) for name, package in PROCESSING_NODES.items()),
+                composed=composed,
+            ),
             NodeEntry("player", "player_node", "player", player),
         ),
     )
@@ -286,6 +306,13 @@ def _node(name: str, package: str, settings: BaseModel, **again: Any) -> NodeEnt
 def _recorder(rig: RigFile, folder: Path) -> NodeEntry:
     shared = rig.recording.model_dump(include=set(RecorderSettings.model_fields))
     return _node("recorder", "recorder_node", RecorderNodeSettings(bag_path=str((folder / "bag").absolute()), **shared))
+
+
+def _processing_nodes(nodes: Iterable[NodeEntry], *, composed: bool) -> list[NodeEntry]:
+    """Return the processing nodes, in one process when they are composed."""
+    if not composed:
+        return list(nodes)
+    return [replace(node, package="fringedic_bringup", executable=COMPOSED, process=COMPOSED) for node in nodes]
 
 
 def _hardware(rig: RigFile, **others: Any) -> list[NodeEntry]:

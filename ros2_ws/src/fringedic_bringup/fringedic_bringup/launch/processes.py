@@ -76,8 +76,8 @@ class RunningGraph:
         self._ending_since: dict[str, float] = {}
 
     def __enter__(self) -> RunningGraph:
-        executables = {entry.name: _executable(entry) for entry in self.graph.nodes}
-        if any(entry.package in PROCESSING_NODES.values() for entry in self.graph.nodes):
+        executables = {name: _executable(entries[0]) for name, entries in self.graph.processes.items()}
+        if not PROCESSING_NODES.keys().isdisjoint(self.graph.names):
             require_kernels(lambda words: sys.stderr.write(f"{words}\n"))  # before a node is waited for
         if self._owner:
             self._lease.__enter__()
@@ -85,8 +85,8 @@ class RunningGraph:
             if self._owner:
                 require_no_nodes(self._domain, self.graph)
             self.logs.mkdir(parents=True, exist_ok=True)
-            for entry in self.graph.nodes:
-                self._start(entry, executables[entry.name])
+            for name, entries in self.graph.processes.items():
+                self._start(name, entries, executables[name])
         except BaseException:
             self.__exit__(*sys.exc_info())
             raise
@@ -115,8 +115,9 @@ class RunningGraph:
         return self._processes[name].pid
 
     def log(self, name: str) -> Path:
-        """Return the path of a node's log."""
-        return self.logs / f"{name}.log"
+        """Return the path of a node's log, which is that of its process."""
+        shared = {entry.name: entry.process for entry in self.graph.nodes}.get(name)
+        return self.logs / f"{shared or name}.log"
 
     def expect_end(self, name: str) -> None:
         """Allow a node to end by itself with exit code 0."""
@@ -153,10 +154,21 @@ class RunningGraph:
         return "\n".join(f"  {line}" for line in text.splitlines()[-lines:])
 
     def restart(self, name: str, **changes: Any) -> None:
-        """Start a node that has ended once more, with these parameters changed; its log continues in the same file."""
+        """Start a node that has ended once more, with these parameters changed; its log continues in the same file.
+
+        The nodes of its process start with it.
+        """
+        if name in self._processes and self._processes[name].poll() is None:
+            return  # with another node of its process
         entry = next(each for each in self.graph.nodes if each.name == name)
-        entry = replace(entry, parameters={**entry.parameters, **entry.changes_at_restart, **changes})
-        self._start(entry, _executable(entry))
+        process = entry.process or name
+        entries = [
+            replace(
+                each, parameters={**each.parameters, **each.changes_at_restart, **(changes if each is entry else {})}
+            )
+            for each in self.graph.processes[process]
+        ]
+        self._start(process, entries, _executable(entry))
 
     def kill(self, names: Iterable[str]) -> None:
         """Kill nodes that do not answer; `dead` contains them then."""
@@ -182,7 +194,7 @@ class RunningGraph:
             remove_stale_segments()
 
     def _end(self, names: Sequence[str], grace_s: Mapping[signal.Signals, float]) -> None:
-        processes = [self._processes[name] for name in names]
+        processes = list(dict.fromkeys(self._processes[name] for name in names))
         end = max((self._ending_since.setdefault(name, time.monotonic()) for name in names), default=0.0)
         for number, grace in grace_s.items():
             end += grace
@@ -195,12 +207,16 @@ class RunningGraph:
             if all(process.poll() is not None for process in processes):
                 return
 
-    def _start(self, entry: NodeEntry, executable: Path) -> None:
-        parameters = entry.write_parameters(self.logs)
-        arguments = ["--ros-args", "-r", f"__node:={entry.name}", "--params-file", str(parameters)]
+    def _start(self, name: str, entries: Sequence[NodeEntry], executable: Path) -> None:
+        arguments = ["--ros-args"]
+        for entry in entries:
+            arguments += ["--params-file", str(entry.write_parameters(self.logs))]
+        if name == entries[0].name:  # the nodes of a shared process have their own names
+            arguments += ["-r", f"__node:={name}"]
         if self.graph.namespace:
             arguments += ["-r", f"__ns:=/{self.graph.namespace}"]
-        self._processes[entry.name] = self._process([str(executable), *arguments], self.log(entry.name))
+        process = self._process([str(executable), *arguments], self.log(entries[0].name))
+        self._processes |= {entry.name: process for entry in entries}
 
     def _process(self, command: list[str], log: Path) -> subprocess.Popen[bytes] | ForkedProcess:
         if can_fork(Path(command[0])):
