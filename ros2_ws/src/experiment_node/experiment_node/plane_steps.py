@@ -15,7 +15,7 @@ from experiment_node.active_goal import StepFailure
 from experiment_node.calibration_run import CalibrationRun
 from experiment_node.running_step import RunningStep
 from experiment_node.step_runner import StepRunner
-from fringedic.calibration.sentences import place_in_words
+from fringedic.calibration.sentences import placing_instruction
 from fringedic.errors import FringedicError, WaitTimeoutError
 from fringedic.patterns.pattern import ProjectedPattern
 from fringedic.settings.experiment import ExperimentNodeSettings
@@ -94,7 +94,7 @@ class PlaneSteps:
                 "calibrate with `fringedic calibrate`, which asks an operator",
             ),
         )
-        what = place_in_words(plane.kind, plane.angle, plane.height)
+        what = placing_instruction(plane.kind, plane.angle, plane.height)
         with LongRequest(self._node, self._place, request) as sent:
             await run.goal.wait_polling(
                 sent.is_over,

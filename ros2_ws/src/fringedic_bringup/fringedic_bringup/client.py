@@ -32,7 +32,7 @@ from rclpy.task import Future
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
-from fringedic.calibration.sentences import place_in_words
+from fringedic.calibration.sentences import placing_instruction
 from fringedic.configuration.conditions import Reading
 from fringedic.errors import MoveStoppedError, RigBusyError, StepFailedError, WaitTimeoutError
 from fringedic.signals import SignalCollector
@@ -523,7 +523,7 @@ class RigClient:
         WaitTimeoutError
             There is no server of ``reference_plane/place`` any more, or it does not answer.
         """
-        what = place_in_words(kind, angle, height)
+        what = placing_instruction(kind, angle, height)
         request = PlaceReferencePlane.Request(kind=kind, angle=angle, height=height)
         with LongRequest(self.node, self._place, request) as sent:
             self.wait_for(sent.is_over, self._placing_s, lambda: f"{what}: {self._place.srv_name}: no answer")

@@ -406,7 +406,7 @@ def position_in_words(kind: int, angle: float, height: float) -> str:
     return f"{_NAMES[PlaneKind(kind)]} at {math.degrees(angle) + 0.0:+.2f} degree and {1e3 * height + 0.0:+.3f} mm"
 
 
-def place_in_words(kind: int, angle: float, height: float) -> str:
+def placing_instruction(kind: int, angle: float, height: float) -> str:
     """Return the instruction to put something in front of the camera; angle [rad], height [m]."""
     if kind == PlaneKind.SPECIMEN:
         return "put the specimen back"

@@ -12,7 +12,7 @@ from rclpy.parameter import Parameter
 
 from fringedic.calibration.placement import PlaneKind
 from fringedic.calibration.result import RigCalibration
-from fringedic.calibration.sentences import place_in_words
+from fringedic.calibration.sentences import placing_instruction
 from fringedic.calibration.traceability import Traceability
 from fringedic.command.outcome import CalibrationReport, Progress
 from fringedic.configuration.rig_file import RigFile
@@ -186,7 +186,7 @@ def placing_by(ask: Callable[[str], bool]) -> Callable[[int, float, float], str]
     def place(kind: int, angle: float, height: float) -> str:
         if kind == PlaneKind.SPECIMEN:
             return ""  # nothing waits for the specimen
-        words = place_in_words(kind, angle, height)
+        words = placing_instruction(kind, angle, height)
         return "" if ask(words[:1].upper() + words[1:]) else "the operator stopped"
 
     return place

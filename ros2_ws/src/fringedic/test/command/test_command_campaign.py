@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from fringedic.command import main
 from fringedic.errors import CampaignError, ConfigurationError
 
-RECORDED = Path(__file__).parents[2] / "fringedic" / "test" / "recordings" / "version_0_1" / "bag"
+RECORDED = Path(__file__).parents[1] / "recordings" / "version_0_1" / "bag"
 
 
 def command(*words: str) -> tuple[int, str]:
