@@ -112,7 +112,9 @@ def noise(
     images: Annotated[
         list[Path] | None, typer.Option("--images", help="An image at rest, instead of a rig; give at least three.")
     ] = None,
-    steps: Annotated[int, typer.Option(help="With a rig: number of steps at rest, with the reference.")] = 10,
+    steps: Annotated[
+        int, typer.Option(min=3, max=1000, help="With a rig: number of steps at rest, with the reference.")
+    ] = 10,
     window: Annotated[
         int, typer.Option(min=8, max=256, help="With --images: width of the correlation window [px].")
     ] = 32,

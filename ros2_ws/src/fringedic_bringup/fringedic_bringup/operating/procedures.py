@@ -32,15 +32,7 @@ from fringedic.wording.path_names import path_name
 from fringedic.wording.yaml_text import load_yaml
 from fringedic_bringup.launch.graph import exposing_graph, rig_graph
 from fringedic_bringup.launch.processes import RunningGraph
-from fringedic_bringup.operating.options import (
-    AdviseOptions,
-    CalibrateOptions,
-    CheckOptions,
-    LiveOptions,
-    NoiseOptions,
-    RunOptions,
-    TimingOptions,
-)
+from fringedic_bringup.operating.options import RunOptions, options_of
 from fringedic_bringup.operating.status import STOPPED, Job, Outcome, StoppedError
 from fringedic_bringup.procedures.accept import shapes_by_nodes
 from fringedic_bringup.procedures.calibrate import calibrate
@@ -100,7 +92,7 @@ class Place:
         return os.path.relpath(file, self.folder)
 
 
-def _live(place: Place, job: Job, request: Request, options: LiveOptions) -> Outcome:
+def _live(place: Place, job: Job, request: Request, options: Any) -> Outcome:
     pattern, part = LivePattern(request.pattern or LivePattern.WHITE), part_of_image(options.region)
     with closing(watch(place.rig, place.rig_path, pattern, region=part, domain=place.domain)) as views:
         job.stage("live")
@@ -113,7 +105,7 @@ def _live(place: Place, job: Job, request: Request, options: LiveOptions) -> Out
     return Outcome()
 
 
-def _timing(place: Place, job: Job, _: Request, options: TimingOptions) -> Outcome:
+def _timing(place: Place, job: Job, _: Request, options: Any) -> Outcome:
     folder = place.new_folder(job, "timing")
     report = measure_rig_timing(
         place.rig,
@@ -133,7 +125,7 @@ def _response(place: Place, job: Job, *_: object) -> Outcome:
     return Outcome(report.words, report.setting, RESPONSE_PICTURE)
 
 
-def _calibrate(place: Place, job: Job, _: Request, options: CalibrateOptions) -> Outcome:
+def _calibrate(place: Place, job: Job, _: Request, options: Any) -> Outcome:
     rig = with_angles(place.rig, options.angles_deg) if options.angles_deg else place.rig
     folder = place.new_folder(job, "calibration")
     report = calibrate(rig, place.rig_path, folder, job, ask=job.ask, watch=job.raise_when_stopped, domain=place.domain)
@@ -141,7 +133,7 @@ def _calibrate(place: Place, job: Job, _: Request, options: CalibrateOptions) ->
     return Outcome(report.words, settings, good=report.go)
 
 
-def _check(place: Place, job: Job, _: Request, options: CheckOptions) -> Outcome:
+def _check(place: Place, job: Job, _: Request, options: Any) -> Outcome:
     folder = place.new_folder(job, "check")
     if options.vdi:
         tested = accept(
@@ -179,14 +171,14 @@ def _region(place: Place, job: Job, request: Request, _: Section) -> Outcome:
     return Outcome([f"the region is {share:.0f} % of the image; the rig file uses it"], picture=picture.name)
 
 
-def _noise(place: Place, job: Job, _: Request, options: NoiseOptions) -> Outcome:
+def _noise(place: Place, job: Job, _: Request, options: Any) -> Outcome:
     folder = place.new_folder(job, "noise")
     measured = measure_noise(place.rig, place.rig_path, folder, job, steps=options.steps, domain=place.domain)
     setting = f"noise_floor_file: {place.relative(folder / 'noise_floor.yaml')}"
     return Outcome(noise_floor_text(measured.metadata).splitlines(), setting, "noise_floor.png")
 
 
-def _advise(place: Place, job: Job, _: Request, options: AdviseOptions) -> Outcome:
+def _advise(place: Place, job: Job, _: Request, options: Any) -> Outcome:
     """Take three images at rest, and recommend window and spacing."""
     folder = place.new_folder(job, "static")
     folder.mkdir(parents=True)
@@ -303,23 +295,28 @@ def _recording_folder(place: Place, job: Job, rig: RigFile, experiment: str) -> 
 
 
 class Procedure(NamedTuple):
-    """What a procedure does, and its options; a plain `Section` has none."""
+    """What a procedure does, and the names of its options among those of the command, or their own section."""
 
     carry_out: Callable[[Place, Job, Request, Any], Outcome]
-    options: type[Section] = Section
+    names: tuple[str, ...] = ()
+    section: type[Section] | None = None
+
+    def options(self, name: str) -> type[Section]:
+        """Return the options of the procedure `name`; a plain `Section` has none."""
+        return self.section or (options_of(name, self.names) if self.names else Section)
 
 
 PROCEDURES = {
-    "live": Procedure(_live, LiveOptions),
-    "timing": Procedure(_timing, TimingOptions),
+    "live": Procedure(_live, ("region",)),
+    "timing": Procedure(_timing, ("exposure_ms", "longest_ms")),
     "response": Procedure(_response),
-    "calibrate": Procedure(_calibrate, CalibrateOptions),
-    "check": Procedure(_check, CheckOptions),
+    "calibrate": Procedure(_calibrate, ("angles_deg",)),
+    "check": Procedure(_check, ("distance_mm", "vdi")),
     "region": Procedure(_region),
-    "noise": Procedure(_noise, NoiseOptions),
-    "advise": Procedure(_advise, AdviseOptions),
+    "noise": Procedure(_noise, ("steps",)),
+    "advise": Procedure(_advise, ("wanted_noise_px", "wanted_period_px", "pixel_size_mm", "strain_window_points")),
     "settings": Procedure(_settings),
-    "run": Procedure(_run, RunOptions),
+    "run": Procedure(_run, section=RunOptions),
     "by_hand": Procedure(_by_hand),
 }
 
@@ -342,7 +339,7 @@ def requested(procedure: str, pattern: str = "", text: str = "", options: str = 
         raise ConfigurationError(f"{procedure}: the options are not YAML: {error}") from error
     if not isinstance(content, dict):
         raise ConfigurationError(f"{procedure}: the options are no mapping; write them as {{exposure_ms: 3.0}}")
-    return Request(procedure, pattern, text, validate(PROCEDURES[procedure].options, content, procedure))
+    return Request(procedure, pattern, text, validate(PROCEDURES[procedure].options(procedure), content, procedure))
 
 
 def execute(place: Place, job: Job, request: Request) -> None:
