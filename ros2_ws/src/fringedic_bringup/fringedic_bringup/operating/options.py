@@ -1,4 +1,4 @@
-"""Options of the procedures that an operator may start: those of the commands, with their types, limits and defaults."""
+"""Options of the procedures that an operator may start: types, limits and defaults are those of the commands."""
 
 from __future__ import annotations
 
