@@ -36,7 +36,7 @@ from fringedic.command.app import (
     say,
 )
 from fringedic.command.progress import LiveProgress
-from fringedic.errors import ExportError
+from fringedic.errors import ExportError, StepFailedError
 
 
 @app.command(
@@ -61,11 +61,12 @@ def process(
     """Process recordings again without nodes and write the results as datasets."""
     from fringedic.datasets import open_experiment, process_bag
     from fringedic.datasets.processing import PROCESSED_TOPICS
-    from fringedic.datasets.sentences import confirmation_sentence, references_sentence
+    from fringedic.datasets.sentences import confirmation_sentence, missing_settings_sentence, references_sentence
+    from fringedic.recording.frames import records
     from fringedic.recording.reader import BagReader
     from fringedic.recording.remote import local_copy
     from fringedic.rig.model import RigModel
-    from fringedic.steps.recorded_rig import require_calibration
+    from fringedic.steps.recorded_rig import missing_settings, require_calibration
 
     targets = _targets(bags, output)
     values = parameter_values(settings)
@@ -76,9 +77,11 @@ def process(
             measure(place, bag)
 
     def measure(place: str, bag: Path) -> None:
+        reader = BagReader(bag)
         if model is None:
-            require_calibration(BagReader(bag))
-        say(*losses(bag))
+            require_calibration(reader)
+        missing = missing_settings(reader, records(reader))
+        say(*losses(bag), *filter(None, [missing_settings_sentence(missing)]))
         errors = []
         with LiveProgress(console) as progress:
             progress.stage(f"processing {place}")
@@ -101,6 +104,8 @@ def process(
         with open_experiment(written) as dataset:
             sentences = [references_sentence(dataset), confirmation_sentence(dataset)]
         say(f"dataset: {written}", f"whole: {errors.count('')} of {len(errors)} steps", *filter(None, sentences))
+        if "" not in errors:
+            raise StepFailedError(f"no step was measured, the reasons are above and in {written}")
         say(next_reading(written))
 
     if output is not None and len(bags) > 1:
@@ -144,7 +149,12 @@ def info(bag: Place) -> None:
     console.print(table)
     clocks = {} if is_remote(bag) else recorded_clocks(bag)  # they are in the chunks, which are not fetched
     end = None if is_remote(bag) else programme_end(bag)
-    say(*clock_sentences(clocks), *content_sentences(summary), *programme_sentences(end), next_command(summary))
+    say(
+        *clock_sentences(clocks),
+        *content_sentences(summary),
+        *programme_sentences(end),
+        next_command(summary, summary.types),
+    )
 
 
 @app.command(rich_help_panel=RESULTS, epilog="Example: fringedic verify recordings/plate-7/bag")

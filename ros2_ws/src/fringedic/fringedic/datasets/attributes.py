@@ -9,13 +9,27 @@ import numpy as np
 import xarray as xr
 from pydantic import ValidationError
 
-from fringedic.datasets.quantities import MAP_DIMENSIONS, METADATA_ATTRIBUTE, MISSING_PARTS, STEP_NUMBERS, TIME_ZERO
+from fringedic.datasets.quantities import (
+    MAP_DIMENSIONS,
+    METADATA_ATTRIBUTE,
+    MISSING_PARTS,
+    MISSING_SETTINGS,
+    STEP_NUMBERS,
+    TIME_ZERO,
+)
 from fringedic.errors import DatasetError
 from fringedic.metadata import Metadata
 from fringedic.provenance import git_commit, software
 from fringedic.wording.path_names import path_name
 
-JSON_ATTRIBUTES = {"calibration": dict, "parameters": list, "rig": dict, METADATA_ATTRIBUTE: dict, MISSING_PARTS: list}
+JSON_ATTRIBUTES = {
+    "calibration": dict,
+    "parameters": list,
+    "rig": dict,
+    METADATA_ATTRIBUTE: dict,
+    MISSING_PARTS: list,
+    MISSING_SETTINGS: list,
+}
 """The attributes that contain JSON, and the kind of its content."""
 
 

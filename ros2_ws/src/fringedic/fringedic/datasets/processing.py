@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fringedic.datasets.derived import Collected
-from fringedic.datasets.quantities import MISSING_PARTS, PHASE_TOPICS, SOURCE_BYTES
+from fringedic.datasets.quantities import MISSING_PARTS, MISSING_SETTINGS, PHASE_TOPICS, SOURCE_BYTES
 from fringedic.datasets.rows import Row, in_order_of_steps, row_of, with_lost_steps
 from fringedic.datasets.stores import Store, dataset_path
 from fringedic.datasets.timeline import Timeline
@@ -64,7 +64,8 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     With the recorded parameters the maps equal those of the nodes bit by bit; independent checks of phase and
     displacement are added, see docs/results.md. A step that fails has a row without maps, and the variable ``error``
     contains the reason. Of a recording that is cut off all complete steps are measured; the attribute ``damage``
-    describes the loss, and ``missing_parts`` names later parts of the same run that were not joined with it.
+    describes the loss, and ``missing_parts`` names later parts of the same run that were not joined with it. Nodes of
+    which no settings are recorded use the defaults and are listed in ``missing_settings``.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
         The dataset to write, ``.nc`` for NetCDF or ``.zarr`` for Zarr; by default NetCDF beside the recording with its
         name, in the working folder if the recording is in an object store.
     overrides
-        Parameters that replace the recorded ones, ``{"dic.window": 24}``.
+        Parameters that replace the recorded ones, ``{"dic.window": 24, "specimen.force_sign": -1}``.
     steps
         Numbers of the steps to measure; all by default. The reference steps are always measured. The displacement of
         a step starts from that of its predecessors, so that results without them agree within the noise, not exactly.
@@ -109,7 +110,8 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
         The coarsest fringes repeat in the view of `calibration`.
     DatasetError
         The output exists or cannot be written, or the recording contains no frame of the experiment or of a requested
-        step, or several experiments.
+        step, or several experiments; or sign or tare of its force or the reference are not recorded, as in a later
+        file of a split recording, and not given.
 
     Examples
     --------
@@ -196,7 +198,9 @@ def process_into(
     names = _processed_topics(reader)
     asked = set(settings.references)
     read = None if settings.steps is None else settings.steps | asked
-    timeline = Timeline(reader, names, settings.experiment, steps=read)
+    timeline = Timeline(reader, names, settings.experiment, steps=read, overrides=settings.overrides)
+    if not asked:
+        timeline.require_reference()
     if settings.calibration is not None:
         check_calibration(settings.calibration, recorded_setup(reader))
     pipeline = OfflinePipeline(settings.overrides, timeline.experiment, settings.references, settings.calibration)
@@ -294,7 +298,8 @@ def _final_timeline(
 ) -> Timeline:
     """Return the timeline of a recording that is complete, if it is what was assumed while it was made."""
     reader = BagReader(recording.path)
-    timeline = Timeline(reader, _processed_topics(reader), None)
+    timeline = Timeline(reader, _processed_topics(reader), None, overrides=settings.overrides)
+    timeline.require_reference()
     if settings.calibration is not None:
         check_calibration(settings.calibration, recorded_setup(reader))
     differs = timeline.steps != steps or {"experiment": timeline.experiment, "source": timeline.source} != attributes
@@ -373,6 +378,8 @@ def _write(
         attributes["damage"] = timeline.damage
     if timeline.missing_parts:
         attributes[MISSING_PARTS] = json.dumps(timeline.missing_parts)
+    if timeline.missing_settings:
+        attributes[MISSING_SETTINGS] = json.dumps(timeline.missing_settings)
     with DatasetWriter(target, attributes) as writer:
         writer.add_signals(timeline.signals.values())
         for row in rows:

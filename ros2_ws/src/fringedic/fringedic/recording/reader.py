@@ -7,19 +7,18 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from functools import lru_cache
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
 
-from mcap.records import Channel, Message, Schema
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from rosbags.typesys.store import Typestore
+from mcap.records import Message
 
 from fringedic.errors import ErrorCode, RecordingError
 from fringedic.recording.bag_files import BagFiles, find_files, open_file, parts_of_run, recording_of
-from fringedic.recording.earlier_versions import translate
-from fringedic.recording.mcap_file import FOREIGN, McapFile, count_without_checksum, read_messages
+from fringedic.recording.conversion import readable
+from fringedic.recording.decoding import decode
+from fringedic.recording.latched import CopyFilter
+from fringedic.recording.mcap_file import FOREIGN, McapFile, count_without_checksum, read_messages, topic_of
 from fringedic.recording.order import ClockCheck
 from fringedic.recording.topics import RawMessage, Topic, is_named
 
@@ -32,7 +31,8 @@ class BagReader:
     Parameters
     ----------
     path
-        A rosbag2 folder with MCAP files, one MCAP file, or the folder of a run with its recording ``bag``.
+        A rosbag2 folder, one of its files, or the folder of a run with its recording ``bag``. Other storage than MCAP
+        in chunks is read through a copy in the folder of temporary files.
     check
         Read every chunk on opening and leave out those that are damaged. Without it, a file with an undamaged index is
         opened by its index alone, and a damaged chunk raises an error when it is reached.
@@ -80,7 +80,8 @@ class BagReader:
 
     def __init__(self, path: str | os.PathLike[str], *, check: bool = False) -> None:
         self.path = recording_of(Path(path))
-        found = find_files(self.path)
+        self._readable = readable(self.path)
+        found = find_files(self._readable.path)
         self.files, self.unlisted = tuple(found.present), tuple(found.unlisted)
         self._files = [open_file(file, check=check) for file in found.present]
         if all(file.foreign for file in self._files):
@@ -101,7 +102,8 @@ class BagReader:
         missing = (indexed | Counter(found.counts)) - Counter(self.counts)
         self.missing = dict(sorted(missing.items()))
         self.set_back = self._set_back()
-        self.damage = "; ".join(filter(None, (*_damage(self._files, found), self.set_back)))
+        damage = (self._readable.damage, *_damage(self._files, found), self.set_back)
+        self.damage = "; ".join(filter(None, damage))
         self.parts = parts_of_run(self.path)
         words = self.damage, _missing_words(self.missing), describe_parts(part.name for part in self.parts)
         self.lost = "; ".join(filter(None, words))
@@ -118,8 +120,15 @@ class BagReader:
 
     @property
     def chunks_without_checksum(self) -> int:
-        """Number of chunks without a checksum, which other recorders may leave out."""
+        """Number of chunks without a checksum: other recorders may leave it out, and other storage has none."""
+        if self.is_converted:
+            return sum(len(file.chunks) for file in self._files)
         return sum(count_without_checksum(file) for file in self._files)
+
+    @property
+    def is_converted(self) -> bool:
+        """Whether its storage is read through a copy; see `fringedic.recording.conversion`."""
+        return self._readable.path != self.path
 
     def find(self, *relative_names: str) -> dict[str, str]:
         """Return the full names of topics by their names relative to the rig's namespace.
@@ -159,8 +168,9 @@ class BagReader:
     def raw(self, topics: Iterable[str] | None = None, *, start: int = 0) -> Iterator[RawMessage]:
         """Iterate over serialised messages in the order of their log time.
 
-        Messages of equal time keep their order in the file. One chunk (about a megabyte) is in memory at a time, or
-        as many as overlap in time.
+        Messages of equal time keep their order in the file. Copies of latched messages, with which each file of a split
+        recording begins, are left out. One chunk (about a megabyte) is in memory at a time, or as many as overlap in
+        time.
 
         Parameters
         ----------
@@ -174,7 +184,12 @@ class BagReader:
         RecordingError
             A chunk is damaged although the index is complete.
         """
-        wanted = set(self.topics if topics is None else topics)
+        copies = CopyFilter()
+        for message in self._in_order(set(self.topics if topics is None else topics), start):
+            if not copies.is_copy(self.topics[message.topic], message):
+                yield message
+
+    def _in_order(self, wanted: set[str], start: int) -> Iterator[RawMessage]:
         places = [
             (chunk, number, file)
             for number, file in enumerate(self._files)
@@ -293,50 +308,9 @@ class BagReader:
         )
 
 
-def decode(topic: Topic, data: bytes, path: Path) -> Any:
-    """Return a message of a topic, decoded by its recorded definition; its arrays are NumPy arrays.
-
-    A message of an earlier version has the fields of the present one.
-
-    Raises
-    ------
-    RecordingError
-        See `BagReader.decode`; the message names the recording `path`.
-    """
-    if topic.encoding != "ros2msg":
-        raise RecordingError(f"{path}: {topic.name} is defined in {topic.encoding}, only ros2msg is supported")
-    types = _types(topic.definition, topic.type_name)
-    try:
-        message = types.deserialize_cdr(data, topic.type_name)
-    except Exception as error:
-        raise RecordingError(f"{path}: a message of {topic.name} is not a {topic.type_name}: {error}") from error
-    translate(topic.type_name, message)
-    return message
-
-
-@lru_cache(maxsize=256)
-def _types(definition: str, type_name: str) -> Typestore:
-    """Return the types of a definition; their code is generated once for all recordings with the same definition."""
-    types = get_typestore(Stores.EMPTY)
-    types.register(get_types_from_msg(definition, type_name))
-    return types
-
-
 def _raw(file: McapFile, message: Message) -> RawMessage:
     topic = file.channels[message.channel_id].topic
     return RawMessage(topic, message.data, message.log_time, message.publish_time, message.sequence)
-
-
-def topic_of(channel: Channel, schema: Schema | None) -> Topic:
-    """Return the topic of a channel."""
-    return Topic(
-        channel.topic,
-        schema.name if schema else "",
-        schema.data.decode(errors="replace") if schema else "",
-        schema.encoding if schema else "",
-        channel.metadata.get("topic_type_hash", ""),
-        channel.metadata.get("offered_qos_profiles", ""),
-    )
 
 
 def _damage(files: Iterable[McapFile], found: BagFiles) -> Iterator[str]:

@@ -105,12 +105,13 @@ def verify(path: str | os.PathLike[str]) -> Verification:
         clock.add(message)
     known = reader.set_back or reader.unlisted  # files of other recordings have times of their own
     set_back = "" if known else clock.description
+    without_manifest = reader.is_converted or reader.path.is_file()
     gaps = counts.missing(in_file_order=bool(reader.set_back or set_back))
     return Verification(
         path=reader.path,
         files=len(reader.files),
         messages=sum(reader.counts.values()),
-        manifest=check_manifest(reader.path) if reader.path.is_dir() else ManifestCheck(present=False),
+        manifest=ManifestCheck(present=False) if without_manifest else check_manifest(reader.path),
         damage="; ".join(filter(None, (reader.lost, set_back))),
         unchecked=reader.chunks_without_checksum,
         gaps=gaps,

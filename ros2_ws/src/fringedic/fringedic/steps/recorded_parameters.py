@@ -10,12 +10,13 @@ import numpy as np
 from pydantic import ValidationError
 
 from fringedic.errors import ConfigurationError
-from fringedic.metadata import Metadata
+from fringedic.metadata import Metadata, SpecimenMetadata
 from fringedic.rig.model import RigModel
 from fringedic.steps.parameters import CouplingParameters, DicParameters, Parameters, PhaseParameters
 
 METADATA_PARAMETER = "metadata"
 _OLD_METADATA_PARAMETER = "facts"  # in recordings of earlier versions
+SPECIMEN = "specimen"
 _DIGITS = 9  # of a converted value, which does not show the rounding of its conversion
 MODELS: dict[str, type[Parameters]] = {"phase": PhaseParameters, "dic": DicParameters, "coupling": CouplingParameters}
 
@@ -121,7 +122,7 @@ class RecordedParameters:
     Parameters
     ----------
     overrides
-        Values that replace recorded ones, ``{"dic.window": 24}``.
+        Values that replace recorded ones, ``{"dic.window": 24, "specimen.force_sign": -1}``.
 
     Raises
     ------
@@ -135,9 +136,12 @@ class RecordedParameters:
         self.coupling = CouplingParameters()
         self._overrides: dict[str, dict[str, Any]] = {"phase": {}, "dic": {}, "coupling": {}}
         self._others: dict[str, dict[str, Any]] = {}
-        self._metadata: Metadata | None = None
+        self._of_specimen = of_specimen(overrides)
+        self._metadata = with_specimen(Metadata(), self._of_specimen) if self._of_specimen else None
         for name, value in overrides.items():
             node, _, parameter = name.partition(".")
+            if node == SPECIMEN:
+                continue
             if node not in self._overrides or parameter not in type(getattr(self, node)).model_fields:
                 raise ConfigurationError(f"there is no parameter '{name}'; {self._known(node)}")
             self._overrides[node][parameter] = value
@@ -146,7 +150,7 @@ class RecordedParameters:
 
     def _known(self, node: str) -> str:
         if node not in self._overrides:
-            return f"give one of {', '.join(self._overrides)}, such as dic.window"
+            return f"give one of {', '.join([*self._overrides, SPECIMEN])}, such as dic.window"
         return f"known are {', '.join(f'{node}.{key}' for key in self._model(node).model_fields)}"
 
     def settings(self, calibration: RigModel | None) -> StepSettings:
@@ -164,7 +168,7 @@ class RecordedParameters:
             return
         text = recorded.pop(METADATA_PARAMETER, "")
         if text:
-            self._metadata = Metadata.from_text(text)
+            self._metadata = with_specimen(Metadata.from_text(text), self._of_specimen)
         self._others[message.node] = recorded
 
     def _model(self, node: str) -> type[Parameters]:
@@ -185,6 +189,34 @@ def _value(value: Any) -> Any:
     kinds = ("", "bool", "integer", "double", "string", "byte_array", "bool_array", "integer_array", "double_array")
     content = getattr(value, f"{(*kinds, 'string_array')[value.type]}_value")
     return content.tolist() if isinstance(content, np.ndarray) else content
+
+
+def of_specimen(overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the overrides of the specimen by the name of the entry.
+
+    Examples
+    --------
+    >>> of_specimen({"dic.window": 24, "specimen.force_sign": -1})
+    {'force_sign': -1}
+    """
+    named = {name.partition("."): value for name, value in overrides.items()}
+    return {parameter: value for (node, _, parameter), value in named.items() if node == SPECIMEN}
+
+
+def with_specimen(metadata: Metadata, entries: Mapping[str, Any]) -> Metadata:
+    """Return metadata with other entries of the specimen.
+
+    Raises
+    ------
+    ConfigurationError
+        An entry is unknown or not allowed.
+    """
+    try:
+        specimen = SpecimenMetadata.model_validate({**metadata.specimen.model_dump(), **entries})
+    except ValidationError as error:
+        problems = "; ".join(f"{SPECIMEN}.{each['loc'][0]}: {each['msg']}" for each in error.errors())
+        raise ConfigurationError(f"{problems}; known are {', '.join(SpecimenMetadata.model_fields)}") from error
+    return metadata.model_copy(update={SPECIMEN: specimen})
 
 
 def recorded_metadata(messages: Iterable[Any]) -> Metadata:

@@ -197,6 +197,7 @@ class Bench:
             ("phase", PhaseParameters()),
             ("dic", self.displacement.parameters),
             ("coupling", self.shape.parameters),
+            ("experiment", ExperimentParameters()),
         ):
             self.parameters(node, model)
         values = asdict(self.calibration)
@@ -698,7 +699,8 @@ def test_a_recording_without_calibration_gives_the_displacement_and_says_what_is
     for number in range(2):
         bench.step(number, POSITIONS[number], derived=False)
     bench.writer.close()
-    with open_experiment(process_bag(tmp_path / "plate", overrides={"dic.spacing": 4})) as dataset:
+    given = {"dic.spacing": 4, "specimen.force_sign": 1, "specimen.force_tare_newton": 0.0}
+    with open_experiment(process_bag(tmp_path / "plate", overrides=given, reference=0)) as dataset:
         assert "no calibration yet" in str(dataset.error.values[1])
         assert np.isfinite(dataset.displacement_y[1]).mean() > 0.8
         assert np.isnan(dataset.w).all()
