@@ -17,6 +17,7 @@ from fringedic.figures.maps import save_pictures
 from fringedic.recording.frames import frame_losses
 from fringedic.recording.reader import BagReader
 from fringedic.report import write_report
+from fringedic.signals import FORCE
 
 Reconstruct = Callable[[xr.DataArray], xr.Dataset]
 
@@ -29,7 +30,7 @@ def write_results(
     exact: Reconstruct | None = None,
     measure_again: Sequence[int] = (),
 ) -> RunReport:
-    """Write dataset, pictures and report of a recording; add lost frames and errors against the truth to the steps.
+    """Write dataset, pictures and report of a recording; add lost frames, force and errors to the steps.
 
     Parameters
     ----------
@@ -58,10 +59,12 @@ def write_results(
         return RunReport(experiment, folder, steps, [], unmeasured=str(error))
     with open_experiment(target) as dataset:
         pictures, errors, no_errors = _compare(dataset, folder, exact)
-        if measure_again:  # the nodes measured against another reference
-            for report in steps:
-                if report.step in dataset.step:
-                    report.rms_displacement = float(dataset.rms_displacement.sel(step=report.step))
+        for report in steps:
+            if report.step in dataset.step:
+                row = dataset.sel(step=report.step)
+                report.force = float(row[FORCE.name])  # with sign and tare of the specimen, unlike that of the nodes
+                if measure_again:  # the nodes measured against another reference
+                    report.rms_displacement = float(row.rms_displacement)
         verdict = confirmation_sentence(dataset)
     write_report(target, folder / "report.html", overwrite=True)
     for report in steps:
