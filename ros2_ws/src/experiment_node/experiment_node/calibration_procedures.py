@@ -15,7 +15,7 @@ from fringedic.calibration.result import RigCalibration
 from fringedic.calibration.sentences import (
     calibration_in_words,
     grid_in_words,
-    place_in_words,
+    placing_instruction,
     plane_in_words,
     verdict_sentence,
 )
@@ -83,7 +83,7 @@ class CalibrationProcedures:
             kind=ReferencePlane.GRID, angle=angle, grid_pitch=request.grid_pitch, sigma_angle=request.sigma_angle
         )
         white = (ProjectedPattern(PatternKind.WHITE),) * (request.frames or GRID_FRAMES)
-        run.report(place_in_words(plane.kind, angle, 0.0))
+        run.report(placing_instruction(plane.kind, angle, 0.0))
         await self._steps.place(run, plane)
         step = await self._steps.measure(run, plane, white)
         await self._steps.await_images(run, images, CAMERA_IMAGE, step.stamps)
@@ -138,7 +138,7 @@ class CalibrationProcedures:
 
         The patterns are those of the begin: the fit takes all phases as those of one pitch.
         """
-        run.report(place_in_words(plane.kind, plane.angle, plane.height))
+        run.report(placing_instruction(plane.kind, plane.angle, plane.height))
         await self._steps.place(run, plane)
         step = await self._steps.measure(run, plane, patterns, ("phase",))
         for topic in PHASE_MAPS:

@@ -195,7 +195,7 @@ def test_force_and_stress_against_strain() -> None:
             force_curve(dataset, strain, **wrong)
     with pytest.raises(DatasetError, match="has 3 steps"):
         force_curve(dataset, [0.0])
-    with pytest.raises(DatasetError, match="no load frame"):
+    with pytest.raises(DatasetError, match=r"the dataset has no force \[N\] .force., only none; record a load frame"):
         force_curve(dataset.drop_vars("force"), strain)
 
 
