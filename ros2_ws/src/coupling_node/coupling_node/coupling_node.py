@@ -74,7 +74,7 @@ class CouplingNode(ProcessingNode[CouplingParameters]):
     def _take_calibration(self, message: RigCalibration) -> None:
         try:
             rig = RigModel.from_message(message)
-            check_calibration(rig, RigSetup())
+            check_calibration(rig, RigSetup(sensor=self.sensor))
         except Exception as error:
             self.get_logger().error(f"calibration '{message.identifier}' refused: {error}")
             self.diagnostics.failure(str(error))

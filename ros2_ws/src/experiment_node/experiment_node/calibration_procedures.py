@@ -117,6 +117,7 @@ class CalibrationProcedures:
             request.sigma_angle,
             request.sigma_height,
             (parameters.camera_first_column_px, parameters.camera_first_row_px),
+            self._steps.sensor,
         )
         await self._steps.compute(run, result.INVALID_GOAL, self._session.begin, setting)
         run.feedback.planes = len(planes)

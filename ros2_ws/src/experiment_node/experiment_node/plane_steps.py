@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import TypeVar
 
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import Image
 
@@ -25,7 +24,7 @@ from fringedic_ros.arrivals import unconnected
 from fringedic_ros.parameters import Parameters
 from fringedic_ros.placing import placing_problem
 from fringedic_ros.qos import LATCHED_BY_MANY
-from fringedic_ros.rig_node import RIG_FRAME, frame_id
+from fringedic_ros.rig_node import RIG_FRAME, RigNode, frame_id
 from fringedic_ros.stamps import to_msg, to_nanoseconds
 from fringedic_ros.waiting import Condition, LongRequest, call, wait_for
 from fringedic_ros.work import Worker
@@ -52,7 +51,7 @@ class PlaneSteps:
     """
 
     def __init__(
-        self, node: Node, changed: Condition, parameters: Parameters[ExperimentNodeSettings], runner: StepRunner
+        self, node: RigNode, changed: Condition, parameters: Parameters[ExperimentNodeSettings], runner: StepRunner
     ) -> None:
         self._node = node
         self._changed = changed
@@ -61,6 +60,11 @@ class PlaneSteps:
         self._worker = Worker(node)
         self._place = node.create_client(PlaceReferencePlane, "reference_plane/place")
         self._planes = node.create_publisher(ReferencePlane, "experiment/plane", LATCHED_BY_MANY)
+
+    @property
+    def sensor(self) -> str:
+        """Name of the sensor that is calibrated."""
+        return self._node.sensor
 
     @property
     def parameters(self) -> ExperimentNodeSettings:

@@ -10,9 +10,11 @@ import yaml
 
 from fringedic.configuration.rig_file import load_rig_file
 from fringedic.errors import ConfigurationError
-from fringedic_bringup.launch.graph import calibration_graph, exposing_graph, live_graph, rig_graph
+from fringedic.rig.model import RigModel
+from fringedic_bringup.launch.graph import calibration_graph, exposing_graph, live_graph, projecting_graph, rig_graph
 from fringedic_bringup.launch.launch_arguments import LaunchArguments, launched_rig
 
+CONFIG = Path(__file__).parents[1] / "config"
 REAL_RIG = """
 namespace: bench
 camera: {source: aravis, camera: 192.168.1.20, width: 1280, height: 960, first_row: 64, exposure_ms: 16.7, gain_db: 3}
@@ -174,3 +176,26 @@ def test_every_node_gets_the_frame_prefix_of_the_rig_file(tmp_path: Path) -> Non
         rig = load_rig_file(path)
         for graph in (rig_graph(rig, path, tmp_path / "out"), live_graph(rig), exposing_graph(rig)):
             assert {node.parameters.get("frame_prefix") for node in graph.nodes} == {expected}
+
+
+def test_a_named_sensor_is_a_namespace_of_its_nodes_which_know_it(tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    for key, namespace, expected in (("sensor: left\n", "bench/left", "left"), ("sensor: sensor\n", "bench", None)):
+        path.write_text(REAL_RIG + key)
+        rig = load_rig_file(path)
+        for graph in (rig_graph(rig, path, tmp_path / "out"), live_graph(rig), projecting_graph(rig)):
+            assert graph.namespace == namespace
+            assert {node.parameters.get("sensor") for node in graph.nodes} == {expected}
+
+
+def test_the_calibration_of_a_run_has_the_name_of_its_sensor_and_one_of_another_is_refused(tmp_path: Path) -> None:
+    path, virtual = tmp_path / "rig.yaml", CONFIG / "tiny.yaml"
+    path.write_text(virtual.read_text() + "sensor: left\n")
+    graph = rig_graph(load_rig_file(path), path, tmp_path / "out")
+    file = tmp_path / "out" / "calibration.left.yaml"
+    assert {node.name: node.parameters.get("calibration_file") for node in graph.nodes}["experiment"] == str(file)
+    assert RigModel.from_yaml(file).sensor == "left"
+    others = path.read_text().replace("calibration: virtual_rig", f"calibration: {file}").replace("left\n", "right\n")
+    path.write_text(others)
+    with pytest.raises(ConfigurationError, match=r"that of the sensor 'left', this is the sensor 'right': use the cal"):
+        rig_graph(load_rig_file(path), path, tmp_path / "again")

@@ -298,7 +298,8 @@ class ProcessingNode(RigNode, Generic[ModelT]):
         self._publish(step, status)
 
     def _publish(self, step: StepId, status: NodeStatus) -> None:
-        status.node, status.experiment, status.step = self.get_name(), step.experiment, step.step
+        status.node, status.sensor = self.get_name(), self.sensor
+        status.experiment, status.step = step.experiment, step.step
         status.header.stamp = to_msg(step.stamp)
         if status.skipped or status.error_code:
             _fill_in(status, Outcome())

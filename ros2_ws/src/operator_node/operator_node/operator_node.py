@@ -28,10 +28,12 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
 
+from fringedic.datasets.opening import RESULTS
 from fringedic.datasets.quantities import MAPS
 from fringedic.errors import ConfigurationError, FringedicError, OperatorError, StepFailedError
 from fringedic.figures.live_preview import browser_picture
 from fringedic.frames.messages import cloud_arrays
+from fringedic.frames.sensor import file_of
 from fringedic.report.page_server.app import Control, Hold, Measure, Start
 from fringedic.report.page_server.maps import RecordedMaps, SpooledMaps, described
 from fringedic.report.page_server.server import Address, PageServer
@@ -255,7 +257,7 @@ class OperatorNode(RigNode):
         self._folders["run"] = Path(message.folder)
         self._state.take_procedure(message, "procedure")
         if message.state == ProcedureStatus.DONE and message.procedure in MEASURING:
-            self._worker.submit(self._complete, Path(message.folder) / "results.nc")
+            self._worker.submit(self._complete, file_of(Path(message.folder) / f"{RESULTS}.nc", self.sensor))
 
     def _take_setup(self, message: SetupState) -> None:
         self._folders |= {item.item: Path(item.folder) for item in message.items if item.folder}

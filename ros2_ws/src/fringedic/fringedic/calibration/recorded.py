@@ -45,7 +45,10 @@ class RecordedPlane:
 
 
 def calibrate_recording(
-    path: str | os.PathLike[str], *, progress: Callable[[RecordedPlane], None] = lambda _: None
+    path: str | os.PathLike[str],
+    *,
+    sensor: str | None = None,
+    progress: Callable[[RecordedPlane], None] = lambda _: None,
 ) -> CalibrationSession:
     """Calibrate the rig once more from a recording: the latest planes in it, and the grids before them.
 
@@ -55,6 +58,8 @@ def calibrate_recording(
     ----------
     path
         The recording of a calibration.
+    sensor
+        Name of the sensor, if the recording contains several.
     progress
         Called with every plane that was measured.
 
@@ -73,7 +78,7 @@ def calibrate_recording(
     PatternError
         The coarsest fringes repeat in the camera's view.
     """
-    reader = BagReader(path)
+    reader = BagReader(path, sensor=sensor)
     planes = {(each.experiment, each.step): each for each in _messages(reader, "experiment/plane")}
     grids: set[tuple[str, int]] = set()
     steps: dict[str, set[tuple[str, int]]] = {}
@@ -136,7 +141,13 @@ class _Replay:
             self.session.locate_pin_hole(self._sigma_grid, finest.orientation)
             self.session.begin(
                 Setting(
-                    self._name, sizes.projector_size, finest, plane.sigma_angle, plane.sigma_height, sizes.camera_first
+                    self._name,
+                    sizes.projector_size,
+                    finest,
+                    plane.sigma_angle,
+                    plane.sigma_height,
+                    sizes.camera_first,
+                    stack.sensor,
                 )
             )
             self._begun = True

@@ -18,6 +18,7 @@ from fringedic.camera.findings import Finding
 from fringedic.camera.grid import GridMeasurement, measure_distortion
 from fringedic.camera.tilted_grid import TiltedGrid, locate_pin_hole, measure_tilted_grid
 from fringedic.errors import CalibrationError
+from fringedic.frames.sensor import SENSOR
 from fringedic.patterns.pattern import Orientation, ProjectedPattern
 from fringedic.rig.geometry import UNKNOWN_FIRST
 
@@ -61,6 +62,8 @@ class Setting:
         Standard uncertainty of the stage [rad, m].
     camera_first
         (column, row) of the sensor with which the camera's image begins [px]; -1 when unknown.
+    sensor
+        Name of the camera with its projector.
     """
 
     identifier: str
@@ -69,6 +72,7 @@ class Setting:
     sigma_angle: float = 0.0
     sigma_height: float = 0.0
     camera_first: tuple[int, int] = UNKNOWN_FIRST
+    sensor: str = SENSOR
 
 
 @dataclasses.dataclass(frozen=True)
@@ -253,7 +257,9 @@ class CalibrationSession:
         elif self.drift > noise:
             warnings.append(Finding(CalibrationWarning.DRIFT, values={"change": self.drift, "noise": noise}))
         column, row = setting.camera_first
-        model = dataclasses.replace(fitted.model, camera_first_column=column, camera_first_row=row)
+        model = dataclasses.replace(
+            fitted.model, sensor=setting.sensor, camera_first_column=column, camera_first_row=row
+        )
         self.result = dataclasses.replace(fitted, model=model, warnings=tuple(warnings))
         return self.result
 

@@ -113,6 +113,7 @@ class Unit:
             overrides=self.processing["overrides"],
             references=() if reference is None else (reference,),
             calibration=RigModel.from_text(calibration) if calibration else None,
+            sensor=self.processing.get("sensor"),
             segment=None if self.part is None else (self.part, self.processing["segments"]),
         )
 
@@ -266,7 +267,7 @@ def _summary_or_reason(found: Found, campaign: Campaign, follow: bool) -> Summar
         return found.missing
     try:
         growing = follow and is_growing(found.path)
-        summary = summarise_growing(found.path) if growing else summarise(found.path)
+        summary = summarise_growing(found.path) if growing else summarise(found.path, campaign.content.sensor)
     except FringedicError as error:
         return str(error)
     except OSError as error:

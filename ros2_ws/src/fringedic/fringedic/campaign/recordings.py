@@ -15,11 +15,11 @@ from fringedic.campaign.settings import Campaign, Labels, RecordingEntry
 from fringedic.errors import CampaignError, RecordingError
 from fringedic.frames.messages import image_array
 from fringedic.recording.bag_files import METADATA, find_files, recording_of
-from fringedic.recording.frames import EXPOSURE, IMAGE
 from fringedic.recording.growing import GrowingRecording
 from fringedic.recording.mcap_file import index_bytes
 from fringedic.recording.reader import BagReader
 from fringedic.recording.remote import RemoteRecording, find_remote, is_remote
+from fringedic.recording.topics import EXPOSURE, IMAGE
 from fringedic.wording.path_names import recording_names
 
 
@@ -162,23 +162,29 @@ def fingerprint(path: str) -> dict[str, tuple[int, int]]:
     return found
 
 
-def summarise(path: str) -> Summary:
+def summarise(path: str, sensor: str | None = None) -> Summary:
     """Return the summary of a recording; of its messages the first image and the first exposure record are read.
+
+    Parameters
+    ----------
+    path, sensor
+        The recording, and the name of the sensor, if it contains several.
 
     Raises
     ------
     RecordingError
-        There is no such recording, it is damaged or cut off, or has no images or exposure records.
+        There is no such recording, it is damaged or cut off, has no images or exposure records, or contains several
+        sensors and none is chosen.
     """
     if is_remote(path):
         with RemoteRecording(path).copied((IMAGE, EXPOSURE), first=True) as nearby:
-            return _summary(path, nearby)
-    return _summary(path, Path(path))
+            return _summary(path, nearby, sensor)
+    return _summary(path, Path(path), sensor)
 
 
-def _summary(path: str, nearby: Path) -> Summary:
+def _summary(path: str, nearby: Path, sensor: str | None) -> Summary:
     identity = fingerprint(str(nearby))
-    reader = BagReader(nearby)
+    reader = BagReader(nearby, sensor=sensor)
     if reader.lost:
         raise RecordingError(f"{path}: {reader.lost}; 'fringedic recover {path}' writes a complete one")
     names = reader.find(IMAGE, EXPOSURE)

@@ -12,6 +12,7 @@ from pydantic import Field, model_validator
 
 from fringedic.configuration.yaml_section import Section, load_sections
 from fringedic.errors import CalibrationError, CampaignError
+from fringedic.frames.sensor import SensorName
 
 if TYPE_CHECKING:
     from fringedic.frames.region import Region
@@ -93,6 +94,7 @@ class CampaignFile(Section):
     store: str = Field("store", description="Folder or address (s3://...) of the results.")
     recordings: list[RecordingEntry] = Field(min_length=1, description="Recordings with their labels.")
     settings: _Settings = Field({}, description="Parameters that replace the recorded ones, such as dic.window.")
+    sensor: SensorName | None = Field(None, description="Name of the sensor, if the recordings contain several.")
     calibration: str | None = Field(None, description="File of a calibration that replaces the recorded ones.")
     reference: int | None = Field(None, description="Step that all others are measured against.")
     segments: int = Field(
@@ -135,6 +137,7 @@ class Campaign:
             "calibration": self.calibrations[calibration] if calibration else "",
             "segments": self.content.segments,
             "elasticity": self.content.elasticity.model_dump(mode="json"),
+            **({} if self.content.sensor is None else {"sensor": self.content.sensor}),
         }
 
 

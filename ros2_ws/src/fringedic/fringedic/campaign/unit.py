@@ -85,10 +85,10 @@ def _follow(unit: Unit) -> Receipt:
         group = GroupStore(store, unit.name)
         with suppress(FollowError):
             follow_into(group, recording, unit.settings, lambda *_: begun.count_step())
-            return _commit(unit.completed(summarise(unit.path)), group, begun)
+            return _commit(unit.completed(summarise(unit.path, unit.settings.sensor)), group, begun)
         begun.remove()
     recording.wait()
-    return process_unit(unit.completed(summarise(unit.path)))
+    return process_unit(unit.completed(summarise(unit.path, unit.settings.sensor)))
 
 
 @dataclass

@@ -190,6 +190,10 @@ ReferenceStep = Annotated[
 Calibration = Annotated[
     Path | None, typer.Option(help="Calibration that replaces the recorded one: its file or folder.")
 ]
+Sensor = Annotated[
+    str | None,
+    typer.Option("--sensor", metavar="NAME", help="Name of the sensor, if the recording contains several."),
+]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")]
 Output = Annotated[Path | None, typer.Option(help="Output folder.")]
 Settings = Annotated[

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from fringedic.command.app import RESULTS, Overwrite, Source, Sources, app, output_file, refuse_unused, say
+from fringedic.command.app import RESULTS, Overwrite, Sensor, Source, Sources, app, output_file, refuse_unused, say
 from fringedic.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ def compare_model(  # noqa: PLR0913 (options of a command)
         Path, typer.Argument(metavar="MODEL", help="Mesh with nodal displacement: VTU, VTK, PVD, gmsh, Nastran ...")
     ],
     unit: Annotated[str, typer.Option(help="Of lengths in the mesh: m, mm, um or inch.")],
+    sensor: Sensor = None,
     load: Annotated[
         list[float] | None,
         typer.Option(help="Force in N of each load step of the mesh, or crosshead position in mm; may be repeated."),
@@ -153,7 +154,7 @@ def compare_model(  # noqa: PLR0913 (options of a command)
         times_are_loads=times_are_loads,
         model_step=model_step,
     )
-    with open_experiment(source) as experiment:
+    with open_experiment(source, sensor=sensor) as experiment:
         if shape:
             comparison = compare_shape(experiment, mesh, step=only, **features)
         else:

@@ -105,6 +105,8 @@ class RunReport:
 
     Attributes
     ----------
+    dataset
+        Name of the dataset in the folder; empty without one.
     unmeasured
         Why there is no dataset of what was recorded; empty when there is one.
     no_errors
@@ -121,6 +123,7 @@ class RunReport:
     folder: Path
     steps: list[StepReport]
     pictures: list[Path]
+    dataset: str = ""
     unmeasured: str = ""
     no_errors: str = ""
     verdict: str = ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,6 +21,7 @@ from fringedic.command.app import (
     Place,
     Places,
     ReferenceStep,
+    Sensor,
     Settings,
     Source,
     Steps,
@@ -36,14 +38,14 @@ from fringedic.command.app import (
     say,
 )
 from fringedic.command.progress import LiveProgress
-from fringedic.errors import ExportError, StepFailedError
+from fringedic.errors import ExportError, FringedicError, StepFailedError
 
 
 @app.command(
     rich_help_panel=RESULTS,
     epilog="Example: fringedic process recordings/plate-7/bag --set coupling.z_filter_px=4 --output new.nc",
 )
-def process(
+def process(  # noqa: PLR0913 (options of a command)
     bags: Places,
     settings: Settings = None,
     steps: Steps = None,
@@ -52,6 +54,7 @@ def process(
     experiment: Annotated[
         str | None, typer.Option(help="Name of the experiment, if the recording contains several.")
     ] = None,
+    sensor: Sensor = None,
     output: Annotated[
         Path | None,
         typer.Option(help="Dataset, .nc or .zarr; by default beside the recording. For several recordings a folder."),
@@ -77,7 +80,7 @@ def process(
             measure(place, bag)
 
     def measure(place: str, bag: Path) -> None:
-        reader = BagReader(bag)
+        reader = BagReader(bag, sensor=sensor)
         if model is None:
             require_calibration(reader)
         missing = missing_settings(reader, records(reader))
@@ -98,6 +101,7 @@ def process(
                 reference=reference,
                 calibration=model,
                 experiment=experiment,
+                sensor=sensor,
                 overwrite=overwrite,
                 progress=tell,
             )
@@ -127,9 +131,11 @@ def _targets(places: list[str], output: Path | None) -> dict[str, Path | None]:
 
 
 @app.command(rich_help_panel=RESULTS, epilog="Example: fringedic info recordings/plate-7/bag")
-def info(bag: Place) -> None:
+def info(bag: Place, sensor: Sensor = None) -> None:
     """List the content of a recording and whether it is complete."""
+    from fringedic.frames.sensor import choice_of_sensors
     from fringedic.recording.programme_end import programme_end
+    from fringedic.recording.reader import BagReader
     from fringedic.recording.remote import is_remote
     from fringedic.recording.repair import info as bag_info
     from fringedic.recording.sentences import clock_sentences, content_sentences, next_command, programme_sentences
@@ -147,8 +153,16 @@ def info(bag: Place) -> None:
         lost = [str(summary.missing.get(name, ""))] if summary.missing else []
         table.add_row(name, type_name.replace("/msg/", "/"), str(summary.counts[name]), *lost)
     console.print(table)
-    clocks = {} if is_remote(bag) else recorded_clocks(bag)  # they are in the chunks, which are not fetched
-    end = None if is_remote(bag) else programme_end(bag)
+    if is_remote(bag):  # clocks, programme and sensors are in the chunks, which are not fetched
+        say(*content_sentences(summary), next_command(summary, summary.types))
+        return
+    sensors: dict[str, str] = {}
+    with suppress(FringedicError):  # the records of a damaged recording may be unreadable
+        sensors = BagReader(bag).sensors
+    if sensor is None and len(sensors) > 1:
+        say(choice_of_sensors(bag, sensors), *content_sentences(summary))
+        return
+    clocks, end = recorded_clocks(bag, sensor), programme_end(bag, sensor)
     say(
         *clock_sentences(clocks),
         *content_sentences(summary),
@@ -191,6 +205,7 @@ def export(
         typer.Option("--to", metavar="FORMAT", help="netcdf, zarr, vtk, ply, csv, mat, tiff, png, gif or r3xa."),
     ] = None,
     steps: Annotated[list[int] | None, typer.Option("--step", help="Only this step; may be repeated.")] = None,
+    sensor: Sensor = None,
     output: Output = None,
     overwrite: Overwrite = False,
 ) -> None:
@@ -202,7 +217,7 @@ def export(
     folder = output or beside(source, "_exported")
     wanted = formats or ["netcdf", "png"]
     problems = 0
-    with open_experiment(source) as dataset:
+    with open_experiment(source, sensor=sensor) as dataset:
         for done in export_dataset(dataset, folder, wanted, steps=steps, overwrite=overwrite):
             if done.path:
                 say(f"{done.format}: {done.path}")
@@ -234,6 +249,7 @@ def report(
     region: Annotated[
         list[str] | None, typer.Option(metavar="NAME=POLYGONS.yaml", help="Region whose mean values are listed.")
     ] = None,
+    sensor: Sensor = None,
     pdf: Annotated[bool, typer.Option("--pdf", help="Print it as PDF, too; needs chromium.")] = False,
     overwrite: Overwrite = False,
 ) -> None:
@@ -247,6 +263,7 @@ def report(
     written = write_report(
         source,
         output,
+        sensor=sensor,
         static_steps=static or None,
         gauges=named_gauges(extensometer) or None,
         regions=named_regions(region),

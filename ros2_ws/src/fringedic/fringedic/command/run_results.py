@@ -9,11 +9,13 @@ import xarray as xr
 
 from fringedic.command.outcome import RunReport, StepReport
 from fringedic.datasets import dataset_from_derived, open_experiment, process_bag
+from fringedic.datasets.opening import RESULTS
 from fringedic.datasets.sentences import confirmation_sentence
 from fringedic.errors import DatasetError
 from fringedic.evaluation import compare_with_truth, open_truth
 from fringedic.evaluation.truth import TRUTH
 from fringedic.figures.maps import save_pictures
+from fringedic.frames.sensor import file_of
 from fringedic.recording.frames import frame_losses
 from fringedic.recording.reader import BagReader
 from fringedic.report import write_report
@@ -44,7 +46,7 @@ def write_results(
     recorded = BagReader(bag)
     if not recorded.find_optional("camera/exposure"):
         return RunReport(experiment, folder, steps, [], unmeasured="no frame was exposed")
-    target = folder / "results.nc"
+    target = file_of(folder / f"{RESULTS}.nc", recorded.sensor)
     losses = frame_losses(recorded)
     for report in steps:
         report.dropped, report.missing = losses.get(report.step, (0, 0))
@@ -69,7 +71,7 @@ def write_results(
     write_report(target, folder / "report.html", overwrite=True)
     for report in steps:
         report.errors = errors.get(report.step, {})
-    return RunReport(experiment, folder, steps, pictures, no_errors=no_errors, verdict=verdict)
+    return RunReport(experiment, folder, steps, pictures, target.name, no_errors=no_errors, verdict=verdict)
 
 
 def _compare(

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field, ValidationInfo
 
 from fringedic.configuration.yaml_section import Section
 from fringedic.errors import CalibrationError
+from fringedic.frames.sensor import SensorName
 from fringedic.metadata import CalibrationMetadata, CheckMetadata
 from fringedic.rig.model import RigModel
 from fringedic.settings.base import FILE, MILLI
@@ -74,6 +75,7 @@ class CovarianceSection(Section):
 class CalibrationSection(Section):
     """Model of camera and projector, laid out as in the file of a calibration."""
 
+    sensor: SensorName | None = Field(None, description="Name of the sensor; by default that of the rig file.")
     identifier: str = Field("rig file", description="Name of this calibration in results.")
     model: Literal["six_parameter", "general", "paper"] = Field(
         "general", description="six_parameter: no angles and no distortion; paper: its name in older files."
@@ -85,10 +87,11 @@ class CalibrationSection(Section):
     projector: CalibratedProjector = Field(description="Pin-hole model of the projector.")
     covariance_si: CovarianceSection = Field(CovarianceSection(), description="Covariance of the parameters.")
 
-    def rig_model(self) -> RigModel:
-        """Return the model in SI units."""
+    def rig_model(self, sensor: str) -> RigModel:
+        """Return the model in SI units, that of a sensor unless the section names another one."""
         camera, projector = self.camera, self.projector
         return RigModel(
+            sensor=self.sensor or sensor,
             identifier=self.identifier,
             model=self.model,
             source=self.source,

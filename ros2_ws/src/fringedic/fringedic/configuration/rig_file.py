@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -23,6 +24,7 @@ from fringedic.configuration.sections import (
 )
 from fringedic.configuration.yaml_section import Section, load_sections
 from fringedic.errors import ConfigurationError, FringedicError
+from fringedic.frames.sensor import SENSOR, SensorName
 from fringedic.metadata import CalibrationMetadata, HardwareMetadata, Metadata, NoiseFloorMetadata, SpecimenMetadata
 from fringedic.patterns.pattern import ProjectedPattern
 from fringedic.rig.compatibility import RigSetup, check_calibration
@@ -67,6 +69,11 @@ class RigFile(Section):
     """The content of a rig file."""
 
     namespace: str = Field("rig", pattern=NAMESPACE, description="ROS namespace of the rig.")
+    sensor: SensorName = Field(
+        SENSOR,
+        description="Name of the camera with its projector, for a rig with several of them. Topics are in a namespace "
+        "of this name, and calibrations, datasets and file names contain it; by default there is no such namespace.",
+    )
     camera: Camera = Field(description="The camera.")
     projector: Projector | None = Field(None, description="The projector; without one only white frames.")
     sequence: SequenceSettings = Field(SequenceSettings(), description="The fringe patterns of one step.")
@@ -97,7 +104,7 @@ class RigFile(Section):
     )
     plan: PlanSection | None = Field(None, description="Components of a rig to be built, for `fringedic plan`.")
     frame_prefix: str | None = Field(
-        None, pattern=NAMESPACE, description="Prefix of the frame ids of the rig; by default its namespace."
+        None, pattern=NAMESPACE, description="Prefix of the frame ids of the rig; by default that of its topics."
     )
     recording: RecordingSection = Field(RecordingSection(), description="What is recorded, and where.")
     specimen: SpecimenMetadata = Field(SpecimenMetadata(), description="Metadata of the specimen.")
@@ -134,6 +141,11 @@ class RigFile(Section):
                 "wrong by as many; set nodes.phase.relative_phase: accept to accept this"
             )
         return self
+
+    @property
+    def topic_namespace(self) -> str:
+        """Namespace of the topics: that of the rig, followed by the name of its sensor if it was given one."""
+        return "/".join(filter(None, (self.namespace, "" if self.sensor == SENSOR else self.sensor)))
 
     def virtual_configuration(self) -> VirtualRigConfiguration:
         """Return the virtual rig of this file, which must have one."""
@@ -178,7 +190,11 @@ class RigFile(Section):
         """Return the parts of the rig that its calibration has to fit."""
         absolute = self.nodes.phase.relative_phase == "refuse"
         return RigSetup(
-            self.camera_size(), self.projector_size(), self.patterns() if absolute else (), self.camera_first()
+            self.camera_size(),
+            self.projector_size(),
+            self.patterns() if absolute else (),
+            self.camera_first(),
+            self.sensor,
         )
 
     @property
@@ -193,11 +209,11 @@ class RigFile(Section):
         if self.calibration is None:
             return None
         if isinstance(self.calibration, CalibrationSection):
-            return self.calibration.rig_model()
+            return self.calibration.rig_model(self.sensor)
         if (file := self.calibration_file) is None:
             from fringedic.configuration.virtual_calibration import calibration_of  # loads the virtual rig
 
-            return calibration_of(self.virtual_configuration())
+            return replace(calibration_of(self.virtual_configuration()), sensor=self.sensor)
         if not file.is_file():
             raise ConfigurationError(f"calibration: there is no file {file}")
         return RigModel.from_yaml(file)

@@ -18,6 +18,7 @@ from fringedic.datasets.quantities import (
     TIME_ZERO,
 )
 from fringedic.errors import DatasetError
+from fringedic.frames.sensor import SENSOR
 from fringedic.metadata import Metadata
 from fringedic.provenance import git_commit, software
 from fringedic.wording.path_names import path_name
@@ -82,14 +83,20 @@ def experiment_name(dataset: xr.Dataset) -> str:
 
 
 def file_stem(dataset: xr.Dataset) -> str:
-    """Return the name of the experiment as the beginning of file names.
+    """Return the name of the experiment, and of a sensor that has one, as the beginning of file names.
 
     Examples
     --------
-    >>> file_stem(xr.Dataset(attrs={"experiment": "../plate 7"}))
-    'plate-7'
+    >>> file_stem(xr.Dataset(attrs={"experiment": "../plate 7", "sensor": "left"}))
+    'plate-7.left'
     """
-    return path_name(experiment_name(dataset), "experiment")
+    stem, sensor = path_name(experiment_name(dataset), "experiment"), sensor_of(dataset)
+    return stem if sensor == SENSOR else f"{stem}.{sensor}"
+
+
+def sensor_of(dataset: xr.Dataset) -> str:
+    """Return the name of the sensor whose frames were measured."""
+    return str(dataset.attrs.get("sensor", SENSOR))
 
 
 def map_names(dataset: xr.Dataset) -> list[str]:

@@ -17,7 +17,7 @@ from fringedic.datasets.stores import Store, dataset_path
 from fringedic.datasets.timeline import Timeline
 from fringedic.datasets.writer import DatasetWriter
 from fringedic.errors import DatasetError
-from fringedic.frames.records import frame_record
+from fringedic.frames.records import FrameRecord, frame_record
 from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.bag_files import BAG, recording_of
 from fringedic.recording.frames import RecordedMessage, events, paired
@@ -56,6 +56,7 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     reference: int | Sequence[int] | None = None,
     calibration: RigModel | None = None,
     experiment: str | None = None,
+    sensor: str | None = None,
     overwrite: bool = False,
     progress: Callable[[int, str], None] | None = None,
 ) -> Path:
@@ -74,7 +75,7 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
         and the needed chunks are copied.
     output
         The dataset to write, ``.nc`` for NetCDF or ``.zarr`` for Zarr; by default NetCDF beside the recording with its
-        name, in the working folder if the recording is in an object store.
+        name, and that of a sensor that was given one, in the working folder if the recording is in an object store.
     overrides
         Parameters that replace the recorded ones, ``{"dic.window": 24, "specimen.force_sign": -1}``.
     steps
@@ -85,8 +86,8 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
         measured against the latest of them before it, earlier ones against the first. By default as recorded.
     calibration
         Model of the rig, instead of the recorded one.
-    experiment
-        Name of the experiment, if the recording contains several.
+    experiment, sensor
+        Name of the experiment and of the sensor, if the recording contains several.
     overwrite
         Replace an existing output.
     progress
@@ -101,7 +102,7 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     ------
     RecordingError
         The recording lacks images or exposure records, or is damaged before its end;
-        `fringedic.recording.repair.recover` saves the rest.
+        `fringedic.recording.repair.recover` saves the rest. Or it contains several sensors and none is chosen.
     ConfigurationError
         An override is unknown or not allowed.
     CalibrationError
@@ -120,9 +121,12 @@ def process_bag(  # noqa: PLR0913 (options of a public function, all by keyword)
     """
     only = None if steps is None else frozenset(steps)
     several = () if reference is None else (reference,) if isinstance(reference, int) else tuple(sorted(reference))
-    settings = ProcessingSettings(overrides or {}, several, calibration, experiment, only)
-    target = dataset_path(_name_nearby(str(path)) if is_remote(path) else recording_of(Path(path)), output, overwrite)
+    settings = ProcessingSettings(overrides or {}, several, calibration, experiment, sensor, only)
+    source = _name_nearby(str(path)) if is_remote(path) else recording_of(Path(path))
+    target = None if output is None else dataset_path(source, output, overwrite)  # refused before anything is copied
     with local_copy(path, PROCESSED_TOPICS) as nearby:
+        if target is None:
+            target = dataset_path(source, None, overwrite, BagReader(nearby, sensor=sensor).sensor)
         process_into(target, nearby, settings, progress)
     return target
 
@@ -154,6 +158,7 @@ class ProcessingSettings:
     references: tuple[int, ...] = ()
     calibration: RigModel | None = None
     experiment: str | None = None
+    sensor: str | None = None
     steps: frozenset[int] | None = None
     segment: tuple[int, int] | None = None
 
@@ -194,7 +199,7 @@ def process_into(
     FringedicError
         See `process_bag`.
     """
-    reader = BagReader(path)
+    reader = BagReader(path, sensor=settings.sensor)
     names = _processed_topics(reader)
     asked = set(settings.references)
     read = None if settings.steps is None else settings.steps | asked
@@ -259,9 +264,12 @@ def follow_into(
     FringedicError
         See `process_bag`.
     """
-    experiment = _followed_experiment(recording)
+    if settings.sensor is not None:
+        raise FollowError(f"{recording.path}: its sensors are known when it is complete")
+    first = _first_frame(recording)
+    experiment = first.experiment
     pipeline = OfflinePipeline(settings.overrides, experiment, calibration=settings.calibration)
-    attributes = {"experiment": experiment, "source": recording.path.name}
+    attributes = {"experiment": experiment, "sensor": first.sensor, "source": recording.path.name}
     topics = [name for name in PROCESSED_TOPICS if name not in SIGNAL_TOPICS]
 
     def rows() -> Iterator[Row]:
@@ -285,11 +293,11 @@ def follow_into(
             writer.enter_values(index, row)
 
 
-def _followed_experiment(recording: GrowingRecording) -> str:
-    """Return the experiment of the first measured step, as soon as that has ended."""
+def _first_frame(recording: GrowingRecording) -> FrameRecord:
+    """Return the record of the first frame of a step, as soon as that has ended."""
     for topic, message in recording.published(["camera/exposure", "experiment/step"]):
-        if topic == "camera/exposure" and frame_record(message).pattern.kind != PatternKind.OTHER:
-            return str(message.experiment)
+        if topic == "camera/exposure" and (record := frame_record(message)).pattern.kind != PatternKind.OTHER:
+            return record
     raise FollowError(f"{recording.path}: contains no frame of a step")
 
 
@@ -302,7 +310,8 @@ def _final_timeline(
     timeline.require_reference()
     if settings.calibration is not None:
         check_calibration(settings.calibration, recorded_setup(reader))
-    differs = timeline.steps != steps or {"experiment": timeline.experiment, "source": timeline.source} != attributes
+    found = {"experiment": timeline.experiment, "sensor": timeline.sensor, "source": timeline.source}
+    differs = timeline.steps != steps or found != attributes
     if timeline.damage or differs or timeline.rejected:
         raise FollowError(f"{recording.path}: is not what was read while it was made")
     return timeline
@@ -314,6 +323,7 @@ def dataset_from_derived(
     *,
     output: str | os.PathLike[str] | None = None,
     experiment: str | None = None,
+    sensor: str | None = None,
     overwrite: bool = False,
 ) -> Path:
     """Write the dataset of an experiment from the results that the nodes published, without measuring anything again.
@@ -323,7 +333,7 @@ def dataset_from_derived(
 
     Parameters
     ----------
-    path, output, experiment, overwrite
+    path, output, experiment, sensor, overwrite
         As of `process_bag`. The maps have the same names, so that both datasets can be compared.
 
     Returns
@@ -339,7 +349,7 @@ def dataset_from_derived(
         The output exists or cannot be written, or the recording contains no step of the experiment, or several
         experiments.
     """
-    reader = BagReader(path)
+    reader = BagReader(path, sensor=sensor)
     names = reader.find("phase/status", "dic/status", "camera/exposure")
     derived = reader.find_optional(
         *(f"phase/{topic}" for topic in PHASE_TOPICS),
@@ -349,7 +359,7 @@ def dataset_from_derived(
     names |= reader.find_optional("experiment/reference", "calibration", "node_parameters")
     others = reader.find_optional(*SIGNAL_TOPICS, "experiment/step")
     timeline = Timeline(reader, names | others, experiment)
-    target = dataset_path(path, output, overwrite)
+    target = dataset_path(path, output, overwrite, timeline.sensor)
     collected = Collected(set(derived) | {"phase/status", "dic/status"})
     topics = {name: full for name, full in names.items() if name != "camera/exposure"}
 
@@ -372,7 +382,7 @@ def _write(
     settings: Callable[[], StepSettings],
     progress: Callable[[int, str], None] | None,
 ) -> None:
-    attributes = {"experiment": timeline.experiment, "source": timeline.source}
+    attributes = {"experiment": timeline.experiment, "sensor": timeline.sensor, "source": timeline.source}
     attributes[SOURCE_BYTES] = str(timeline.source_bytes)
     if timeline.damage:
         attributes["damage"] = timeline.damage

@@ -46,8 +46,8 @@ class Timeline:
 
     Attributes
     ----------
-    experiment
-        Name of the experiment.
+    experiment, sensor
+        Name of the experiment and of the sensor.
     source, source_bytes, damage, missing_parts
         Name of the recording, size of its files [byte], the description of its damage, and the names of later parts of
         the same run that were not joined with it.
@@ -86,6 +86,7 @@ class Timeline:
         self.damage = reader.lost
         self.missing_parts = [part.name for part in reader.parts]
         exposed = [record for record in exposed if record.experiment == self.experiment]
+        self.sensor = exposed[0].sensor
         stages = [each for each in messages("experiment/step") if each.experiment == self.experiment]
         self._exposed = _exposure_times(exposed, [each for each in stages if each.stage == _END])
         recorded = signals_of((topic, message) for topic in SIGNAL_TOPICS for message in messages(topic))

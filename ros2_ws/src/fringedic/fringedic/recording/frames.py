@@ -14,9 +14,8 @@ from fringedic.frames.pairing import FramePairs
 from fringedic.frames.records import FrameRecord, frame_record, stamp_of
 from fringedic.patterns.pattern import PatternKind
 from fringedic.recording.reader import BagReader
+from fringedic.recording.topics import EXPOSURE, IMAGE
 
-IMAGE = "camera/image_raw"
-EXPOSURE = "camera/exposure"
 _CAPACITY = 64  # images or records that may wait for each other: more than the reader reorders
 
 

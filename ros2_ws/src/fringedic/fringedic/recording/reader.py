@@ -7,20 +7,23 @@ import os
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from itertools import accumulate
+from functools import cached_property
+from itertools import accumulate, islice
 from pathlib import Path
 from typing import Any
 
 from mcap.records import Message
 
 from fringedic.errors import ErrorCode, RecordingError
+from fringedic.frames.records import frame_record
+from fringedic.frames.sensor import SENSOR, choice_of_sensors
 from fringedic.recording.bag_files import BagFiles, find_files, open_file, parts_of_run, recording_of
 from fringedic.recording.conversion import readable
 from fringedic.recording.decoding import decode
 from fringedic.recording.latched import CopyFilter
 from fringedic.recording.mcap_file import FOREIGN, McapFile, count_without_checksum, read_messages, topic_of
 from fringedic.recording.order import ClockCheck
-from fringedic.recording.topics import RawMessage, Topic, is_named
+from fringedic.recording.topics import EXPOSURE, RawMessage, Topic, is_named
 
 REORDER_WINDOW = 64  # messages by which topics may overtake each other on their way into the recording
 
@@ -36,6 +39,8 @@ class BagReader:
     check
         Read every chunk on opening and leave out those that are damaged. Without it, a file with an undamaged index is
         opened by its index alone, and a damaged chunk raises an error when it is reached.
+    sensor
+        Name of the sensor whose topics `find` returns; None for the only one.
 
     Attributes
     ----------
@@ -63,7 +68,8 @@ class BagReader:
     Raises
     ------
     RecordingError
-        There is no such recording, it has another format, or its files define a topic differently.
+        There is no such recording, it has another format, its files define a topic differently, or it contains
+        exposures of other sensors only.
 
     Examples
     --------
@@ -78,7 +84,7 @@ class BagReader:
     [('/force', 42, 10)]
     """
 
-    def __init__(self, path: str | os.PathLike[str], *, check: bool = False) -> None:
+    def __init__(self, path: str | os.PathLike[str], *, check: bool = False, sensor: str | None = None) -> None:
         self.path = recording_of(Path(path))
         self._readable = readable(self.path)
         found = find_files(self._readable.path)
@@ -107,6 +113,10 @@ class BagReader:
         self.parts = parts_of_run(self.path)
         words = self.damage, _missing_words(self.missing), describe_parts(part.name for part in self.parts)
         self.lost = "; ".join(filter(None, words))
+        if sensor is not None and self.sensors and sensor not in self.sensors:
+            names = ", ".join(sorted(self.sensors))
+            raise RecordingError(f"{self.path} contains no sensor '{sensor}', it contains {names}: choose one of these")
+        self._sensor = sensor
 
     @property
     def start_time(self) -> int:
@@ -131,7 +141,7 @@ class BagReader:
         return self._readable.path != self.path
 
     def find(self, *relative_names: str) -> dict[str, str]:
-        """Return the full names of topics by their names relative to the rig's namespace.
+        """Return the full names of topics by their names relative to the namespace of the sensor or of its rig.
 
         Parameters
         ----------
@@ -147,7 +157,7 @@ class BagReader:
         ------
         RecordingError
             With the code MISSING_TOPIC: topics are missing or without messages; the message names them. Without code:
-            the recording contains a topic of several rigs.
+            the recording contains several sensors and none was chosen, or a topic of several rigs.
         """
         found = {name: self._full_names(name) for name in relative_names}
         missing = [name for name, full in found.items() if not full]
@@ -157,8 +167,8 @@ class BagReader:
             words = "; ".join([f"{self.path} has no {', '.join(missing)}", *others, f"it holds {present}"])
             raise RecordingError(words, code=ErrorCode.MISSING_TOPIC)
         for name, full in found.items():
-            if len(full) > 1:
-                raise RecordingError(f"{self.path} contains {name} of several rigs: {', '.join(full)}")
+            if len(full) > 1 and self.sensor:  # which raises when there are several sensors
+                raise _of_several_rigs(self.path, name, full)
         return {name: full[0] for name, full in found.items()}
 
     def find_optional(self, *relative_names: str) -> dict[str, str]:
@@ -300,12 +310,50 @@ class BagReader:
         """Return the topics that have one of these names and the type of another program."""
         return [topic for topic in self.topics.values() if any(is_named(topic.name, "", name) for name in names)]
 
-    def _full_names(self, name: str) -> list[str]:
+    @cached_property
+    def sensors(self) -> dict[str, str]:
+        """Name of each sensor whose exposures are recorded, with the beginning of the names of its topics."""
+        exposures, found = self._named(EXPOSURE), dict[str, str]()
+        for topic in exposures:
+            for _, message, _ in islice(self.messages([topic]), 1):
+                sensor = frame_record(message).sensor
+                if sensor in found:
+                    raise _of_several_rigs(self.path, EXPOSURE, exposures)
+                found[sensor] = topic.removesuffix(EXPOSURE)
+        return found
+
+    @property
+    def sensor(self) -> str:
+        """Name of the chosen sensor, or of the only one.
+
+        Raises
+        ------
+        RecordingError
+            The recording contains several and none was chosen.
+        """
+        if self._sensor is None and len(self.sensors) > 1:
+            raise RecordingError(choice_of_sensors(self.path, self.sensors))
+        return self._sensor or next(iter(self.sensors), SENSOR)
+
+    def _named(self, name: str) -> list[str]:
         return sorted(
             topic
             for topic, count in self.counts.items()
             if count and is_named(topic, self.topics[topic].type_name, name)
         )
+
+    def _full_names(self, name: str) -> list[str]:
+        """Return the topics of this name: that of the chosen sensor, otherwise those that are of no other sensor."""
+        full = self._named(name)
+        if self._sensor is None:
+            return full
+        of_sensors = {sensor: f"{beginning}{name}" for sensor, beginning in self.sensors.items()}
+        own = of_sensors.pop(self._sensor, "")
+        return [own] if own in full else [topic for topic in full if topic not in of_sensors.values()]
+
+
+def _of_several_rigs(path: Path, name: str, topics: Iterable[str]) -> RecordingError:
+    return RecordingError(f"{path} contains {name} of several rigs: {', '.join(topics)}")
 
 
 def _raw(file: McapFile, message: Message) -> RawMessage:

@@ -7,11 +7,11 @@ from collections.abc import Iterator, Mapping
 
 from fringedic.frames.clocks import ClockEstimate
 from fringedic.recording.bag_files import METADATA
-from fringedic.recording.frames import EXPOSURE, IMAGE
 from fringedic.recording.manifest import MANIFEST, ManifestCheck
 from fringedic.recording.programme_end import ProgrammeEnd
 from fringedic.recording.reader import describe_parts
 from fringedic.recording.repair import Content
+from fringedic.recording.topics import EXPOSURE, IMAGE
 from fringedic.recording.verification import Verification
 from fringedic.wording.numbers import counted, grouped
 

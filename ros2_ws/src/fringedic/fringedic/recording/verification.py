@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fringedic.frames.records import stamp_of
-from fringedic.recording.frames import EXPOSURE, IMAGE, newly_dropped, repeated_steps
+from fringedic.recording.frames import newly_dropped, repeated_steps
 from fringedic.recording.manifest import ManifestCheck, check_manifest
 from fringedic.recording.order import ClockCheck, PublisherCounts
 from fringedic.recording.reader import BagReader
-from fringedic.recording.topics import RawMessage, is_named
+from fringedic.recording.topics import EXPOSURE, IMAGE, RawMessage, is_named
 
 STEP = "experiment/step"
 _END = 3  # stage of a step that succeeded, in fringedic_msgs/StepStatus
@@ -137,11 +137,11 @@ class _Frames:
             for name in (IMAGE, EXPOSURE, STEP)
             if is_named(full, types.get(full, ""), name)
         }
-        self._dropped: list[int] = []  # by the count of the camera at each record
+        self._dropped: defaultdict[str, list[int]] = defaultdict(list)  # topic -> count of its camera at each record
         self._images: set[int] = set()
         self._records: set[int] = set()
         self._indices: defaultdict[Step, set[int]] = defaultdict(set)
-        self._exposures: set[tuple[str, int, int, int]] = set()
+        self._exposures: defaultdict[str, set[tuple[str, int, int, int]]] = defaultdict(set)  # by topic
         self._sizes: dict[Step, int] = {}
         self._finished: set[Step] = set()
 
@@ -158,9 +158,9 @@ class _Frames:
             self._records.add(stamp_of(message))
             if message.count:  # 0 in a free run, whose frames belong to no step
                 self._indices[step].add(message.index)
-                self._exposures.add((*step, message.index, stamp_of(message)))
+                self._exposures[raw.topic].add((*step, message.index, stamp_of(message)))
                 self._sizes[step] = message.count
-            self._dropped.append(message.dropped)
+            self._dropped[raw.topic].append(message.dropped)
         elif message.stage == _END:
             step = message.experiment, message.step
             self._finished.add(step)
@@ -169,7 +169,7 @@ class _Frames:
     @property
     def dropped(self) -> int:
         """Frames that the camera dropped before it published them."""
-        return sum(newly_dropped(self._dropped))
+        return sum(sum(newly_dropped(counts)) for counts in self._dropped.values())
 
     @property
     def complete(self) -> int:
@@ -202,4 +202,4 @@ class _Frames:
 
     def repeated_steps(self) -> list[Step]:
         """Return each step that was measured more than once under its number."""
-        return repeated_steps(self._exposures)
+        return sorted({step for exposures in self._exposures.values() for step in repeated_steps(exposures)})

@@ -11,6 +11,7 @@ import yaml
 from fringedic.camera.camera_info import is_camera_info
 from fringedic.camera.distortion import DistortionMap
 from fringedic.errors import CalibrationError
+from fringedic.frames.sensor import SENSOR
 from fringedic.rig.geometry import ADDED, RigGeometry
 from fringedic.wording.causes import cause_of
 from fringedic.wording.yaml_text import load_yaml
@@ -49,6 +50,7 @@ def write_rig(geometry: RigGeometry, path: str | Path) -> None:
     """Write a rig as YAML."""
     distortion = geometry.camera_distortion
     content = {
+        "sensor": geometry.sensor,
         "identifier": geometry.identifier,
         "model": geometry.model,
         "source": geometry.source,
@@ -109,6 +111,7 @@ def parse_rig(text: str) -> dict[str, Any]:
         distortion = content.get("camera_distortion")
         return values | {
             "camera_distortion": None if distortion is None else DistortionMap.from_dict(distortion),
+            "sensor": content.get("sensor", SENSOR),
             "identifier": content["identifier"],
             "model": content["model"],
             "source": content["source"],

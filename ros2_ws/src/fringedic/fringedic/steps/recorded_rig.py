@@ -11,8 +11,9 @@ from pydantic import BaseModel, ConfigDict, PositiveInt, ValidationError
 from fringedic.errors import ErrorCode, RecordingError
 from fringedic.frames.records import FrameRecord
 from fringedic.patterns.pattern import PHASE_KINDS, ProjectedPattern
-from fringedic.recording.frames import IMAGE, records
+from fringedic.recording.frames import records
 from fringedic.recording.reader import BagReader
+from fringedic.recording.topics import IMAGE
 from fringedic.rig.compatibility import RigSetup
 from fringedic.rig.geometry import UNKNOWN_FIRST
 from fringedic.steps.recorded_parameters import MODELS, RecordedParameters
@@ -95,6 +96,7 @@ def recorded_setup(bag: BagReader) -> RigSetup:
         camera_size=None if image is None else (image.width, image.height),
         projector_size=sizes.projector_size if shown else None,
         camera_first=sizes.camera_first,
+        sensor=next((each.sensor for each in records(bag)), None),
         patterns=shown if parameters.phase.relative_phase == "refuse" else (),
     )
 

@@ -131,13 +131,18 @@ def test_a_calibration_file_can_be_named_or_pasted(tmp_path):
     assert again.projector_rotation == pytest.approx(model.projector_rotation)
     assert (again.camera_first_column, again.camera_first_row) == (64, -1)
     assert (again.source, again.camera_distance) == (model.source, pytest.approx(model.camera_distance))
+    pasted = write(tmp_path, changed(CALIBRATED, "calibration", {**content, "sensor": "right"}), "right.yaml")
+    assert load_rig_file(pasted).rig_model.sensor == "right", "not that of the rig file"
 
 
 @pytest.mark.parametrize(
     ("path", "value", "message"),
     [
         ("camera.exposure_mss", 3, r"camera\.exposure_mss: unknown key; known are source, width, .*exposure_ms"),
-        ("colour", "red", r"colour: unknown key; known are namespace, camera, projector"),
+        ("colour", "red", r"colour: unknown key; known are namespace, sensor, camera, projector"),
+        ("sensor", "", r"sensor: it has to be a name of letters, digits .*that begins with a letter \(it is ''\)$"),
+        ("sensor", "../left", r"sensor: it has to be a name of letters, .* \(it is '../left'\)$"),
+        ("sensor", 2, r"sensor: Input should be a valid string \(it is 2\)$"),
         ("nodes.dic.windw", 24, r"nodes\.dic\.windw: unknown key; known are window, spacing"),
         ("nodes.dic.window", 4, r"nodes\.dic\.window: Input should be greater than or equal to 8 \(it is 4\)"),
         ("nodes.dic.window", "24", r"nodes\.dic\.window: Input should be a valid integer \(it is '24'\)"),
@@ -257,7 +262,7 @@ def test_a_wrong_calibration_is_named_with_file_and_key(tmp_path, path, value, m
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "is empty or has no 'key: value'; keys are namespace, camera"),
+        ("", "is empty or has no 'key: value'; keys are namespace, sensor, camera"),
         ("a: [1", "is not YAML"),
         ("- a", "is empty"),
     ],

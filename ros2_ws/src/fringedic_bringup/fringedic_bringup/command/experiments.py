@@ -18,6 +18,7 @@ from fringedic.command.app import (
     Output,
     ReferenceStep,
     Rig,
+    Sensor,
     Settings,
     Steps,
     app,
@@ -108,6 +109,7 @@ def replay(
     steps: Steps = None,
     reference: ReferenceStep = None,
     calibration: Calibration = None,
+    sensor: Sensor = None,
     output: Output = None,
 ) -> None:
     """Process recordings again with newly started nodes, as fast as possible, and record the results."""
@@ -131,6 +133,7 @@ def replay(
                 steps=steps or (),
                 reference=reference,
                 calibration=model,
+                sensor=sensor,
             )
         say(f"recording: {target}", next_reading(target))
 
@@ -157,7 +160,7 @@ def _tell(report: RunReport) -> None:
     if report.unmeasured:
         say(f"{report.folder}: complete recording (bag), no dataset: {report.unmeasured}")
         return
-    say(f"{report.folder}: report.html, recording (bag), dataset (results.nc), {len(report.pictures)} pictures")
+    say(f"{report.folder}: report.html, recording (bag), dataset ({report.dataset}), {len(report.pictures)} pictures")
     if report.verdict:
         say(report.verdict)
     if report.pictures:

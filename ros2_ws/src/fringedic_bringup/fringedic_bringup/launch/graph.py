@@ -10,12 +10,15 @@ from typing import Any
 import yaml
 from pydantic import BaseModel
 
+from fringedic.command.outcome import CALIBRATION_FILE
 from fringedic.configuration.rig_file import RigFile, fitting_calibration
 from fringedic.configuration.sections import ExtensometerSection
 from fringedic.errors import ConfigurationError, ImageError
 from fringedic.frames.region import Region
+from fringedic.frames.sensor import SENSOR, file_of
 from fringedic.metadata import Metadata
 from fringedic.recording.reader import BagReader
+from fringedic.recording.topics import EXPOSURE
 from fringedic.settings.camera import CameraNodeSettings
 from fringedic.settings.experiment import ExperimentNodeSettings, ProcessingSettings
 from fringedic.settings.extensometer import ExtensometerNodeSettings, ExtensometerSettings
@@ -29,7 +32,6 @@ from fringedic.wording.yaml_text import load_yaml
 
 PROCESSING_NODES = {"phase": "phase_node", "dic": "dic_node", "coupling": "coupling_node"}
 COMPOSED = "processing"  # the process, and the executable, of all processing nodes together
-STEP_TOPIC = "experiment/step"
 _FULL_SCALES = (0.0, 255.0, 65535.0)  # unknown, or that of the pixel type
 FRAMES_MISSED = 3  # in a row, after which the extensometer reports that it has no image
 
@@ -109,8 +111,9 @@ class Graph:
 def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "") -> Graph:
     """Return the nodes of a rig that records one run into a folder.
 
-    The calibration of the rig file is written into the folder as ``calibration.yaml``. The nodes write the recording
-    ``bag`` and, on a virtual rig, the ground truth ``truth.nc``.
+    The calibration of the rig file is written into the folder as ``calibration.yaml``, with the name of a sensor that
+    has one (``calibration.left.yaml``). The nodes write the recording ``bag`` and, on a virtual rig, the ground truth
+    ``truth.nc``.
 
     Parameters
     ----------
@@ -129,7 +132,7 @@ def rig_graph(rig: RigFile, rig_path: Path, folder: Path, *, experiment: str = "
     """
     calibration = fitting_calibration(rig, rig_path)
     folder.mkdir(parents=True, exist_ok=True)
-    calibration_file = "" if calibration is None else str((folder / "calibration.yaml").absolute())
+    calibration_file = "" if calibration is None else str(file_of(folder / CALIBRATION_FILE, rig.sensor).absolute())
     region = {"region": _region(rig.region_file, rig.camera_size())} if rig.region_file else {}
     parts = {"phase": _phase(rig), "dic": rig.nodes.dic}
     processing = ProcessingSettings(
@@ -231,11 +234,12 @@ def projecting_graph(rig: RigFile) -> Graph:
     rig
         The content of the rig file.
     """
-    return Graph(rig.namespace, tuple(node for node in exposing_graph(rig).nodes if node.name == "projector"))
+    graph = exposing_graph(rig)
+    return replace(graph, nodes=tuple(node for node in graph.nodes if node.name == "projector"))
 
 
 def replay_graph(
-    bag: Path,
+    bag: BagReader,
     output: Path,
     overrides: Mapping[str, Mapping[str, Any]],
     *,
@@ -249,7 +253,7 @@ def replay_graph(
     Parameters
     ----------
     bag
-        The recording to play.
+        The recording to play, with the choice of its sensor.
     output
         Folder of the new recording.
     overrides
@@ -266,10 +270,10 @@ def replay_graph(
     Raises
     ------
     RecordingError
-        The recording lacks the topic ``experiment/step``.
+        The recording lacks exposure records, or contains several sensors and none is chosen.
     """
-    step_topic = BagReader(bag).find(STEP_TOPIC)[STEP_TOPIC]
-    player: dict[str, Any] = {"bag_path": str(bag.absolute()), "recorder": True}
+    exposures = bag.find(EXPOSURE)[EXPOSURE]
+    player: dict[str, Any] = {"bag_path": str(bag.path.absolute()), "recorder": True}
     replaced = [f"{node}.{name}" for node, values in overrides.items() for name in values]
     if replaced:
         player["overrides"] = replaced
@@ -279,23 +283,28 @@ def replay_graph(
         player["steps"] = list(steps)
     if reference is not None:
         player["reference_step"] = reference
-    return Graph(
-        step_topic.removesuffix(STEP_TOPIC).strip("/"),
-        (
-            NodeEntry("recorder", "recorder_node", "recorder", {"bag_path": str(output.absolute()), "derived": True}),
-            *_processing_nodes(
-                (NodeEntry(name, package, name, overrides.get(name, {})) for name, package in PROCESSING_NODES.items()),
-                composed=composed,
-            ),
-            NodeEntry("player", "player_node", "player", player),
+    nodes = [
+        NodeEntry("recorder", "recorder_node", "recorder", {"bag_path": str(output.absolute()), "derived": True}),
+        *_processing_nodes(
+            (NodeEntry(name, package, name, overrides.get(name, {})) for name, package in PROCESSING_NODES.items()),
+            composed=composed,
         ),
-    )
+        NodeEntry("player", "player_node", "player", player),
+    ]
+    return _with_common(exposures.removesuffix(EXPOSURE).strip("/"), nodes, bag.sensor, {})
 
 
 def _graph(rig: RigFile, nodes: Sequence[NodeEntry]) -> Graph:
-    """Return nodes in the namespace and with the frame prefix of a rig."""
-    prefix = {} if rig.frame_prefix is None else {"frame_prefix": rig.frame_prefix}
-    return Graph(rig.namespace, tuple(replace(node, parameters={**node.parameters, **prefix}) for node in nodes))
+    """Return nodes in the namespace of a rig, with its frame prefix and the name of its sensor."""
+    common = {} if rig.frame_prefix is None else {"frame_prefix": rig.frame_prefix}
+    return _with_common(rig.topic_namespace, nodes, rig.sensor, common)
+
+
+def _with_common(namespace: str, nodes: Sequence[NodeEntry], sensor: str, common: Mapping[str, str]) -> Graph:
+    """Return nodes with the same parameters beside their own; a sensor without a name needs none."""
+    if sensor != SENSOR:
+        common = {"sensor": sensor, **common}
+    return Graph(namespace, tuple(replace(node, parameters={**node.parameters, **common}) for node in nodes))
 
 
 def _node(name: str, package: str, settings: BaseModel, **again: Any) -> NodeEntry:

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from fringedic.calibration.sentences import in_force_words
-from fringedic.command.outcome import Progress, RunReport
+from fringedic.command.outcome import CALIBRATION_FILE, Progress, RunReport
 from fringedic.command.run_results import Reconstruct, write_results
 from fringedic.configuration.forecast import Forecast, forecast
 from fringedic.configuration.programme import Programme
@@ -16,6 +16,7 @@ from fringedic.configuration.sentences import forecast_sentence
 from fringedic.configuration.virtual_calibration import calibration_of
 from fringedic.errors import ConfigurationError, ImageError
 from fringedic.frames.files import image_files
+from fringedic.frames.sensor import file_of
 from fringedic.settings.camera import FilesCamera, StoredImages
 from fringedic_bringup.launch.environment import domain_of, node_environment
 from fringedic_bringup.launch.graph import rig_graph
@@ -128,7 +129,7 @@ def run_experiment(
     if not resume:
         _announce(forecast(rig, programme), programme, folder, progress)
     with folder_of_one_command(folder):
-        bag, calibration, before = folder / "bag", folder / "calibration.yaml", None
+        bag, calibration, before = folder / "bag", file_of(folder / CALIBRATION_FILE, rig.sensor), None
         first_calibration = calibration.read_text() if resume and calibration.exists() else ""
         graph = rig_graph(rig, rig_path, folder, experiment=programme.experiment)
         if resume:
@@ -137,7 +138,7 @@ def run_experiment(
             require_no_nodes(domain_of(node_environment(domain)), graph)
             require_same_messages(bag)
             join_parts(bag, progress, rig.recording.split)  # of a command that was killed before it joined them
-            before = recorded_steps(bag, programme, rig.namespace)
+            before = recorded_steps(bag, programme, rig.topic_namespace)
             require_same_settings(graph, folder / "logs")
             progress.note(f"{programme.experiment}: {len(before.measured)} steps are measured already")
             _announce(forecast(rig, programme, before.done), programme, folder, progress)

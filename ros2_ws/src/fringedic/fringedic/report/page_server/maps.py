@@ -51,12 +51,12 @@ class RecordedMaps:
 
     Parameters
     ----------
-    path
+    path, sensor
         As of `fringedic.open_experiment`.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.experiment = open_experiment(path)
+    def __init__(self, path: Path, sensor: str | None = None) -> None:
+        self.experiment = open_experiment(path, sensor=sensor)
         self._lock = threading.Lock()  # the file is read by one thread at a time
         with self._lock:
             self._names = {int(step): self._measured(int(step)) for step in self.experiment.step.values}

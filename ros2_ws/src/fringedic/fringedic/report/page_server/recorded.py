@@ -19,10 +19,12 @@ class RecordedRig:
     ----------
     path
         A recording or a dataset, as of `fringedic.open_experiment`.
+    sensor
+        Name of the sensor, if there are several.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._maps = RecordedMaps(path)
+    def __init__(self, path: Path, sensor: str | None = None) -> None:
+        self._maps = RecordedMaps(path, sensor)
         source = Path(self.maps.experiment.encoding.get("source", path))
         self._folder = source.absolute().parent
         names = self.maps.names()
