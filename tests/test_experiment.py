@@ -16,6 +16,7 @@ from running_system import CONFIG, WORKING, Progress, without_ros
 
 import fringedic
 from fringedic.command.outcome import RunReport
+from fringedic.datasets.signals import signal_series
 from fringedic.recording.reader import BagReader
 from fringedic_bringup.launch.graph import replay_graph
 from fringedic_bringup.procedures import replay as replaying
@@ -116,6 +117,18 @@ def test_dataset_is_labelled(experiment: RunReport) -> None:
         assert dataset.displacement_x.attrs["units"] == "px"
         positions = dataset.position.values
     np.testing.assert_allclose(positions, [0.0, 0.3e-3, 0.6e-3], atol=1e-9)
+
+
+def test_a_signal_of_another_node_is_in_the_dataset(experiment: RunReport) -> None:
+    with fringedic.open_experiment(experiment.folder / "bag") as dataset:
+        temperature = dataset.temperature_grip
+        assert (temperature.attrs["units"], temperature.attrs["source"]) == ("K", "thermocouple")
+        np.testing.assert_array_equal(temperature.values, [295.0] * STEPS)
+        np.testing.assert_allclose(dataset.temperature_grip_sigma.values, 0.5)
+        samples = signal_series(dataset, "temperature_grip")
+    recorded = BagReader(experiment.folder / "bag")
+    assert samples.stamps.size == recorded.counts[recorded.find("signals")["signals"]] > STEPS
+    assert (np.diff(samples.stamps) > 0).all()
 
 
 def test_tension_along_y_has_the_right_signs(experiment: RunReport) -> None:
