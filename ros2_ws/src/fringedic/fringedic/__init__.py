@@ -68,17 +68,15 @@ _public_name, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name, the methods ``dataset.fringedic`` with xarray, and the announcement of a compilation."""
+    """Load a public name, and the methods ``dataset.fringedic`` as soon as xarray is there."""
     value = _public_name(name)
-    _register()
+    _register_methods()
     return value
 
 
-def _register() -> None:
+def _register_methods() -> None:
     if "xarray" in sys.modules:
         import_module("fringedic.accessor")
-    if "numba" in sys.modules:
-        import_module("fringedic.warm_up.announcement")
 
 
-_register()
+_register_methods()

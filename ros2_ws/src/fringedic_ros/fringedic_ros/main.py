@@ -1,4 +1,4 @@
-"""Start, run and end of every process of nodes."""
+"""Start, run and end of every node process."""
 
 from __future__ import annotations
 
@@ -28,33 +28,27 @@ class _EndRequested(Exception):
     """SIGINT or SIGTERM was received."""
 
 
-def run(*makers: Callable[[], Node]) -> int:
-    """Spin nodes in one thread until SIGINT or SIGTERM; return the exit code of the process.
+def run(make_node: Callable[[], Node]) -> int:
+    """Spin one node until SIGINT or SIGTERM; return the exit code of the process.
 
-    A signal has an effect after the nodes are complete and the running callback has returned: an exception in between
+    A signal has an effect after the node is complete and the running callback has returned: an exception in between
     would leave an incomplete node, whose process may not end. Further signals are ignored, so that a second Ctrl-C does
     not interrupt the closing of a recording.
 
     A node that cannot start (a `FringedicError`) ends with its message and code 1, every other error with its traceback
     and code 1.
-
-    Parameters
-    ----------
-    makers
-        Make the nodes, which are ended in the same order.
     """
     signals = _collect_signals()
-    nodes: list[Node] = []
+    node: Node | None = None
     try:
         rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         choose_participant_number(get_default_context().get_domain_id())
+        node = make_node()
+        announce(node)
+        report_unknown_parameters(node)
         executor = SingleThreadedExecutor()
-        for make in makers:
-            nodes.append(node := make())
-            announce(node)
-            report_unknown_parameters(node)
-            executor.add_node(node)
-        _end_at(signals, nodes[0])
+        executor.add_node(node)
+        _end_at(signals, node)
         executor.spin()
     except _EndRequested:
         pass
@@ -65,7 +59,7 @@ def run(*makers: Callable[[], Node]) -> int:
         traceback.print_exc()
         return 1
     finally:
-        for node in nodes:
+        if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
     return 0

@@ -37,22 +37,15 @@ class Traceability:
     target: str = ""
 
 
-def recorded_traceability(path: str | os.PathLike[str], sensor: str | None = None) -> Traceability:
+def recorded_traceability(path: str | os.PathLike[str]) -> Traceability:
     """Return what the recording of a calibration contains about grid, stage, target and operator.
-
-    Parameters
-    ----------
-    path
-        The recording.
-    sensor
-        Name of the sensor, if the recording contains several.
 
     Raises
     ------
     RecordingError
         The recording cannot be read.
     """
-    reader = BagReader(path, sensor=sensor)
+    reader = BagReader(path)
     topics = {full: name for name, full in reader.find("experiment/plane", "node_parameters").items()}
     parameters, known = RecordedParameters({}), Traceability()
     for message in reader.published(topics):

@@ -32,15 +32,13 @@ class ProgrammeEnd(NamedTuple):
     error_code: int = 0
 
 
-def programme_end(path: str | os.PathLike[str], sensor: str | None = None) -> ProgrammeEnd | None:
+def programme_end(path: str | os.PathLike[str]) -> ProgrammeEnd | None:
     """Return how the programme of a recording ended, the last time when it was continued.
 
     Parameters
     ----------
     path
         The recording.
-    sensor
-        Name of the sensor, if the recording contains several.
 
     Returns
     -------
@@ -55,10 +53,10 @@ def programme_end(path: str | os.PathLike[str], sensor: str | None = None) -> Pr
 
     Examples
     --------
-    >>> print(programme_end("recordings/plate-7/bag"))  # no programme ended early
-    None
+    >>> programme_end("recordings/plate-7/bag")  # doctest: +SKIP
+    ProgrammeEnd(experiment='plate', step=3, reason='the machine reports a fault ...', error_code=203)
     """
-    reader, end = BagReader(path, sensor=sensor), None
+    reader, end = BagReader(path), None
     if topics := reader.find_optional(PROGRAMME).values():
         with suppress(RecordingError):
             for _, message, _ in reader.messages(topics):

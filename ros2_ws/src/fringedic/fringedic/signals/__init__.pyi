@@ -1,6 +1,4 @@
 from .messages import SIGNAL_TOPICS as SIGNAL_TOPICS
-from .messages import Sample as Sample
-from .messages import SignalCollector as SignalCollector
 from .messages import signals_of as signals_of
 from .samples import SampleSummary as SampleSummary
 from .samples import samples_over as samples_over
@@ -10,4 +8,3 @@ from .signal import POSITION as POSITION
 from .signal import Channel as Channel
 from .signal import Signal as Signal
 from .signal import SignalValue as SignalValue
-from .table import read_table as read_table

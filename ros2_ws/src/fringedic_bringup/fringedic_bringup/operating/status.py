@@ -8,9 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
-from fringedic.command.outcome import StepReport
 from fringedic.errors import OperatorError
-from fringedic_bringup.procedures.outcome import RunControl
+from fringedic_bringup.procedures.outcome import RunControl, StepReport
 
 NOTES = 200  # lines that are kept
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rich.markup import escape
 from rich.table import Table
 
-from fringedic.command.outcome import RunReport
+from fringedic_bringup.procedures.outcome import RunReport
 
 
 def report_table(report: RunReport) -> Table:
