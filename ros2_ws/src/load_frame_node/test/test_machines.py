@@ -152,16 +152,16 @@ def test_moves_and_holds_with_samples_in_si(kind: str, tmp_path: Path) -> None:
 UNLISTED = {
     "scpi": [
         (
-            {"query": "STAT?", "moving": ["RUN"], "idle": ["Idle"]},
-            "status: 'IDLE' is in no list of status, and idle has 'Idle': write 'IDLE' in idle",
+            {"query": "STAT?", "moving": ["RUN"], "hold": ["Hold"]},
+            "status: 'HOLD' is in no list of status, and hold has 'Hold': write 'HOLD' in hold",
         ),
         (
             {"query": "STAT?", "moving": ["RUN"]},
-            "status: 'IDLE' is in no list of status: add it to idle, moving, hold or fault",
+            "status: 'HOLD' is in no list of status: add it to idle, moving, hold or fault",
         ),
     ],
     "modbus": [
-        ({"register": 4, "moving": [11]}, "status: 0 is in no list of status: add it to idle, moving, hold or fault")
+        ({"register": 4, "moving": [11]}, "status: 12 is in no list of status: add it to idle, moving, hold or fault")
     ],
 }
 
@@ -172,13 +172,13 @@ UNLISTED = {
 def test_a_status_in_no_list_is_reported_with_the_key_to_extend(
     kind: str, status: dict[str, Any], words: str, operator: Operator, tmp_path: Path
 ) -> None:
-    """The state is UNKNOWN, and nobody could see why."""
+    """The state is UNKNOWN, and nobody saw why. The machine shows the hold that the node requests at its start."""
     path = tmp_path / "machine.yaml"
     with server(f"{kind}_machine.py") as (_, port):
         path.write_text(yaml.safe_dump({**description(kind, port), "status": status}))
         parameters = {"source": "machine", "machine_file": str(path), "rate_hz": 20.0}
         with NodeProcess("load_frame_node.load_frame_node", tmp_path, parameters) as node:
-            assert re.search(words, operator.until(LoadState.UNKNOWN).reason), operator.states[-1]
+            operator.wait(lambda: re.search(words, operator.until(LoadState.UNKNOWN).reason), "the reason")
             operator.wait(lambda: re.search(words, node.log), "the line in the log")
 
 
