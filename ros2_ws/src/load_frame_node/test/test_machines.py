@@ -172,7 +172,7 @@ UNLISTED = {
 def test_a_status_in_no_list_is_reported_with_the_key_to_extend(
     kind: str, status: dict[str, Any], words: str, operator: Operator, tmp_path: Path
 ) -> None:
-    """The state is UNKNOWN, and nobody saw why. The machine shows the hold that the node requests at its start."""
+    """The state is UNKNOWN, and nobody could see why. The status is that of the hold which a starting node requests."""
     path = tmp_path / "machine.yaml"
     with server(f"{kind}_machine.py") as (_, port):
         path.write_text(yaml.safe_dump({**description(kind, port), "status": status}))

@@ -280,7 +280,9 @@ def test_a_fault_in_a_move_is_noticed_although_the_clock_was_set_back(frame: Fra
     frame.machine.mode = LoadMode.FAULT
     result = frame.end(goal)
     assert result.error_code == MoveCrosshead.Result.MACHINE_FAULT
-    assert "the machine reports a fault" in result.error_message
+    assert result.error_message == (
+        "the machine reports a fault; find its cause, and reset the machine at its own controls; a hold was requested"
+    )
 
 
 def test_standstill_after_a_hold_is_noticed_although_the_clock_was_set_back(frame: Frame, clock: Clock) -> None:
